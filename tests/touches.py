@@ -14,7 +14,7 @@ from pathlib import Path
 
 TESTS = Path(__file__).parent
 _EXAMPLE = "interfaces/plugins/example_plugin/cellapp_example"
-_VERB = "commands/toys/greet"
+_VERB = "commands/toys/greet.py"
 
 
 @dataclass(frozen=True)
@@ -65,8 +65,8 @@ TOUCHES: tuple[Touch, ...] = (
     ),
     Touch(
         "verb with its result",
-        tuple(f"{_VERB}/{part}.py" for part in ("request", "run", "result", "view")),
-        ("cellapp/commands/folders.py: its folder",),
+        (_VERB,),
+        ("cellapp/commands/registry.py: its name",),
         "commands/test_show.py",
     ),
     Touch(

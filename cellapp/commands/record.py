@@ -1,30 +1,31 @@
 """The record of a verb: its request with the words and bounds of every field, and where its run and view stand.
 
-A verb is a folder of ``commands`` with
+A verb is ``commands/NAME.py`` with
 
-- ``request.py``: the typed request, and ``VERB``, its record. Every start of the program loads it: keep it light.
-- ``run.py``: ``run(request, work) -> Result``, which does the work.
-- ``view.py``: ``view(result, request) -> View``, which shows the result.
+- the typed request, and ``VERB``, its record,
+- ``run(request, work) -> Result``, which does the work,
+- ``view(result, request) -> View``, which shows the result;
+
+a larger one is a folder with these in ``request.py``, ``run.py`` and, if that grows long, ``view.py``. The help of its
+command then waits for ``request.py`` alone: keep that light.
 
 The command's options, the dialog of the terminal application and the handbook's list of commands follow from these.
 """
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import Writes
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from cellapp.cell.run import RunFile
     from cellapp.commands.view.parts import Part
     from cellapp.ground.control import JobControl
@@ -163,8 +164,6 @@ class Work:
         Result of a certificate -> its page as HTML.
     screens : callable
         (profile, folder of a run or None, folder) -> write pictures of the terminal application there; their paths.
-    verbs : sequence of Verb
-        All verbs, for a verb that needs the others.
     ask : callable
         Name of the profile -> callable that asks a person before real arms move first; None if nobody can be asked.
     outputs : Outputs
@@ -182,7 +181,6 @@ class Work:
     control: JobControl
     ask: Callable[[str], Callable[[str], bool] | None]
     outputs: Outputs
-    verbs: Sequence[Verb] = ()
     certificate_page: Callable[[Any], str] = field(default=_no_certificate_page)
     screens: Callable[[Path, Path | None, Path], Sequence[Path]] = field(default=_no_screens)
     announce: Callable[[Result], None] = field(default=lambda result: None)
@@ -214,7 +212,7 @@ class Stored:
     made_by : str
         The command that stores it, without ``cellapp``; the verb's name if empty.
     view : str
-        Name of the function in the verb's ``view.py`` that shows it.
+        Name of the function beside the verb's ``view`` that shows it.
     """
 
     part: str
@@ -309,5 +307,26 @@ class Verb:
         return view
 
     def _part(self, name: str) -> Any:
-        """Import a module of the verb's folder, only when it is needed: that may take a second."""
-        return importlib.import_module(f"{self.request.__module__.rpartition('.')[0]}.{name}")
+        """Return a module of the verb's folder, or its only file; import it now: that may take a second."""
+        folder, _, own = self.request.__module__.rpartition(".")
+        if own == "request":
+            own = name if importlib.util.find_spec(f"{folder}.{name}") else "run"
+        return importlib.import_module(f"{folder}.{own}")
+
+
+# -- fields that the requests of several verbs have --------------------------------------------------------------------
+
+RunFolder = Annotated[Path, Asked("The run's folder.", "DIR", argument=True)]
+ProfilePath = Annotated[Path, Asked("The cell, as YAML.", "PROFILE", argument=True)]
+TargetsPath = Annotated[Path | tuple[Any, ...], Asked("Target list: .yaml or .csv.", "TARGETS", argument=True)]
+"""A list's file; a program that has targets may give them as they are."""
+NewRun = Annotated[Path, Asked("Folder of the new run; must not hold one yet.", "DIR", option="--run")]
+Prior = Annotated[Path | None, Asked("Folder of an earlier calibrated run of the same arms, as prior.", "EARLIER")]
+OutOfDate = Annotated[bool, Asked("Use the latest model even if it no longer fits the run's data.")]
+Strict = Annotated[bool, Asked("Exit code 1 if a result, the page or the certificate is out of date.")]
+Jobs = Annotated[
+    int | None,
+    Field(ge=1, le=1024),
+    Asked("Processes, each of one thread; all cores if left out; 1: no other.", "N"),
+]
+Scheduler = Annotated[str | None, Asked("Compute on the workers of a Dask scheduler, as tcp://HOST:8786.", "ADDRESS")]

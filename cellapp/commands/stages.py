@@ -7,34 +7,130 @@ readable, is shown with the reason, and its model is not sent to the arms unless
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from cellapp.cell.run.file import RunFile
-from cellapp.cell.run.sqlite_file import StageRow
-from cellapp.commands.basis import Basis, PriorBasis, ReadingsBasis, basis_of, readings_digest, sha256_of
+from cellapp.cell.run.file import RunFile, former_arrays
+from cellapp.cell.run.measured_again import replaced_counts
+from cellapp.cell.run.recordings import recordings_digest
+from cellapp.cell.run.sqlite_file import REPORT_FILE, StageRow
 from cellapp.estimation.monitoring.check.records import CHANGES_OF_ARMS, TRACKER_MOVED
+from cellapp.estimation.readings.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import (
     CALIBRATE,
+    CERTIFICATE,
     CHECK,
     DISCOVER,
     ISO9283,
     LOCATE,
     STAGE_NAMES,
     VERIFY,
+    Record,
     Result,
     StageName,
 )
 from cellapp.robot.model.model import MODEL_SCHEMA
+
+
+class ReadingsBasis(Record):
+    """Number of readings of one arm, and the hash of their measured arrays and splits; empty if only counted.
+
+    ``again`` counts the readings that later ones had replaced.
+    """
+
+    n: int
+    sha256: str
+    again: int = 0
+
+    def is_same(self, other: ReadingsBasis) -> bool:
+        """Return whether both are of the same readings, as far as both know them."""
+        hashes = {self.sha256, other.sha256} - {""}
+        return (self.n, self.again) == (other.n, other.again) and len(hashes) < 2
+
+
+class PriorBasis(Record):
+    """The earlier run whose calibration of one arm was taken as prior, and ``earlier_digest`` of it then."""
+
+    run: str
+    sha256: str
+
+
+class Basis(Record):
+    """SHA-256 hashes of what a stage rests on; ``stages`` maps each earlier stage that it used to its digest,
+    ``priors`` each arm to the earlier run that was its prior, ``recordings`` those of motion, if any (``n`` points)."""
+
+    profile: str
+    readings: Mapping[str, ReadingsBasis]
+    stages: Mapping[StageName, str] = {}
+    targets: str | None = None
+    priors: Mapping[str, PriorBasis] = {}
+    recordings: Mapping[str, ReadingsBasis] = {}
+
+
+def basis_of(run: RunFile, stages: Mapping[StageName, str] | None = None) -> Basis:
+    """Return the basis of a stage that is stored now; ``stages`` maps each earlier stage that it uses to its digest."""
+    measured = run.rows if run.removed_kinds() else run.readings
+    readings, again = {name: measured(name) for name in run.arms()}, replaced_counts(run)
+    return Basis(
+        profile=sha256_of(run.profile_text),
+        readings={
+            name: ReadingsBasis(n=len(arm), sha256=readings_digest(arm), again=again.get(name, 0))
+            for name, arm in readings.items()
+        },
+        stages=stages or {},
+        recordings=recordings_basis(run),
+    )
+
+
+def recordings_basis(run: RunFile) -> dict[str, ReadingsBasis]:
+    """Return the count and hash of each arm's recordings of motion; empty if there are none."""
+    found = {name: recordings_digest(run, name) for name in run.profile.arms}
+    return {name: ReadingsBasis(n=n, sha256=digest) for name, (n, digest) in found.items() if digest}
+
+
+def counted_basis(run: RunFile) -> Basis:
+    """Return the basis as ``basis_of`` does, but only count the readings, which is quick.
+
+    No verb changes readings in place, so counts suffice. ``collect`` adds readings, stops measured again are counted,
+    and splits are drawn only for readings without one, before a calibration uses them.
+    """
+    again = replaced_counts(run)
+    counts = {name: sum(splits.values()) for name, splits in run.split_counts().items()}
+    return Basis(
+        profile=sha256_of(run.profile_text),
+        readings={name: ReadingsBasis(n=n, sha256="", again=again.get(name, 0)) for name, n in counts.items()},
+        recordings=recordings_basis(run),
+    )
+
+
+def readings_digest(readings: Readings) -> str:
+    """Hash the names and little-endian values of all measured arrays of one arm, and its splits (SHA-256)."""
+    digest = hashlib.sha256()
+    arrays = {entry.name: getattr(readings, entry.name) for entry in fields(readings)}
+    for name, values in (arrays | former_arrays(readings)).items():
+        if isinstance(values, np.ndarray):
+            digest.update(f"{name} {values.shape}\n".encode())
+            digest.update(np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes())
+    digest.update(json.dumps(readings.split).encode())
+    return digest.hexdigest()
+
+
+def sha256_of(text: str) -> str:
+    """Return the SHA-256 of a text, in hexadecimal digits."""
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
 
 NextVerb = Literal["plan", "collect", "calibrate", "discover", "locate", "compensate", "push", "iso9283", "report", ""]
 """The verb that comes next in a run. ``push`` stands for verifying compensated targets, ``compensate`` takes its place
@@ -426,3 +522,75 @@ def _verdict(text: str) -> str:
     content = json_object(text)
     verdict = None if content is None else content.get("verdict")
     return verdict if isinstance(verdict, str) else ""
+
+
+CERTIFICATE_FILE = "certificate.json"
+"""Name of the certificate in the run's folder; ``--out`` writes it elsewhere."""
+DATA_MARK = "cellapp-data"
+"""Name of the page's ``meta`` element with the ``data_mark`` of the run when the page was written."""
+_MARK = re.compile(rf'<meta name="{DATA_MARK}" content="([0-9a-f]{{64}})">')
+_HEAD = 20_000
+"""How many characters of the page are read to find its marks."""
+
+
+def data_mark(run: RunFile, stages: RunStages | None = None) -> str:
+    """Return the SHA-256 of all that a page of the run is made of: profile, readings, the newest stage of each name."""
+    stages = stages or read_stages(run)
+    parts = [basis_of(run).model_dump_json(), *(f"{name} {one.digest}" for name, one in stages.current.items())]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def complaints_of(run: RunFile, stages: RunStages | None = None) -> list[str]:
+    """Say what is out of date, one sentence each: readings, stages, the page, the certificate; empty if nothing is."""
+    stages = stages or read_stages(run)
+    outdated = [f"'{name}' is out of date ({reason})" for name, reason in stages.out_of_date.items()]
+    removed = [f"arm '{arm}': {reason}" for arm, reason in run.removed_kinds().items()]
+    return [*removed, *outdated, *_page_complaints(run, stages), *_certificate_complaints(run, stages)]
+
+
+def complaints_in(folder: Path) -> list[str]:
+    """Return ``complaints_of`` the run in a folder as it is now: ``--strict`` fails if there are any."""
+    with RunFile.open(folder) as run:
+        return complaints_of(run)
+
+
+def _page_complaints(run: RunFile, stages: RunStages) -> list[str]:
+    text = _text(run.folder / REPORT_FILE, _HEAD)
+    if text is None:
+        return []
+    found = _MARK.search(text)
+    if found is not None and found.group(1) == data_mark(run, stages):
+        return []
+    why = "an older version wrote it" if found is None else "the run has changed since"
+    return [f"{REPORT_FILE} is out of date ({why}); run 'cellapp report {run.folder}'"]
+
+
+def _certificate_complaints(run: RunFile, stages: RunStages) -> list[str]:
+    """Say whether the certificate is not stored in the run, or certifies other data; ``stages`` has the newest one."""
+    text, newest = _text(run.folder / CERTIFICATE_FILE), stages.current.get(CERTIFICATE)
+    if text is None:
+        return []
+    if newest is None:
+        return [f"{CERTIFICATE_FILE} is not of this run: it stores no certificate"]
+    same = [one for one in read_history(run) if one.name == CERTIFICATE and _same_json(text, one.text)]
+    if not same:
+        return [f"{CERTIFICATE_FILE} is not a certificate that the run stores"]
+    return [] if same[-1].basis == newest.basis else [f"{CERTIFICATE_FILE} is an earlier certificate, of other data"]
+
+
+def _same_json(one: str, other: str) -> bool:
+    try:
+        return bool(json.loads(one) == json.loads(other))
+    except ValueError:
+        return False
+
+
+def _text(path: Path, most: int = -1) -> str | None:
+    """Read the first ``most`` characters of a file, all if negative; None if there is no file."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            return file.read(most)
+    except FileNotFoundError:
+        return None
+    except (OSError, UnicodeDecodeError):
+        return ""  # there is a file, but not the one that was written

@@ -6,8 +6,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from cellapp.cell.run.file import RunFile
-from cellapp.commands.basis import Basis
-from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage, append_stage
+from cellapp.commands.stages import CALIBRATION_FILE, Basis, RunStages, StoredStage, append_stage
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult, with_effects
 from cellapp.estimation.monitoring.moved import CalibratedArm

@@ -12,8 +12,7 @@ from typing import Any, TypeVar
 import pytest
 
 from cellapp.cell.profile import profile_from_json, profile_to_json
-from cellapp.commands.emulate.result import EmulatedTracker
-from cellapp.commands.emulate.run import emulate, emulated_arms
+from cellapp.commands.emulate import EmulatedTracker, emulate, emulated_arms
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken

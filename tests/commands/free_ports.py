@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from cellapp.commands.emulate.result import EmulatedArm
-from cellapp.commands.emulate.run import emulated_arms
+from cellapp.commands.emulate import EmulatedArm, emulated_arms
 from cellapp.ground.profile import Profile
 
 FREE = ("dashboard_port", "primary_port", "script_port", "rtde_port")

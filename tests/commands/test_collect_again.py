@@ -12,16 +12,22 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.measured_again import replace_stop
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.commands.basis import basis_of, counted_basis
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import collection_tables
 from cellapp.commands.confirm import MotionNotConfirmed, asked_once, confirmation, first_path_words, require_permission
 from cellapp.commands.next_step import arm_states, next_step
-from cellapp.commands.out_of_date import CERTIFICATE_FILE, complaints_in, complaints_of
 from cellapp.commands.report.result import read_results
 from cellapp.commands.report.run import report_run
 from cellapp.commands.show.overview import run_overview
-from cellapp.commands.stages import append_stage, read_stages
+from cellapp.commands.stages import (
+    CERTIFICATE_FILE,
+    append_stage,
+    basis_of,
+    complaints_in,
+    complaints_of,
+    counted_basis,
+    read_stages,
+)
 from cellapp.estimation.readings import Reading
 from cellapp.ground.errors import CheckFailed
 from cellapp.ground.profile import Profile

@@ -36,9 +36,17 @@ from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.push.run import push_run
-from cellapp.commands.rehearse.record_file import arms_hash, keep_log, kept_log, read_log, write_log
 from cellapp.commands.rehearse.request import RehearseRequest
-from cellapp.commands.rehearse.result import RehearsalLog, RehearsedMotionRecord, RehearseResult
+from cellapp.commands.rehearse.result import (
+    RehearsalLog,
+    RehearsedMotionRecord,
+    RehearseResult,
+    arms_hash,
+    keep_log,
+    kept_log,
+    read_log,
+    write_log,
+)
 from cellapp.commands.rehearse.run import run as rehearse
 from cellapp.commands.rehearse.view import log_section, view
 from cellapp.commands.stages import CALIBRATION_FILE

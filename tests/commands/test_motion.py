@@ -15,8 +15,8 @@ from cellapp.commands.calibrate.request import VERB as CALIBRATE
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.export.run import export_as_run, export_run
-from cellapp.commands.import_.request import VERB as IMPORT
-from cellapp.commands.import_.run import import_new_run
+from cellapp.commands.import_ import VERB as IMPORT
+from cellapp.commands.import_ import import_new_run
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import read_stages

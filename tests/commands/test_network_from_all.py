@@ -11,13 +11,13 @@ from typer.testing import CliRunner
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.request import VERB
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.import_.run import import_new_run
+from cellapp.commands.import_ import import_new_run
 from cellapp.estimation.calibration import learning
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.app import app
 from tests.commands.moved_arms import true_arm, write_recording
 from tests.interfaces.page.runs import without_devices
+from tests.program import app
 
 
 @pytest.fixture(scope="module")

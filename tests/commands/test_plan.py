@@ -27,7 +27,7 @@ from cellapp.cell.planning.planned_stops import (
 from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
 from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.run.measured_again import reference_drifts
-from cellapp.commands.correct.view import view
+from cellapp.commands.correct import view
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.plan.run import (
     check_plan_file,

@@ -15,17 +15,22 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import plan_new_run
 from cellapp.commands.report.sections import power_section
-from cellapp.commands.trials.power.result import NamingTrial, PowerResult, stored_power
-from cellapp.commands.trials.power.rounds import power_at, power_of
-from cellapp.commands.trials.power.tables import power_chart, power_sentence, power_table
-from cellapp.commands.trials.power.trial import PlannedCell, TrialCell, naming_trial, trial_cell
+from cellapp.commands.trials.power.result import (
+    NamingTrial,
+    PowerResult,
+    power_chart,
+    power_sentence,
+    power_table,
+    stored_power,
+)
+from cellapp.commands.trials.power.rounds import PlannedCell, TrialCell, naming_trial, power_at, power_of, trial_cell
 from cellapp.estimation.discovery.records import SmallestSize
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
 from cellapp.ground.errors import InputError
 from cellapp.ground.executors import Gathered, TimeLimit, Work
 from cellapp.ground.profile import Profile
-from cellapp.interfaces.cli.app import app
 from cellapp.robot.effects import EFFECTS
+from tests.program import app
 from tests.twin import PROFILES, whole_twin
 
 

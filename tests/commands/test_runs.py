@@ -21,18 +21,21 @@ from typer.testing import CliRunner
 from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.run import RunFile, SessionEnd
 from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, ArmIdentity, ControllerIdentity, arm_identities
-from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.compare.result import ArmComparison, RunComparison
-from cellapp.commands.compare.run import compare_runs
-from cellapp.commands.compare.view import comparison_sentences, comparison_tables
+from cellapp.commands.compare.run import (
+    ArmComparison,
+    RunComparison,
+    compare_runs,
+    comparison_sentences,
+    comparison_tables,
+)
 from cellapp.commands.report.result import read_results
-from cellapp.commands.runs.arm_history import arm_history
-from cellapp.commands.runs.history import list_runs, resumable, summarise
-from cellapp.commands.runs.result import ArmHistory, RunsResult
+from cellapp.commands.runs.history import list_runs, summarise
+from cellapp.commands.runs.result import ArmHistory, RunsResult, RunSummary
+from cellapp.commands.runs.run import arm_history
 from cellapp.commands.runs.view import history_sentences, history_table, runs_sentences, runs_tables
 from cellapp.commands.show.overview import run_overview
-from cellapp.commands.stages import append_stage, read_stages
+from cellapp.commands.stages import append_stage, basis_of, read_stages
 from cellapp.commands.stored_model import comparable_arms
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.monitoring.moved import EXPANSION, CalibratedArm, determined_values, differences
@@ -43,7 +46,6 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Traceability, TraceableArm
 from cellapp.ground.results import DISCOVER
-from cellapp.interfaces.cli.app import app
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import STATION, true_geometry
@@ -52,10 +54,16 @@ from tests.cell.run.spoiled import SPOILED, spoil_cut
 from tests.cell.run.two_arm_cell import two_arms
 from tests.commands.measured_runs import Truth, cell, measured_run, set_month
 from tests.interfaces.page.runs import without_devices
+from tests.program import app
 from tests.twin import small_twin
 
 NEVER_WAITS_S = 5.0
 """Half of the time that a write waits for another program's lock."""
+
+
+def resumable(folder: Path | None = None) -> RunSummary | None:
+    """The newest run that can be resumed."""
+    return next((run for run in list_runs(folder).runs if run.resumable), None)
 
 
 def files(folder: Path) -> dict[str, bytes]:

@@ -21,15 +21,14 @@ from cellapp.commands.discover.request import VERB as DISCOVER
 from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Asked, Request, Stored, Variant, Verb, View, Work
-from cellapp.commands.registry import VERBS
+from cellapp.commands.registry import STORING, records
 from cellapp.commands.report.result import RunResults
 from cellapp.commands.run.request import VERB as RUN
-from cellapp.commands.run.result import WholeRunResult
-from cellapp.commands.schema.results import results_by_name, written_results
+from cellapp.commands.run.run import WholeRunResult
+from cellapp.commands.schema import results_by_name, written_results
 from cellapp.commands.show.request import OWN_PARTS, show_verb
 from cellapp.commands.show.result import Shown
 from cellapp.commands.show.view import view
-from cellapp.commands.storing import STORING
 from cellapp.commands.view.charts import Axis, Chart
 from cellapp.commands.view.parts import Facts, Parts, Section, printed, section_of
 from cellapp.commands.view.table import Column, Table
@@ -47,8 +46,8 @@ from cellapp.interfaces.tui.dialogs.program import possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.work import job_of
-from tests.commands.toys.greet.request import VERB as GREET
-from tests.commands.toys.greet.result import GreetResult
+from tests.commands.toys.greet import VERB as GREET
+from tests.commands.toys.greet import GreetResult
 from tests.handbook import declarations
 from tests.interfaces.page.cases import discovery
 from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
@@ -68,11 +67,11 @@ def test_what_a_verb_stores_is_a_part_of_show() -> None:
 
 
 def test_every_stored_part_names_stages_that_there_are() -> None:
-    stored = [one for verb in STORING for one in verb.stored]
+    stored = [one for verb in records(STORING) for one in verb.stored]
     parts = [*OWN_PARTS, *(one.part for one in stored)]
     assert len(set(parts)) == len(parts)
     assert {stage for one in stored for stage in one.stages} <= set(RunResults.model_fields)
-    assert len({verb.name for verb in VERBS}) == len(VERBS)
+    assert len({verb.name for verb in records()}) == len(records())
 
 
 def test_a_discovery_is_shown_as_its_verb_shows_it_with_its_steps_once() -> None:
@@ -238,7 +237,7 @@ def test_a_field_has_the_type_of_the_command_line() -> None:
 
 # -- A verb is one folder and one line: a toy appears on the command line, in schemas, handbook and palette ------------
 
-WITH_TOY = (*VERBS, GREET)
+WITH_TOY = (*records(), GREET)
 
 
 @pytest.fixture
@@ -274,7 +273,7 @@ def test_a_schema() -> None:
 
 
 def test_a_line_in_the_list_of_the_handbook(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(declarations, "VERBS", WITH_TOY)
+    monkeypatch.setattr(declarations, "records", lambda: WITH_TOY)
     assert "| `cellapp greet` | Say hello to the arms of a run. | no | [commands](commands.md) |" in (
         declarations.verbs_part()
     )
@@ -283,7 +282,7 @@ def test_a_line_in_the_list_of_the_handbook(monkeypatch: pytest.MonkeyPatch) -> 
 async def test_a_dialog_a_job_and_a_text_in_the_terminal_application(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(offers, "VERBS", WITH_TOY)
+    monkeypatch.setattr(offers, "records", lambda: WITH_TOY)
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)

@@ -14,7 +14,6 @@ import pytest
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.targets import load_targets
-from cellapp.commands.basis import readings_digest
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.discover.run import discover_run
@@ -22,7 +21,7 @@ from cellapp.commands.push.run import push_run
 from cellapp.commands.report.result import read_results
 from cellapp.commands.report.run import report_run
 from cellapp.commands.show.overview import run_history, run_overview
-from cellapp.commands.stages import CALIBRATION_FILE, NOT_RECORDED, read_stages
+from cellapp.commands.stages import CALIBRATION_FILE, NOT_RECORDED, read_stages, readings_digest
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, DISCOVER, VERIFY
 from cellapp.interfaces.page.page import page_text, write_page

@@ -17,11 +17,8 @@ import pytest
 from cellapp.cell.driving.cell import tracker_driver
 from cellapp.cell.driving.examination import examine
 from cellapp.cell.profile import load_profile, profile_from_json, profile_to_json
-from cellapp.commands.emulate.result import EmulatedTracker
-from cellapp.commands.emulate.run import emulate, emulated_arms, emulated_tracker
-from cellapp.commands.tracker_bridge.result import TrackerBridgeResult
-from cellapp.commands.tracker_bridge.run import serve_tracker
-from cellapp.commands.tracker_bridge.view import view
+from cellapp.commands.emulate import EmulatedTracker, emulate, emulated_arms, emulated_tracker
+from cellapp.commands.tracker_bridge import TrackerBridgeResult, serve_tracker, view
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken

@@ -17,10 +17,9 @@ import numpy as np
 from cellapp.cell.profile import load_profile
 from cellapp.commands.trials.judge import judge_trials
 from cellapp.commands.trials.judge_records import JudgeResult, PosteriorScore, ScoredRun
-from cellapp.commands.trials.posteriors import ACCEPTED, posterior_scores
+from cellapp.commands.trials.scoring import ACCEPTED, posterior_scores
 from cellapp.commands.trials.sealed import seal_trials
-from cellapp.commands.trials.sealed_cases import HARD, MIXED, NONE, ONE, OUT, PAIR
-from cellapp.commands.trials.sealed_setup import Setup
+from cellapp.commands.trials.sealed_setup import HARD, MIXED, NONE, ONE, OUT, PAIR, Setup
 from cellapp.ground.executors import Work
 from cellapp.ground.grouping import grouped
 from tests.evidence.shared.cells import TWIN

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 
 from cellapp.commands.docs.effect_parts import declared_part
-from cellapp.commands.registry import VERBS
-from cellapp.commands.schema.results import written_results
+from cellapp.commands.registry import records
+from cellapp.commands.schema import written_results
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui.keys import KEYS
 from cellapp.robot.effects import EFFECTS
@@ -30,7 +30,7 @@ def verbs_part() -> str:
     rows = [
         f"| `cellapp {verb.name}` | {verb.summary} | {'**yes**' if verb.moves_arms else 'no'}"
         f" | [{verb.chapter}]({verb.chapter}.md) |"
-        for verb in VERBS
+        for verb in records()
     ]
     head = ["| command | what it does | moves the arms | chapter |", "| --- | --- | --- | --- |"]
     return "\n".join(["<!-- declared: verbs -->", *head, *rows, "<!-- end -->", ""])
@@ -55,7 +55,7 @@ def results_part() -> str:
     """Every result of a verb, its schema and what it says, as a Markdown table with the markers around it."""
     rows = [
         f"| `{one.model_fields['schema_'].default}` | {one.model_fields['version'].default} | {_first_sentence(one)} |"
-        for one in written_results(VERBS)
+        for one in written_results(records())
     ]
     head = ["| schema | version | what it holds |", "| --- | --- | --- |"]
     return "\n".join(["<!-- declared: results -->", *head, *rows, "<!-- end -->", ""])

@@ -18,8 +18,8 @@ from cellapp.cell.run.csv_import import read_readings_csv
 from cellapp.cell.targets.path import load_paths
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.init.answers import write_answers
-from cellapp.commands.registry import VERBS
-from cellapp.commands.schema.results import json_schema, results_by_name, written_results
+from cellapp.commands.registry import records
+from cellapp.commands.schema import json_schema, results_by_name, written_results
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import ArmType
 from tests.handbook.chapters import EXCERPT, Example
@@ -115,7 +115,7 @@ def _read_csv(path: Path, profile: Profile) -> None:
 
 def _read_json(example: Example) -> None:
     content = json.loads(example.text)
-    results = results_by_name(written_results(VERBS))
+    results = results_by_name(written_results(records()))
     if isinstance(content, dict) and content.get("schema") in results:
         jsonschema.validate(content, json_schema(results[content["schema"]]))
 

@@ -21,13 +21,13 @@ from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.compensate.words import PART_WORDS, advice
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.iso9283 import run as verb
-from cellapp.commands.registry import VERBS
-from cellapp.commands.schema.results import json_schema, results_by_name, written_results
+from cellapp.commands.registry import records
+from cellapp.commands.schema import json_schema, results_by_name, written_results
 from cellapp.estimation.iso9283.norm import ISO_TESTS
 from cellapp.ground.errors import HardwareError, InputError
-from cellapp.interfaces.cli.app import app
 from cellapp.interfaces.tui.screens import SCREENS
 from tests.handbook.chapters import blocks
+from tests.program import app
 from tests.twin import PROFILES, small_twin
 
 COMMANDS = "".join(blocks("certificate", "sh")).splitlines()
@@ -41,7 +41,7 @@ def ran(*arguments: str) -> tuple[int, str, dict[str, object]]:
     found: dict[str, object] = {}
     if Path("result.json").is_file():
         found = json.loads(Path("result.json").read_text("utf-8"))
-        jsonschema.validate(found, json_schema(results_by_name(written_results(VERBS))[str(found["schema"])]))
+        jsonschema.validate(found, json_schema(results_by_name(written_results(records()))[str(found["schema"])]))
     return (
         (1 if ended.exception and not isinstance(ended.exception, SystemExit) else ended.exit_code),
         ended.output,

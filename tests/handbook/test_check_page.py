@@ -18,8 +18,8 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.estimation.monitoring.check.records import CheckVerdict
 from cellapp.ground.profile.schema import Plant
-from cellapp.interfaces.cli.app import app
 from tests.handbook.chapters import blocks
+from tests.program import app
 from tests.twin import PROFILES
 
 PAGE = chapter_text("check")

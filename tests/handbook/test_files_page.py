@@ -16,8 +16,8 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run.sqlite_file import SCHEMA_VERSION, create_tables
 from cellapp.commands.docs.handbook import chapter_text, topic_text
 from cellapp.commands.init.answers import write_answers
-from cellapp.commands.registry import VERBS
-from cellapp.commands.schema.results import written_results
+from cellapp.commands.registry import records
+from cellapp.commands.schema import written_results
 from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError
@@ -96,7 +96,7 @@ def test_every_format_and_every_result_is_listed() -> None:
     listed = set(re.findall(r"`([\w-]+)`", " ".join(rows("Exports"))))
     assert listed == set(all_formats())
     assert results_part() in chapter_text("files"), "renew them: python -m tests.handbook"
-    assert len(rows("Results as JSON")) == len(written_results(VERBS)) + 2
+    assert len(rows("Results as JSON")) == len(written_results(records())) + 2
 
 
 def test_the_model_file_has_the_keys_that_are_listed() -> None:

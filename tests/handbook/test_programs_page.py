@@ -12,8 +12,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cellapp.cell.run import RunFile
-from cellapp.interfaces.cli.app import app
 from tests.handbook.chapters import blocks
+from tests.program import app
 
 COMMANDS = "".join(blocks("programs", "sh")).splitlines()
 

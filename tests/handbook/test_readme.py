@@ -18,7 +18,6 @@ from cellapp.cell.profile import load_profile
 from cellapp.commands.docs.handbook import CHAPTERS, PARTS, chapter_text, effect_sections, topic_text, topics
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.sections import Obstacle
-from cellapp.interfaces.cli.app import app
 from cellapp.robot.effects import EFFECTS
 from tests.evidence import more_readings
 from tests.handbook import frame_figures, planning_figures
@@ -27,6 +26,7 @@ from tests.handbook.declarations import with_declarations
 from tests.handbook.effect_figures import FIGURES, figure_svg
 from tests.handbook.figure_files import write_figures
 from tests.handbook.scene import Scene, joint_offset, smr_shift
+from tests.program import app
 
 README = Path(__file__).parents[2] / "README.md"
 DOCS = Path(cellapp.docs.__file__).parent
@@ -239,7 +239,7 @@ def test_wrong_use_is_said_in_a_sentence(tmp_path: Path) -> None:
 
 SPEAKING = ("drivers/arms", "drivers/trackers", "cellapp/cell/driving", "cellapp/cell/safety")
 """Folders whose messages the chapter explains."""
-OTHERS = ("cellapp/commands/out_of_date.py", "cellapp/ground/errors.py", "cellapp/interfaces/cli/program.py")
+OTHERS = ("cellapp/commands/stages.py", "cellapp/ground/errors.py", "cellapp/interfaces/cli/program.py")
 GAP = "..."
 """Stands in the chapter for what changes from case to case; here for the values in an f-string."""
 

@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 from typer.testing import CliRunner
 
-from cellapp.commands.docs.handbook import CHAPTERS, anchors, topic_text
-from cellapp.commands.docs.sections import search, section_at, sections
+from cellapp.commands.docs.handbook import CHAPTERS, anchor_of, chapter_text, search, section_at, sections, topic_text
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.cli.app import app
+from tests.program import app
+
+_HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
+_FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+
+
+def _anchors(chapter: str) -> set[str]:
+    """Anchors of the headings of a chapter."""
+    return {anchor_of(heading) for heading in _HEADING.findall(_FENCED.sub("", chapter_text(chapter)))}
 
 
 @pytest.mark.parametrize("chapter", CHAPTERS)
 def test_the_sections_of_a_chapter_are_its_text_and_every_link_leads_somewhere(chapter: str) -> None:
     its = sections(chapter)
     assert "".join(one.text for one in its).rstrip("\n") == topic_text(chapter).rstrip("\n")
-    assert {one.anchor for one in its} == set(anchors(chapter))
+    assert {one.anchor for one in its} == _anchors(chapter)
     assert its[0].level == 1
     for one in its:
         assert section_at(one.address, "effects") == one

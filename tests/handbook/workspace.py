@@ -28,11 +28,11 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import CheckFailed
-from cellapp.interfaces.cli.app import app
 from tests.commands.measured_runs import measured_run, set_month
 from tests.commands.moved_arms import add_arm, true_arm, write_recording
 from tests.handbook.chapters import ROOT, Command, Example
 from tests.handbook.doors import merged
+from tests.program import app
 from tests.twin import PROFILES, make_small, small_twin, write_profile
 
 LONGEST_S = 300.0

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.calibrate.view import cooperative_noise_mm
-from cellapp.commands.view.camera import levelling_rotation
 from cellapp.commands.view.charts import (
     STAGE_STYLES,
     Axis,
@@ -27,6 +26,7 @@ from cellapp.commands.view.charts import (
     drawable_mm,
     enumerated,
     error_counts,
+    levelling_rotation,
     mm,
     noise_limit,
     series,
@@ -200,10 +200,10 @@ def certainty_chart(name: str, predicted_mm: Array, errors_mm: Array, noise_mm: 
 # -- residuals over the joints and in space ---------------------------------------------------------------------------
 
 
-def residual_joint_chart(name: str, held_out: HeldOutArm, joint: int, stages: Sequence[str] = STAGES) -> Chart:
-    """Show the held-out position errors of some stages over the angle of one joint (from 1)."""
+def residual_joint_chart(name: str, held_out: HeldOutArm, joint: int) -> Chart:
+    """Show the held-out position errors of every stage over the angle of one joint (from 1)."""
     angle = np.degrees(held_out.readings.q[:, joint - 1])
-    errors = {stage: errors for stage, errors in held_out.errors_mm.items() if stage in stages}
+    errors = held_out.errors_mm
     drawn = tuple(
         series(stage, angle, drawable_mm(values), "points", style=STAGE_STYLES[stage])
         for stage, values in errors.items()

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cellapp.commands.calibrate.held_out import HeldOutArm
-from cellapp.commands.view.camera import evenly_spread
-from cellapp.commands.view.charts import SMALLEST_MM, STAGE_STYLES, Array, Axis, Chart, mm, series
+from cellapp.commands.view.charts import SMALLEST_MM, STAGE_STYLES, Array, Axis, Chart, evenly_spread, mm, series
 from cellapp.ground.counting import counted
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import apply, invert

@@ -10,8 +10,7 @@ import numpy as np
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import ControllerIdentity, recorded_controllers
-from cellapp.commands.basis import PriorBasis
-from cellapp.commands.stages import StoredStage, earlier_digest, read_stages
+from cellapp.commands.stages import PriorBasis, StoredStage, earlier_digest, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.records import ArmPriorResult, CalibrateResult
 from cellapp.estimation.prior.belief import Belief

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from cellapp.commands.fields import Prior, RunFolder
-from cellapp.commands.record import Asked, Request, Stored, Verb
+from cellapp.commands.record import Asked, Prior, Request, RunFolder, Stored, Verb
 from cellapp.ground.network_kind import NetworkKind
 
 

@@ -10,12 +10,11 @@ from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.recordings import read_recordings_of, recording_states
 from cellapp.cell.run.samples import keep_samples
 from cellapp.cell.run.stations import STATIONS_RESULT, stored_tie_sentences
-from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_arms, recorded_priors
 from cellapp.commands.calibrate.request import CalibrateRequest
 from cellapp.commands.calibrate.result import calibrate_result
 from cellapp.commands.record import Work
-from cellapp.commands.stages import CALIBRATION_FILE, RunStages, read_stages
+from cellapp.commands.stages import CALIBRATION_FILE, RunStages, basis_of, read_stages
 from cellapp.commands.stored_model import append_with_model, export_model
 from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits
 from cellapp.estimation.calibration.records import CalibrateResult

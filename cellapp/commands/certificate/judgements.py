@@ -18,9 +18,8 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
-from cellapp.commands.certificate.evidence import evidence_of
 from cellapp.commands.certificate.iso9283_judgements import TEST_OF, judge_characteristics
-from cellapp.commands.run_results import StageResults
+from cellapp.commands.run_results import StageResults, evidence_of
 from cellapp.estimation.iso9283.norm import NORM_CYCLES
 from cellapp.estimation.uncertainty.budget import (
     MeasuredConditions,

@@ -17,14 +17,20 @@ from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.run.csv_export import write_recordings_csv
 from cellapp.cell.run.recordings import recording_states
 from cellapp.cell.run.samples import all_known_readings
-from cellapp.commands.basis import Basis, basis_of
 from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.certificate.result import CertificateResult
 from cellapp.commands.certificate.statement import CertificateInput, Controller, certificate_of
-from cellapp.commands.out_of_date import CERTIFICATE_FILE
 from cellapp.commands.record import Work
 from cellapp.commands.run_results import read_stage_results
-from cellapp.commands.stages import RunStages, append_stage, read_history, read_stages
+from cellapp.commands.stages import (
+    CERTIFICATE_FILE,
+    Basis,
+    RunStages,
+    append_stage,
+    basis_of,
+    read_history,
+    read_stages,
+)
 from cellapp.estimation.uncertainty.budget import measured_conditions
 from cellapp.ground.chromium import find_chromium, print_pdf
 from cellapp.ground.errors import InputError

@@ -7,8 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from cellapp.commands.fields import RunFolder
-from cellapp.commands.record import Asked, Request, Stored, Verb
+from cellapp.commands.record import Asked, Request, RunFolder, Stored, Verb
 
 STOPS = 20
 FEWEST_STOPS = 4

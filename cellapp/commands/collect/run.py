@@ -13,7 +13,7 @@ from cellapp.commands.collect.request import CollectRequest
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.station import refuse_second_station
 from cellapp.commands.record import Work
-from cellapp.commands.rehearse.record_file import keep_log
+from cellapp.commands.rehearse.result import keep_log
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import listed_numbers
 from cellapp.ground.progress import Listener, ignore, with_eta

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from cellapp.commands.fields import RunFolder, TargetsPath
-from cellapp.commands.record import Asked, Request, Stored, Verb
+from cellapp.commands.record import Asked, Request, RunFolder, Stored, TargetsPath, Verb
 from cellapp.ground.outputs import Writes
 
 

@@ -18,12 +18,11 @@ from cellapp.cell.planning.proposal.propose import Proposal as ProposedStops
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import read_recordings_of
 from cellapp.cell.run.samples import known_readings
-from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_of_calibration
 from cellapp.commands.calibrate.result import pair_result
 from cellapp.commands.discover.request import DiscoverRequest
 from cellapp.commands.record import Work
-from cellapp.commands.stages import read_stages
+from cellapp.commands.stages import basis_of, read_stages
 from cellapp.commands.stored_model import append_with_model, export_model, model_of
 from cellapp.estimation.calibration.calibrate import provenance_of
 from cellapp.estimation.discovery.discover import ArmSearch, discover_arm, discover_cell

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
-from cellapp.commands.docs.handbook import PARTS, effect_sections, topic_text
+from pathlib import Path
+
+from cellapp.commands.docs.handbook import PARTS, effect_sections, search, topic_text
 from cellapp.commands.docs.request import SCREENS, DocsRequest
-from cellapp.commands.docs.result import DocsResult
-from cellapp.commands.docs.sections import search
-from cellapp.commands.record import Work
+from cellapp.commands.record import Request, View, Work
+from cellapp.ground.results import Result
+
+
+class DocsResult(Result, schema="cellapp-docs"):
+    """``docs``: a chapter or section of the handbook as Markdown, or the files that were drawn."""
+
+    topic: str
+    text: str | None = None
+    files: tuple[str, ...] = ()
 
 
 def run(request: DocsRequest, work: Work) -> DocsResult:
@@ -28,3 +37,10 @@ def _topics() -> str:
         lines += [f"{part}:", *(f"  {name:12} {subject}" for name, subject in chapters.items()), ""]
     lines += ["draw into a folder, with --out DIR:", f"  {SCREENS:10} the screens of the terminal application", ""]
     return "\n".join([*lines, "or an effect:", *(f"  {slug}" for slug in effect_sections())])
+
+
+def view(result: DocsResult, request: Request | None = None) -> View:
+    """Show the text, or how many files were drawn where."""
+    if result.text is not None:
+        return View((result.text.rstrip("\n"),))
+    return View((f"{len(result.files)} {result.topic} in {Path(result.files[0]).parent}",))

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from cellapp.commands.fields import ProfilePath
-from cellapp.commands.record import Asked, Request, Verb
+from cellapp.commands.record import Asked, ProfilePath, Request, Verb
 from cellapp.ground.outputs import Writes
 
 

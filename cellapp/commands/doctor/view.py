@@ -1,15 +1,181 @@
-"""The findings of ``doctor`` as sentences."""
+"""The findings of ``doctor`` as sentences; contents of a profile in units for people."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 from cellapp.cell.profile import load_profile
-from cellapp.commands.doctor.profile_view import profile_tables
 from cellapp.commands.doctor.request import DoctorRequest
-from cellapp.commands.doctor.result import ControllerCalibration, DoctorResult
+from cellapp.commands.doctor.result import ControllerCalibration, DoctorResult, Finding
 from cellapp.commands.record import View
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.counting import counted
+from cellapp.ground.profile import Arm, Pose, Profile
+from cellapp.ground.profile.sections import (
+    AnyObstacle,
+    BoxObstacle,
+    CapsuleObstacle,
+    CylinderObstacle,
+    Placement,
+    SphereObstacle,
+)
 from cellapp.robot.kinematics.chain import ROW_NAMES
+
+_COLUMNS = (Column("what"), Column("in the profile"))
+_NO_DEVICE = "no device: readings come from a file"
+
+
+def profile_tables(profile: Profile) -> list[Table]:
+    """Show the cell and the constraints of its plan, one quantity per row."""
+    return [
+        Table(f"Cell {profile.name}", _COLUMNS, tuple(cell_words(profile))),
+        Table("Plan", _COLUMNS, tuple(constraint_words(profile))),
+    ]
+
+
+def cell_words(profile: Profile) -> list[tuple[str, str]]:
+    """Return arms, tracker, air sensor and everything else in the profile, each as name and words."""
+    words = [row for name, arm in profile.arms.items() for row in _arm_words(name, arm)]
+    tracker = profile.tracker
+    words.append(("tracker", _device(tracker.driver.kind, tracker.driver.has_device)))
+    words.append(("tracker pose", _pose(tracker.pose)))
+    air = profile.sensors.air
+    words.append(("air sensor", "none: the tracker's own" if air is None else _device(air.kind, True)))
+    words += [(f"obstacle {name}", _obstacle(obstacle)) for name, obstacle in profile.obstacles.items()]
+    words.append(("targets", profile.targets or "none"))
+    return words
+
+
+def _obstacle(obstacle: AnyObstacle) -> str:
+    """Describe an obstacle: shape and sizes, what it is fixed to, and its pose there."""
+    match obstacle:
+        case BoxObstacle():
+            shape = f"box {' x '.join(f'{1e3 * size:.0f}' for size in obstacle.size)} mm"
+        case CylinderObstacle() | CapsuleObstacle():
+            shape = f"{obstacle.shape} of radius {1e3 * obstacle.radius:.0f} mm, length {1e3 * obstacle.length:.0f} mm"
+        case SphereObstacle():
+            shape = f"sphere of radius {1e3 * obstacle.radius:.0f} mm"
+        case _:
+            shape = f"mesh {obstacle.file}, scale {obstacle.scale:g}"
+    where = "in the cell" if obstacle.arm is None else f"on the {obstacle.fixed_to} of arm {obstacle.arm}"
+    return f"{shape}, {where}: {_pose(obstacle.pose)}"
+
+
+def _arm_words(name: str, arm: Arm) -> list[tuple[str, str]]:
+    address = arm.driver.controller_address
+    where = f" at {address}" if address else ""
+    device, offset = _device(arm.driver.kind, arm.driver.has_device), arm.smr.offset
+    smr = "unknown" if offset == "unknown" else f"{_mm(offset)} mm from the flange"
+    return [
+        (f"arm {name}", f"{arm.type.model}, {len(arm.type.joints)} joints, {device}{where}"),
+        (f"arm {name} base", _pose(arm.base)),
+        (f"arm {name} SMR", f"{smr}, seen within {math.degrees(arm.smr.acceptance):.0f} deg of its axis"),
+        (f"arm {name} payload", f"{arm.payload.mass:.3g} kg, speed {100.0 * arm.speed_scale:.0f} % of the type's"),
+    ]
+
+
+def constraint_words(profile: Profile) -> list[tuple[str, str]]:
+    """Return the constraints of a plan, each as name and words."""
+    plan, tracker = profile.plan, profile.tracker
+    reserve = f", and {plan.reserve} in reserve" if plan.reserve else ""
+    ceiling = "" if plan.ceiling is None else f", ceiling at {plan.ceiling:.3f} m"
+    obstacles = f", from {len(profile.obstacles)} obstacles" if profile.obstacles else ""
+    low, high = (math.degrees(angle) for angle in tracker.elevation)
+    words = [
+        ("stops", f"{plan.stops} of each arm{reserve}, seed {profile.seed}"),
+        (
+            "clearance",
+            f"{1e3 * plan.clearance:.0f} mm between arms{obstacles} and from the floor at {plan.floor:.3f} m{ceiling}",
+        ),
+        (
+            "tracker",
+            f"elevation {low:.0f} to {high:.0f} deg, distance {tracker.distance[0]:g} to {tracker.distance[1]:g} m"
+            f"{_azimuth(tracker.azimuth)}",
+        ),
+        ("measuring", f"{tracker.averaging:g} s a point{_repeats(profile)}"),
+    ]
+    for name, arm in profile.arms.items():
+        limits = arm.joint_limits
+        words.append((f"joints {name}", _ranges(limits)))
+        words.append((f"incidence {name}", f"beam within {math.degrees(arm.smr.acceptance):.0f} deg of the SMR's axis"))
+    if plan.ranges is not None:
+        words.append(("ranges", f"{_ranges(plan.ranges)}, for all arms"))
+    return words
+
+
+def doctor_verdict(result: DoctorResult) -> str:
+    """Summarize the doctor's findings in one line."""
+    warnings = sum(finding.status == "warning" for finding in result.findings)
+    more = f" ({counted(warnings, 'warning')})" if warnings else ""
+    if not result.failed:
+        return f"Ready: nothing would be refused{more}."
+    names = ", ".join(finding.subject for finding in result.failed)
+    return f"{counted(len(result.failed), 'check')} failed{more}: {names}."
+
+
+def device_words(finding: Finding) -> tuple[str, str, str, str]:
+    """Return device, serial number, state and temperatures of a finding with a device's report; else its text."""
+    device = finding.device
+    name = finding.subject.split(":")[0]
+    if device is None:
+        return name, "", finding.text, ""
+    state = device.state or ", ".join(word for word in (device.model, device.software) if word) or finding.text
+    return name, device.serial or "", state, _temperatures(finding)
+
+
+def _temperatures(finding: Finding) -> str:
+    device, words = finding.device, []
+    if device is None:
+        return ""
+    if device.joints_c:
+        words.append(f"joints {min(device.joints_c):.1f} to {max(device.joints_c):.1f} °C")
+    if device.air_c is not None:
+        words.append(f"air {device.air_c:.1f} °C")
+    if device.pressure_hpa is not None:
+        words.append(f"{device.pressure_hpa:.1f} hPa")
+    if device.humidity_percent is not None:
+        words.append(f"{device.humidity_percent:.0f} %")
+    return ", ".join(words)
+
+
+def _device(kind: str, has_device: bool) -> str:
+    return f"driver {kind}" if has_device else _NO_DEVICE
+
+
+def _pose(pose: Pose | Placement | None) -> str:
+    if pose is None:
+        return "not given"
+    x, y, z = pose.position
+    roll, pitch, yaw = (math.degrees(angle) for angle in pose.rpy)
+    return f"x {x:.3f}, y {y:.3f}, z {z:.3f} m; roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg"
+
+
+def _mm(point: tuple[float, float, float]) -> str:
+    return ", ".join(f"{1e3 * value:.1f}" for value in point)
+
+
+def _degrees(pair: tuple[float, float]) -> str:
+    return f"{math.degrees(pair[0]):.0f} to {math.degrees(pair[1]):.0f}"
+
+
+def _ranges(pairs: Sequence[tuple[float, float]]) -> str:
+    """Return joint ranges [rad] as degrees; one range if all are the same."""
+    words = [_degrees(pair) for pair in pairs]
+    return f"{words[0]} deg, each joint" if len(set(words)) == 1 < len(words) else f"{', '.join(words)} deg"
+
+
+def _azimuth(azimuth: tuple[float, float]) -> str:
+    whole = azimuth[1] - azimuth[0] >= 2.0 * math.pi
+    return "" if whole else f", azimuth {_degrees(azimuth)} deg"
+
+
+def _repeats(profile: Profile) -> str:
+    repeat = profile.collection.repeat
+    if repeat.precision is None:
+        return ""
+    return f", repeated up to {repeat.times} times until the mean is known to {1e6 * repeat.precision:.0f} µm"
+
 
 _UNITS = ("mrad", "mm", "mm", "mrad", "mrad")
 

@@ -7,8 +7,7 @@ from typing import Annotated, Self
 
 from pydantic import model_validator
 
-from cellapp.commands.fields import RunFolder
-from cellapp.commands.record import Asked, Request, Verb
+from cellapp.commands.record import Asked, Request, RunFolder, Verb
 from cellapp.ground.outputs import Writes
 
 _FORMATS = "ur-calibration, ur-description, urdf, dh, dh-plain, poe, parameters, urdf-cell, commands or urscript."

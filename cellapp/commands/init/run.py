@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
-from cellapp.cell.profile.starters import write_starter
+import shlex
+from pathlib import Path
+
+from cellapp.cell.profile import load_profile
+from cellapp.cell.profile.starters import readings_of, write_starter
 from cellapp.commands.init.answers import write_answers
 from cellapp.commands.init.own_data import OwnData, write_own_data
 from cellapp.commands.init.request import InitRequest
-from cellapp.commands.init.result import InitResult
-from cellapp.commands.record import Work
+from cellapp.commands.record import Request, View, Work
+from cellapp.ground.results import Result
 from cellapp.ground.starters import TWIN
+
+
+class InitResult(Result, schema="cellapp-init"):
+    """``init``: the profile that was written, and what is to be known about it; ``readings`` are the converted ones,
+    ``joints`` the file of joint positions of a motion, ``points`` that of its points, where it is known."""
+
+    profile: str
+    notes: tuple[str, ...] = ()
+    readings: str | None = None
+    joints: str | None = None
+    points: str | None = None
+    omitted_when_none = frozenset({"readings", "joints", "points"})
 
 
 def run(request: InitRequest, work: Work) -> InitResult:
@@ -32,3 +48,25 @@ def run(request: InitRequest, work: Work) -> InitResult:
         return InitResult(profile=str(written.path), notes=written.notes)
     starter = TWIN if request.starter is None else request.starter
     return InitResult(profile=str(write_starter(starter, request.folder)))
+
+
+def view(result: InitResult, request: Request | None = None) -> View:
+    """Show notes, the written files, and the next command."""
+    files = [result.profile, *([] if result.readings is None else [result.readings])]
+    return View((*result.notes, f"written: {', '.join(files)}", f"next: {_next_command(result)}"))
+
+
+def _next_command(result: InitResult) -> str:
+    """Return the next command: ``import`` for a cell that only has readings, ``doctor`` for one with devices."""
+    path = Path(result.profile)
+    logs = Path("logs") / path.stem
+    run = path.parent.parent / logs
+    if result.joints is not None:
+        streams = ["--joints", result.joints, "--points", result.points or "POINTS.csv"]
+        return shlex.join(["cellapp", "import", result.profile, *streams, "--run", str(run)])
+    if result.readings is not None:
+        return shlex.join(["cellapp", "import", result.profile, result.readings, "--run", str(run)])
+    if any(arm.driver.has_device for arm in load_profile(path).arms.values()):
+        return f"cellapp doctor {path}"
+    readings = readings_of(path.stem, path.parent)
+    return f"cellapp import {path} {readings if readings.is_file() else 'READINGS.csv'} --run {logs}"

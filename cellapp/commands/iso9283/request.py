@@ -8,8 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
-from cellapp.commands.fields import OutOfDate
-from cellapp.commands.record import Asked, Request, Stored, Variant, Verb
+from cellapp.commands.record import Asked, OutOfDate, Request, Stored, Variant, Verb
 from cellapp.estimation.iso9283.norm import (
     ISO_COMMANDS,
     ISO_TESTS,

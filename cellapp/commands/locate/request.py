@@ -6,8 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from cellapp.commands.fields import RunFolder
-from cellapp.commands.record import Asked, Request, Stored, Verb
+from cellapp.commands.record import Asked, Request, RunFolder, Stored, Verb
 
 _POSE = "x,y,z,r,p,y in m, deg"
 

@@ -211,14 +211,11 @@ class _Marks:
         return series(self.name, x, y, "points", style=self.style, mark=self.mark)
 
 
-def cell_map_chart(
-    profile: Profile, stops: Sequence[PlannedStop], view: View = "above", current: int | None = None
-) -> Chart:
+def cell_map_chart(profile: Profile, stops: Sequence[PlannedStop], view: View = "above") -> Chart:
     """Show bases, tracker, obstacles, and the SMR at planned and measured stops, with the nominal geometry.
 
     From above in the cell frame C [m], with the outermost rays of the tracker to each arm's stops and the directions
-    that obstacles block; or as azimuth and elevation [deg] in the tracker frame M. ``current`` is the number of the
-    stop to which the arms are moving.
+    that obstacles block; or as azimuth and elevation [deg] in the tracker frame M.
     """
     pose = profile.tracker.pose
     bases = {name: pose_matrix(arm.base) for name, arm in profile.arms.items() if arm.base is not None}
@@ -227,7 +224,7 @@ def cell_map_chart(
         return Chart(_TITLES[view], *_AXES[view], (), message)
     T_C_M = pose_matrix(pose)
     smr = {name: _smr_positions(profile, name, T_C_B, stops) for name, T_C_B in bases.items()}
-    things = [*_stop_marks(smr, stops, current)]
+    things = [*_stop_marks(smr, stops)]
     things.append(_Marks("base", np.array([T_C_B[:3, 3] for T_C_B in bases.values()]), "B", _OTHER_STYLE))
     if view == "above":
         things.append(_Marks("tracker", T_C_M[:3, 3][np.newaxis], "T", _OTHER_STYLE))
@@ -247,15 +244,12 @@ def _smr_positions(profile: Profile, name: str, T_C_B: Array, stops: Sequence[Pl
     return smr_positions(geometry, np.array([stop.q[name] for stop in stops]).reshape(-1, geometry.joints))
 
 
-def _stop_marks(smr: Mapping[str, Array], stops: Sequence[PlannedStop], current: int | None) -> Iterator[_Marks]:
+def _stop_marks(smr: Mapping[str, Array], stops: Sequence[PlannedStop]) -> Iterator[_Marks]:
     measured = np.array([stop.measured for stop in stops], dtype=np.bool_)
-    now = np.array([stop.configuration == current for stop in stops], dtype=np.bool_)
     for style, (name, p_C) in enumerate(smr.items()):
         shape = style % len(_PLANNED)
         yield _Marks(f"{name} planned", p_C[~measured], _PLANNED[shape], style)
         yield _Marks(f"{name} measured", p_C[measured], _MEASURED[shape], style)
-    if now.any():
-        yield _Marks("moving to", np.concatenate([p_C[now] for p_C in smr.values()]), "X", _OTHER_STYLE)
 
 
 def _rays(smr: Mapping[str, Array], T_C_M: Array) -> Iterator[Series]:

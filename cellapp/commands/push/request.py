@@ -6,8 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, model_validator
 
-from cellapp.commands.fields import OutOfDate, RunFolder, TargetsPath
-from cellapp.commands.record import Asked, Request, Stored, Verb
+from cellapp.commands.record import Asked, OutOfDate, Request, RunFolder, Stored, TargetsPath, Verb
 
 MOST_ROUNDS = 20
 """Most corrections of one target: each more than halves the remaining error, so further ones only follow the noise."""

@@ -13,15 +13,18 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import all_known_readings
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import Target
-from cellapp.commands.certificate.evidence import evidence_of
+from cellapp.commands.compensate.charts import target_charts
 from cellapp.commands.compensate.run import compensated_commands, listed_targets
+from cellapp.commands.compensate.tables import all_measured_tables, verification_tables
+from cellapp.commands.compensate.words import push_lines, verify_lines
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.station import profile_at_station
 from cellapp.commands.push.request import VERB, PushRequest
-from cellapp.commands.record import Work
-from cellapp.commands.run_results import read_stage_results
+from cellapp.commands.record import Request, View, Work
+from cellapp.commands.run_results import evidence_of, read_stage_results
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, stage_in_force
+from cellapp.commands.view.parts import Part
 from cellapp.estimation.uncertainty.budget import Judge, measured_conditions
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
@@ -163,3 +166,19 @@ def _repeatability_m(run: RunFile) -> dict[str, float]:
         for name, arm in calibrated.arms.items()
         if arm.repeatability_mm is not None
     }
+
+
+_HELD = "the verification held"
+
+
+def view(result: VerifyResult, request: Request | None = None) -> View:
+    """Show what was reached and measured; of a stored verification every target, with charts.
+
+    Only a push that measures can fail.
+    """
+    if request is None:
+        charts = target_charts(result, dict.fromkeys(result.arms))
+        return View((*all_measured_tables(result), *verify_lines(result), *charts), result.complaints(), held=_HELD)
+    verified = isinstance(request, PushRequest) and request.verify
+    parts: tuple[Part, ...] = (*verification_tables(result), *push_lines(result))
+    return View(parts, result.complaints(), held=_HELD) if verified else View(parts)

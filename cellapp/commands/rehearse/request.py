@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 from cellapp.cell.driving.rungs import RungName
-from cellapp.commands.fields import ProfilePath
-from cellapp.commands.record import Asked, Request, Verb
+from cellapp.commands.record import Asked, ProfilePath, Request, Verb
 
 
 class RehearseRequest(Request):

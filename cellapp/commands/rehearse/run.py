@@ -16,9 +16,8 @@ from cellapp.cell.run.file import note_profile
 from cellapp.commands.confirm import Ask, first_path_words, require_permission
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.record import Work
-from cellapp.commands.rehearse.record_file import missing_rungs, read_log, write_log
 from cellapp.commands.rehearse.request import RehearseRequest
-from cellapp.commands.rehearse.result import RehearsedMotionRecord, RehearseResult
+from cellapp.commands.rehearse.result import RehearsedMotionRecord, RehearseResult, missing_rungs, read_log, write_log
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import with_eta

@@ -10,8 +10,7 @@ from cellapp.commands.calibrate.charts_vectors import scale_length_mm
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.plan.charts_obstacles import placed_obstacles
 from cellapp.commands.report.data import ReportData
-from cellapp.commands.view.camera import evenly_spread, levelling_rotation
-from cellapp.commands.view.charts import Axis, Chart, Series, series
+from cellapp.commands.view.charts import Axis, Chart, Series, evenly_spread, levelling_rotation, series
 from cellapp.commands.view.parts import Capsules, CellScene, ErrorVectors, SceneArm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Arm

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import platform
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -11,7 +12,10 @@ import numpy as np
 
 from cellapp.cell.exports.export_format import ExportFormat
 from cellapp.cell.exports.formats import formats_of
+from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.arm_identity import recorded_controllers
+from cellapp.cell.run.measurement_order import order_sentences
 from cellapp.commands.calibrate.charts_accuracy import (
     certainty_chart,
     error_histogram_chart,
@@ -41,30 +45,140 @@ from cellapp.commands.check.view import view as check_view
 from cellapp.commands.collect.charts import residual_drift_chart
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import collection_section
-from cellapp.commands.compensate.section import targets_section
-from cellapp.commands.compensate.view import paths_section
+from cellapp.commands.compensate.view import paths_section, targets_section
 from cellapp.commands.discover.view import discovery_section
 from cellapp.commands.export.run import lost_by_arm
 from cellapp.commands.iso9283.view import iso9283_section
 from cellapp.commands.locate.view import view as locate_view
-from cellapp.commands.plan.section import plan_section
-from cellapp.commands.rehearse.record_file import kept_log
+from cellapp.commands.plan.view import plan_section
+from cellapp.commands.rehearse.result import kept_log
 from cellapp.commands.rehearse.view import log_section
 from cellapp.commands.report.before_after import best_method
-from cellapp.commands.report.controller_tables import controllers_section
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.headlines import headlines, missing_results, verified_headlines, warnings
-from cellapp.commands.report.provenance import provenance_facts
 from cellapp.commands.report.scene import cell_maps, cell_scene, typical_stops
-from cellapp.commands.trials.power.result import stored_power
-from cellapp.commands.trials.power.tables import power_parts
+from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
+from cellapp.commands.trials.power.result import power_parts, stored_power
 from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of
+from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.commands.view.words import RULE_WORDS, judged_sentence, judgement_table
+from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.quantities import position_errors
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.counting import counted
-from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, LOCATE, PATH, StageName
+from cellapp.ground.profile import Arm, Profile
+from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, LOCATE, PATH, Provenance, StageName
 from cellapp.ground.times import day_of
+from cellapp.ground.version import __version__
+from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
+from cellapp.robot.kinematics.plain_dh import hayati_rows
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model.nominal import controller_rows, published_rows
+
+_HASH = "SHA-256"
+
+
+def provenance_facts(data: ReportData) -> Facts:
+    """Show programs, seeds, settings, counts of readings, hashes."""
+    origin = data.calibrate.provenance
+    plant = data.profile.plant
+    lines = [
+        ("Profile", data.profile.name),
+        (f"{_HASH} of the profile", sha256_of(profile_to_json(data.profile))),
+        ("Seed of splits and draws", str(origin.seed)),
+        *([] if plant is None else [("Seed of the simulated cell", str(plant.seed))]),
+        ("Calibrated by", _programs(origin)),
+        ("Calibrated at", origin.written),
+        ("Page made by", f"cellapp {__version__}, Python {platform.python_version()}, numpy {np.__version__}"),
+        *_reading_lines(data),
+        ("Settings", _settings(data.profile)),
+        *((f"{_HASH} of the readings of arm {name}", readings_digest(arm)) for name, arm in data.readings.items()),
+        (f"{_HASH} of {CALIBRATION_FILE}", sha256_of(data.model_in_force + "\n")),
+    ]
+    return Facts(tuple(lines))
+
+
+def _reading_lines(data: ReportData) -> list[tuple[str, str]]:
+    lines = []
+    for name, readings in data.readings.items():
+        splits = data.calibrate.arms[name].splits
+        used = ", ".join(f"{count} {word}" for word, count in splits.items())
+        unused = len(readings) - sum(splits.values())
+        arm = data.profile.arms[name]
+        title = f"Readings of arm {name} ({arm.type.model})"
+        lines.append((title, f"{len(readings)}: {used}, {unused} unused; driver: {arm.driver.kind}"))
+    lines += [("Order of measurement", sentence) for sentence in order_sentences(data.in_order)]
+    pair = data.calibrate.pair.get("method_1")
+    if pair is not None and pair.splits:
+        lines.append(("Common stops of the pair", ", ".join(f"{count} {word}" for word, count in pair.splits.items())))
+    return lines
+
+
+def _settings(profile: Profile) -> str:
+    settings = profile.calibration
+    stated = (("length", settings.priors.length, "m"), ("angle", settings.priors.angle, "rad"))
+    priors = [f"{kind} {value:g} {unit}" for kind, value, unit in stated if value is not None]
+    none = "from the arm's own spread" if settings.parameter_set == "auto" else "none"
+    return f"parameter set {settings.parameter_set}, priors {', '.join(priors) or none}, robust {settings.robust}"
+
+
+def _programs(origin: Provenance) -> str:
+    words = [origin.program]
+    for title, version in (("Python", origin.python), ("numpy", origin.numpy), ("torch", origin.torch)):
+        if version is not None:
+            words.append(f"{title} {version}")
+    return ", ".join(words)
+
+
+_ABOUT = (
+    "Rows alone, at configurations that the calibration did not use: base and SMR are registered to the other readings;"
+    " no network, no effects."
+)
+
+
+def controllers_section(run: RunFile, data: ReportData) -> Section | None:
+    """Show errors at the SMR by published, factory and identified rows; None if no controller has its own."""
+    recorded, rows = recorded_controllers(run), list[tuple[Cell, ...]]()
+    said = []
+    for name, held_out in data.held_out.items():
+        arm, controller = run.profile.arms[name], recorded.get(name)
+        own = None if controller is None else controller.dh_rows
+        factory = np.array(own) if own is not None else None if arm.factory is None else controller_rows(arm)
+        if factory is None:
+            continue
+        learn = data.readings[name].take(data.readings[name].in_split("identify"))
+        errors: dict[str, Array] = {}
+        for whose, table in (("published", published_rows(arm)), ("factory", factory)):
+            computed = _computed(arm, table, learn.q, learn.p_M, held_out.readings.q)
+            errors[whose] = position_errors(held_out.readings.p_M, computed) * 1e3
+        if "geometry" in held_out.errors_mm:
+            errors["cellapp"] = held_out.errors_mm["geometry"]
+        for whose, off in errors.items():
+            rows.append((name, whose, float(off.mean()), float(np.sqrt(np.mean(off**2))), float(off.max())))
+        said.append(f"arm {name}: " + ", ".join(f"{whose} {off.mean():.3f} mm" for whose, off in errors.items()))
+    if not rows:
+        return None
+    columns = (
+        Column("arm"),
+        Column("rows"),
+        *(number_column(f"{what} [mm]", ".4f") for what in ("mean", "rms", "max")),
+    )
+    return Section(
+        "",
+        [Table("Errors at the SMR by whose rows", columns, tuple(rows))],
+        f"Mean error of the SMR by whose D-H rows: {'; '.join(said)}.",
+        _ABOUT,
+    )
+
+
+def _computed(arm: Arm, rows: Array, q: Array, p_M: Array, at: Array) -> Array:
+    """Compute SMR positions (m, 3) [m] at ``at`` (m, N) by plain rows (N, 4); base and SMR are registered to the
+    readings ``q`` and ``p_M`` (n, 3)."""
+    published = published_rows(arm)
+    chain = replace(nominal_geometry(published, np.zeros(3)), rows=hayati_rows(rows, published))
+    return smr_positions(start_from_nominal(chain, q, p_M, tool_unknown=True), at)
+
 
 _CHAIN_LENGTH = re.compile(r"[ad]\d")
 """Pattern of the names of a chain's lengths: a1, d1 and so on."""

@@ -8,10 +8,10 @@ from cellapp.commands.calibrate.view import calibration_tables
 from cellapp.commands.compensate.tables import verification_tables
 from cellapp.commands.discover.tables import discovery_tables
 from cellapp.commands.locate.view import location_tables
-from cellapp.commands.out_of_date import complaints_in
 from cellapp.commands.record import Request, View
 from cellapp.commands.report.request import ReportRequest
 from cellapp.commands.report.result import ReportResult, RunResults
+from cellapp.commands.stages import complaints_in
 from cellapp.commands.view.table import Table
 
 

@@ -7,8 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from cellapp.commands.fields import ProfilePath
-from cellapp.commands.record import Asked, Request, Verb
+from cellapp.commands.record import Asked, ProfilePath, Request, Verb
 
 
 class RunRequest(Request):

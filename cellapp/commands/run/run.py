@@ -5,24 +5,36 @@ from __future__ import annotations
 from pathlib import Path
 
 from cellapp.cell.driving.cell_checks import Hung
+from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run.file import note_profile
 from cellapp.cell.targets.targets import Target, load_targets
 from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences
 from cellapp.commands.collect.run import collect_planned, hanging
+from cellapp.commands.collect.view import collect_lines, other_notes
+from cellapp.commands.compensate.tables import verification_tables
 from cellapp.commands.confirm import Ask, asked_once, require_permission
+from cellapp.commands.discover import view as discovery
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import default_folder, new_planned_run
 from cellapp.commands.push.run import push_targets
-from cellapp.commands.record import Work
-from cellapp.commands.report.result import read_results, shown_by
+from cellapp.commands.record import Request, View, Work
+from cellapp.commands.report.result import RunResults, read_results, shown_by
 from cellapp.commands.report.run import PageWriter
 from cellapp.commands.run.request import RunRequest
-from cellapp.commands.run.result import WholeRunResult
+from cellapp.commands.view.parts import Part
 from cellapp.ground.control import JobControl
 from cellapp.ground.progress import Listener, ignore
 from cellapp.ground.threads import give_back
+
+
+class WholeRunResult(RunResults, schema="cellapp-run"):
+    """``run``: the folder, the results of every step, and notes for the operator."""
+
+    collect: CollectResult | None = None
+    notes: tuple[str, ...] = ()
 
 
 def run(request: RunRequest, work: Work) -> WholeRunResult:
@@ -86,3 +98,26 @@ def run_whole(
             notes += push_targets(run, targets, listener, control, ask, verify=True).notes
         write_page(run)
         return shown_by(WholeRunResult, read_results(run), notes=tuple(notes), collect=collected)
+
+
+def view(result: WholeRunResult, request: Request | None = None) -> View:
+    """Show the results of each step, notes, the paths of run and page; and the failures of the first failed step."""
+    parts: list[Part] = []
+    if result.collect is not None:
+        parts += collect_lines(result.collect)
+    if result.calibrate is not None:
+        parts += calibration_tables(result.calibrate)
+    if result.discover is not None:
+        parts += discovery.view(result.discover).parts
+    if result.verify is not None:
+        parts += verification_tables(result.verify)
+    if result.calibrate is not None:
+        parts += tracker_sentences(result.calibrate)
+    parts += other_notes(result.collect, result.notes)
+    parts.append(f"run: {result.run}   report: {Path(result.run) / 'report.html'}")
+    steps = (("collect", result.collect), ("verification", result.verify))
+    failed = [(name, step.complaints()) for name, step in steps if step is not None and step.complaints()]
+    if failed:
+        return View(parts, failed[0][1], failed[0][0])
+    unverified = "nothing was verified, the profile names no targets"
+    return View(parts, held=unverified if result.verify is None else "the verification held")

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from datetime import UTC, date, datetime
 
-from cellapp.commands.runs.result import RunsResult, RunSummary
-from cellapp.commands.runs.words import CELL_WORDS, next_words, short_name, stops_words
+from cellapp.commands.runs.result import CELL_WORDS, RunsResult, RunSummary, next_words, short_name, stops_words
 from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of, with_rows
 from cellapp.ground.grouping import grouped
 from cellapp.ground.results import CALIBRATE, CHECK, StageName

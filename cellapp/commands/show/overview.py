@@ -8,9 +8,8 @@ from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.unseen_arms import unseen_arms
 from cellapp.commands.next_step import arm_states, next_step
-from cellapp.commands.out_of_date import complaints_of
 from cellapp.commands.show.result import HistoryResult, LogLine, LogResult, OverviewResult, StageState, UnseenArmState
-from cellapp.commands.stages import RunStages, StoredStage, read_history, read_stages
+from cellapp.commands.stages import RunStages, StoredStage, complaints_of, read_history, read_stages
 from cellapp.ground.counting import counted
 from cellapp.ground.removed import without_removed_keys
 from cellapp.ground.results import STAGE_NAMES

@@ -7,9 +7,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, create_model, model_validator
 
-from cellapp.commands.fields import RunFolder, Strict
-from cellapp.commands.record import Asked, Request, Verb
-from cellapp.commands.storing import STORING
+from cellapp.commands.record import Asked, Request, RunFolder, Strict, Verb
+from cellapp.commands.registry import STORING, records
 
 OWN_PARTS = ("overview", "plan", "collection", "recordings", "log", "profile", "history")
 """Parts of a run beside the results of verbs."""
@@ -55,4 +54,4 @@ def show_verb(verbs: Sequence[Verb]) -> Verb:
     return Verb("show", request, chapter="commands")
 
 
-VERB = show_verb(STORING)
+VERB = show_verb(records(STORING))

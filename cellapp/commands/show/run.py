@@ -7,15 +7,15 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import recording_states
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.compensate.details import stored_state
-from cellapp.commands.out_of_date import complaints_of
 from cellapp.commands.plan.run import stored_plan
 from cellapp.commands.record import Work
+from cellapp.commands.registry import STORING, records
 from cellapp.commands.report.result import read_results
 from cellapp.commands.show.overview import run_history, run_log, run_overview
 from cellapp.commands.show.request import ShowRequest
 from cellapp.commands.show.result import RecordingsResult, Shown
-from cellapp.commands.show.tables import profile_text
-from cellapp.commands.storing import STORING
+from cellapp.commands.show.view import profile_text
+from cellapp.commands.stages import complaints_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import Result
 
@@ -80,7 +80,7 @@ def _target(run: RunFile, name: str) -> Shown:
 def _stored(run: RunFile, request: ShowRequest) -> Shown:
     """Return the stored result of one verb, and whether it still holds."""
     results = read_results(run)
-    verb, how = next((verb, how) for verb in STORING for how in verb.stored if how.part == request.part)
+    verb, how = next((verb, how) for verb in records(STORING) for how in verb.stored if how.part == request.part)
     name = next((stage for stage in how.stages if getattr(results, stage) is not None), how.stages[-1])
     reason = {str(key): text for key, text in results.out_of_date.items()}.get(name, "")
     made_by = f"cellapp {how.made_by or verb.name}"

@@ -190,3 +190,17 @@ def enumerated(parts: Iterable[str]) -> str:
 def styles(names: Sequence[str]) -> dict[str, int]:
     """Number the arms or references by their order: the styles that they have in charts."""
     return {name: number for number, name in enumerate(dict.fromkeys(names))}
+
+
+def evenly_spread(n: int, most: int) -> NDArray[np.intp]:
+    """Return at most ``most`` of n row indices, evenly spread."""
+    return np.unique(np.linspace(0, n - 1, min(n, most)).round().astype(np.intp))
+
+
+def levelling_rotation(up_M: Array) -> Array:
+    """Return the smallest rotation (3, 3) that maps ``up_M`` to z (Rodrigues' formula with axis up_M x z)."""
+    x, y, z = up_M
+    if z < -1.0 + 1e-9:
+        return np.diag([1.0, -1.0, -1.0])
+    skew = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+    return np.asarray(np.eye(3) + skew + skew @ skew / (1.0 + z))

@@ -95,12 +95,12 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
 
 
-def section_of(title: str, parts: Parts, *, message: str = "", about: str = "", key: str = "") -> Section:
+def section_of(title: str, parts: Parts, *, message: str = "", about: str = "") -> Section:
     """Build a section; its default message is the first sentence of its parts."""
     if not message:
         first = next(place for place, part in enumerate(parts) if isinstance(part, str))
         message, parts = str(parts[first]), [*parts[:first], *parts[first + 1 :]]
-    return Section(title, parts, sentence(message), about, key=key)
+    return Section(title, parts, sentence(message), about)
 
 
 # ---------------------------------------------------------------------------------------------------------------------

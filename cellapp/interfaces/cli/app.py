@@ -2,21 +2,38 @@
 
 from __future__ import annotations
 
-from functools import partial
+import sys
+from functools import cache
 
-from cellapp.commands.registry import VERBS
+from cellapp.commands.registry import ALL, name_of, records
+from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.derived import add_verbs
 from cellapp.interfaces.cli.program import run_program
 from cellapp.interfaces.cli.top import REQUESTS, top
 from cellapp.interfaces.cli.trials import trials_app
 
-app = top()
-add_verbs(app, VERBS)
-for request in REQUESTS:
-    app.command()(request)
-app.add_typer(trials_app, name="trials")
+_TRIALS = "trials"
+
+
+@cache
+def program(verbs: tuple[str, ...] = ALL) -> Commands:
+    """Create the program with the commands of some verbs, and those that are no verb."""
+    app = top()
+    add_verbs(app, records(verbs))
+    for request in REQUESTS:
+        app.command()(request)
+    app.add_typer(trials_app, name=_TRIALS)
+    return app
 
 
 def main() -> None:
     """Run the program; exit codes as in the handbook, chapter "commands"."""
-    run_program(partial(app, prog_name="cellapp"))
+    run_program(lambda: program(_needed(sys.argv[1:]))(prog_name="cellapp"))
+
+
+def _needed(arguments: list[str]) -> tuple[str, ...]:
+    """Return the verbs that a command line needs: only that which it names; all of them if it names no command."""
+    first = arguments[0] if arguments else ""
+    if first in (_TRIALS, *(one.__name__ for one in REQUESTS)):
+        return ()
+    return tuple(verb for verb in ALL if name_of(verb) == first) or ALL

@@ -23,7 +23,6 @@ from pydantic.fields import FieldInfo
 from typer.core import TyperGroup
 
 from cellapp.commands.record import Asked, Verb, View, Work
-from cellapp.commands.registry import VERBS
 from cellapp.ground.errors import InputError
 from cellapp.ground.removed import removed_command
 from cellapp.interfaces.cli.command_outputs import AllowMotion, Commands, JsonOption
@@ -151,7 +150,6 @@ def _work(job: Job, announce: Callable[[Result], None], *, allowed: bool) -> Wor
         job.control,
         lambda profile_name: asking(job, profile_name, allowed=allowed),
         job.outputs,
-        verbs=VERBS,
         write_page=write_page,
         certificate_page=draw_certificate,
         screens=partial(_screens, job.outputs),

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from cellapp.commands.folders import FOLDERS, help_of, name_of
+from cellapp.commands.registry import ALL, help_of, name_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.removed import removed_command
 from cellapp.ground.version import __version__
@@ -54,7 +54,7 @@ class InOrder(TyperGroup):
         return super().get_command(ctx, cmd_name)
 
     def list_commands(self, ctx: Any) -> list[str]:
-        work = [name_of(folder) for folder in FOLDERS]
+        work = [name_of(verb) for verb in ALL]
         return sorted(super().list_commands(ctx), key=lambda name: work.index(name) if name in work else len(work))
 
 
@@ -93,8 +93,8 @@ def _tui(
 def overview() -> Commands:
     """Create the program for its help page: commands have only their help text, so little is loaded."""
     app = top()
-    for folder in FOLDERS:
-        app.command(name_of(folder), help=help_of(folder))(lambda: None)
+    for verb in ALL:
+        app.command(name_of(verb), help=help_of(verb))(lambda: None)
     for request in REQUESTS:
         app.command()(request)
     app.command("trials", help=TRIALS)(lambda: None)

@@ -42,7 +42,7 @@ from cellapp.commands.compensate.words import compensate_summary
 from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.discover.run import discover_effects
 from cellapp.commands.discover.view import view as discovery_view
-from cellapp.commands.doctor.profile_view import profile_tables
+from cellapp.commands.doctor.view import profile_tables
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.table import Column, Table, number_column

@@ -37,6 +37,7 @@ from textual.screen import ModalScreen, Screen
 from textual.theme import Theme
 from textual.widgets import Input, Static
 
+from cellapp.commands.registry import ALL
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import terminal
 from cellapp.interfaces.tui import work as jobs_of_verbs
@@ -224,11 +225,12 @@ _LATER = (
     "cellapp.cell.run",
     "cellapp.commands.report.data",
     *(f"cellapp.interfaces.tui.screens.{entry.step}" for entry in SCREENS),
-    *(f"cellapp.commands.{verb}.run" for verb in ("run", "import_", "report")),
+    *(f"cellapp.commands.{verb}" for verb in ALL),
+    *(f"cellapp.commands.{verb}.run" for verb in ("run", "report")),
     "cellapp.interfaces.page.page",
     "cellapp.commands.plan.charts",
     "cellapp.cell.planning.view",
-    "cellapp.commands.docs.sections",
+    "cellapp.commands.docs.handbook",
     "cellapp.interfaces.tui.dialogs.handbook",
 )
 _ONWARD = f"{SHOWN['next']} goes to the next step, {SHOWN['help']} explains"

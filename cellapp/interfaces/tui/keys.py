@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 
 from textual.binding import Binding, BindingType
 
-from cellapp.commands.registry import VERBS
+from cellapp.commands.iso9283.request import VERB as ISO9283
+from cellapp.commands.registry import ALL, name_of
 from cellapp.commands.view.table import Table
 from cellapp.interfaces.tui.workspace import STEPS, Step
 
@@ -99,7 +100,8 @@ WAYS: Mapping[str, tuple[Step, str]] = {
 """Verb -> the screen and the meaning of the key that does it; other verbs are in the palette."""
 _EVERYWHERE: Mapping[str, str] = {"run": "day", "docs": "handbook"}
 """Verb -> the meaning of the key that does it on every screen; these verbs are not in the palette."""
-_VARIANTS = "|".join(re.escape(word) for verb in VERBS for word in verb.variants)
+_VARIANTS = "|".join(re.escape(word) for word in ISO9283.variants)
+"""Words after the only verb that has some."""
 _COMMAND = re.compile(
     r"(?:run )?'cellapp ([a-z][\w-]*)[^'\n]*'"
     rf"|\bcellapp ([a-z][\w-]*)(?: (?:{_VARIANTS})\b)?(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*|\d+))*"
@@ -140,7 +142,7 @@ def table_with_keys(table: Table) -> Table:
 
 def with_keys(text: str) -> str:
     """Replace each command of the command line in a sentence by the keys that do it."""
-    verbs = {verb.name for verb in VERBS}
+    verbs = {name_of(verb) for verb in ALL}
 
     def keys(found: re.Match[str]) -> str:
         verb = found[1] or found[2]

@@ -6,10 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cellapp.commands.at_rest.request import VERB as AT_REST
-from cellapp.commands.at_rest.request import AtRestRequest
 from cellapp.commands.record import Request, Verb
-from cellapp.commands.registry import VERBS
+from cellapp.commands.registry import records
 from cellapp.ground.counting import counted
 from cellapp.interfaces.render.terminal import plain_text
 from cellapp.interfaces.tui import work
@@ -78,6 +76,7 @@ class _VerbView:
 
     def show_result(self, result: Result) -> None:
         """Show the result as a text."""
+
         text = plain_text(self._verb.view(result).parts, _READING_WIDTH)
         self._app.push_screen(Reading(f"# {self._verb.name}\n\n```text\n{text}\n```"))
 
@@ -86,7 +85,7 @@ def verbs_of_run() -> tuple[Verb, ...]:
     """Return the verbs that work on a run and whose other required fields a dialog can ask for."""
     return tuple(
         verb
-        for verb in VERBS
+        for verb in records()
         if verb.opens_run
         and all(name == "folder" or not verb.is_needed(name) or words.label for name, words in verb.request.asked())
     )
@@ -185,6 +184,9 @@ def offer_at_rest(app: Host, arm: str) -> None:
 
     def record(answer: str | None) -> None:
         if answer == "seen":
+            from cellapp.commands.at_rest import VERB as AT_REST
+            from cellapp.commands.at_rest import AtRestRequest
+
             app.start_job(work.verb_job(AT_REST, AtRestRequest(folder=folder, arm=arm)))
 
     answers = (Answer("no", "No", "n"), Answer("seen", "I see it at rest", "s", "warning"))

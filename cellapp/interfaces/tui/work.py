@@ -74,7 +74,7 @@ def own_readings(request: OwnReadingsRequest, home: Path) -> Job:
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.profile import load_profile
-        from cellapp.commands.import_.run import import_new_run
+        from cellapp.commands.import_ import import_new_run
         from cellapp.commands.init.own_data import OwnData, write_own_data
 
         own = OwnData(request.readings, request.arm, angles=request.angles, lengths=request.lengths)

@@ -43,9 +43,9 @@ from cellapp.ground.counting import listed_numbers
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken, Progress
-from cellapp.interfaces.cli.app import app
 from drivers.plant.clearance import segment_distances
 from tests.cell.planning.hand_made import same_stops, some_stops
+from tests.program import app
 from tests.twin import small_twin, with_arms
 
 

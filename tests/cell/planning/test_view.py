@@ -12,7 +12,7 @@ import pytest
 from cellapp.cell.planning.records import ViewResult
 from cellapp.cell.planning.view import arm_view, view_workspace
 from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.commands.plan.charts_view import SHADES, view_chart, view_charts
+from cellapp.commands.plan.charts import SHADES, view_chart, view_charts
 from cellapp.commands.plan.check_view import AS_IT_IS, arm_sentences, view_sentences, view_tables, worst_constraint
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

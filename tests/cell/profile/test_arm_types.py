@@ -12,7 +12,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import write_text
 from cellapp.cell.profile.loader import arm_type_of_text, profile_from_json, profile_to_json
 from cellapp.cell.profile.starters import arm_type_files, starter_profiles, write_starter
-from cellapp.commands.doctor.profile_view import cell_words, constraint_words
+from cellapp.commands.doctor.view import cell_words, constraint_words
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import ArmType
 from cellapp.ground.starters import offered_profiles, starters_folder

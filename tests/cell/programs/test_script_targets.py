@@ -35,11 +35,10 @@ from cellapp.cell.programs.urscript import Unreadable, parse_expression, pose_ma
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.correct.run import correct_run
-from cellapp.commands.correct.view import correct_table
+from cellapp.commands.correct import correct_run, correct_table
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.commands.report.controller_tables import controllers_section
 from cellapp.commands.report.data import read_report_data
+from cellapp.commands.report.sections import controllers_section
 from cellapp.commands.view.table import Table
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import FactoryErrors

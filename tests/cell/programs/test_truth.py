@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.run import RunFile
-from cellapp.commands.correct.run import correct_run
+from cellapp.commands.correct import correct_run
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.ground.errors import InputError
 from cellapp.robot.model import CellModel

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile, import_csv, read_readings_csv, write_readings_csv
 from cellapp.cell.run.stations import STATIONS_RESULT, stored_tie_sentences
-from cellapp.commands.import_.run import import_new_run
+from cellapp.commands.import_ import import_new_run
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import apply, invert, transform

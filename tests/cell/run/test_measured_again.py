@@ -22,11 +22,10 @@ from cellapp.cell.run.csv_import import WhichSmr
 from cellapp.cell.run.measured_again import earlier_readings, replace_stop, replaced_counts
 from cellapp.cell.run.measurement_order import in_measured_order
 from cellapp.cell.run.records import ArmOrder
-from cellapp.commands.import_.request import ImportRequest
-from cellapp.commands.import_.run import import_new_run
-from cellapp.commands.import_.run import run as import_run
+from cellapp.commands.import_ import ImportRequest, import_new_run
+from cellapp.commands.import_ import run as import_run
 from cellapp.commands.show.overview import run_overview
-from cellapp.commands.show.tables import overview_sentences
+from cellapp.commands.show.view import overview_sentences
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.readings import Reading, Readings, joined
 from cellapp.ground.errors import InputError, NotConverged
@@ -424,7 +423,7 @@ def test_two_smrs_ask_which_one_counts(tmp_path: Path, monkeypatch: pytest.Monke
         asked_for.append((question, answers))
         return "B"
 
-    monkeypatch.setattr("cellapp.commands.import_.run.load_profile", lambda path: left_alone())
+    monkeypatch.setattr("cellapp.commands.import_.load_profile", lambda path: left_alone())
     request = ImportRequest(profile=PROFILES / "twin.yaml", csv=tmp_path / "in.csv", folder=tmp_path / "run")
     import_run(request, replace(quiet_work(), choose=choose))
     assert asked_for[0][1] == ("A", "B")

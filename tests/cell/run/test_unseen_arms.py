@@ -9,7 +9,7 @@ import pytest
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.unseen_arms import BY_PERSON, note_at_rest, note_halt, unseen_arms
 from cellapp.commands.show.overview import run_overview
-from cellapp.commands.show.tables import overview_sentences
+from cellapp.commands.show.view import overview_sentences
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Halt
 from tests.twin import small_twin

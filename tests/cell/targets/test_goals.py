@@ -40,7 +40,7 @@ from cellapp.commands.compensate.tables import measured_turn_tables, turn_tables
 from cellapp.commands.compensate.target_list import target_states
 from cellapp.commands.compensate.view import view as compensated_view
 from cellapp.commands.discover.run import discover_run
-from cellapp.commands.export.run_commands import export_commands
+from cellapp.commands.export.run import export_commands
 from cellapp.commands.push.run import push_run
 from cellapp.commands.run_results import read_stage_results
 from cellapp.commands.stages import read_stages

@@ -26,7 +26,7 @@ from cellapp.cell.targets.targets import Target, WorkingConditions, load_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.export.run import export_as_run
-from cellapp.commands.import_.run import import_new_run
+from cellapp.commands.import_ import import_new_run
 from cellapp.commands.init.own_data import OwnData, write_own_data
 from cellapp.commands.push.run import push_run
 from cellapp.commands.report.result import read_results

@@ -16,9 +16,8 @@ from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.certificate.result import CertificateResult
 from cellapp.commands.certificate.run import PAGE_FILE, PRINT_FILE, SUMS_FILE, certificate_run
-from cellapp.commands.out_of_date import CERTIFICATE_FILE, complaints_of
 from cellapp.commands.report.result import read_results
-from cellapp.commands.stages import append_stage, read_stages
+from cellapp.commands.stages import CERTIFICATE_FILE, append_stage, complaints_of, read_stages
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Instrument, Tolerances, Traceability

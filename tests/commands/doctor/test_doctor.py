@@ -18,8 +18,7 @@ from cellapp.cell.driving.examination import LONGEST_PROBE_S, examine
 from cellapp.cell.profile import load_profile
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.doctor.run import examine_run, probe_devices, repeatable_devices
-from cellapp.commands.emulate.result import EmulatedArm
-from cellapp.commands.emulate.run import emulate, emulated_arms
+from cellapp.commands.emulate import EmulatedArm, emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
@@ -417,7 +416,7 @@ def test_a_simulated_cell_that_fails_ends_the_emulation(twin: Profile, monkeypat
         monkeypatch.setattr(plant, "advance", failing)
         return plant
 
-    monkeypatch.setattr("cellapp.commands.emulate.run.build_plant", fails_once_it_runs)
+    monkeypatch.setattr("cellapp.commands.emulate.build_plant", fails_once_it_runs)
     before = threading.active_count()
     with pytest.raises(HardwareError, match=r"cannot go on \(FloatingPointError: no equilibrium\)"):
         emulate(twin, CancelToken(), lambda _: up.set(), on_free_ports(twin))

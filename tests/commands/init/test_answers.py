@@ -16,8 +16,7 @@ from cellapp.cell.run import import_csv
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.init.answers import surveyed_base, write_answers
 from cellapp.commands.init.own_data import OwnData, nobody, write_own_data
-from cellapp.commands.init.result import InitResult
-from cellapp.commands.init.view import view
+from cellapp.commands.init.run import InitResult, view
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions

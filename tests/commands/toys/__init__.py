@@ -1,1 +1,1 @@
-"""Verbs that only tests know: each is one folder, and one line where it is added."""
+"""Verbs that only tests know: each is one file, and one word where it is added."""

@@ -10,13 +10,11 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.trials.judge import TRIAL_RESULT, StoredTrial, judge_trials
+from cellapp.commands.trials.judge import TRIAL_RESULT, StoredTrial, judge_trials, score_run
 from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, NoiseLengths, ScoredRun
-from cellapp.commands.trials.run_score import score_run
 from cellapp.commands.trials.scoring import scores
 from cellapp.commands.trials.sealed import ExpectedTerm, GroundTruth, HiddenLaw, open_truth, seal_trials
-from cellapp.commands.trials.sealed_cases import EXPECTED
-from cellapp.commands.trials.sealed_setup import Setup
+from cellapp.commands.trials.sealed_setup import EXPECTED, Setup
 from cellapp.commands.trials.visible_size import beyond_law, registered_model
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.outcome import HeldOut

@@ -20,9 +20,8 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.stages import read_stages
-from cellapp.commands.trials.judge import TRIAL_RESULT, judge_run, judge_trials, source_digest
+from cellapp.commands.trials.judge import TRIAL_RESULT, judge_run, judge_trials, score_run, source_digest
 from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, JudgeResult, NoiseLengths, ScoredRun
-from cellapp.commands.trials.run_score import score_run
 from cellapp.commands.trials.scoring import scores
 from cellapp.commands.trials.sealed import (
     ExpectedTerm,
@@ -33,8 +32,16 @@ from cellapp.commands.trials.sealed import (
     open_truth,
     seal_trials,
 )
-from cellapp.commands.trials.sealed_cases import EXPECTED, KINDS, LOOK_ALIKES, PAIRS, TRIPLES, cases, library_name
-from cellapp.commands.trials.sealed_setup import Setup
+from cellapp.commands.trials.sealed_setup import (
+    EXPECTED,
+    KINDS,
+    LOOK_ALIKES,
+    PAIRS,
+    TRIPLES,
+    Setup,
+    cases,
+    library_name,
+)
 from cellapp.commands.trials.tables import judge_sentences, judge_tables
 from cellapp.commands.trials.visible_size import beyond_geometry
 from cellapp.commands.view.table import markdown

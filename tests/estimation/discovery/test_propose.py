@@ -36,12 +36,12 @@ from cellapp.estimation.discovery.search.state import Review, possible_score
 from cellapp.estimation.discovery.terms import UNKNOWN, CandidateLaw, LawScore, ModelTerm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from cellapp.interfaces.cli.app import app
 from cellapp.robot.effects import Channel, EffectColumn
 from cellapp.robot.effects.periodic import LINES
 from drivers.no_driver import NoDriver
 from tests.estimation.discovery.linear_problem import PLAIN, problem
 from tests.estimation.discovery.searched import calibrated_and_searched, proposed
+from tests.program import app
 from tests.twin import small_twin, with_arms
 
 STOPS = 90

@@ -12,7 +12,7 @@ from cellapp.cell.planning.candidates import random_configurations
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_stop, visible, visible_stops
 from cellapp.cell.targets.targets import Partner, Target
-from cellapp.commands.trials.sealed_cases import MIXTURE, OUT, cases
+from cellapp.commands.trials.sealed_setup import MIXTURE, OUT, cases
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
 from cellapp.robot.kinematics.transforms import Array, invert, rpy_of, transform, xyz_of

@@ -16,8 +16,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from cellapp.cell.profile import profile_from_json, profile_to_json
-from cellapp.commands.emulate.result import EmulatedArm, EmulatedTracker
-from cellapp.commands.emulate.run import emulate
+from cellapp.commands.emulate import EmulatedArm, EmulatedTracker, emulate
 from cellapp.ground.errors import CellappError, HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Collection, SlowStart, Suspend, Suspension

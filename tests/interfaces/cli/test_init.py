@@ -27,12 +27,12 @@ from cellapp.ground.asking import VERBS, Verb
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Halt, Progress
-from cellapp.interfaces.cli.app import app
 from cellapp.interfaces.cli.job import Job
 from cellapp.interfaces.cli.requests import JobRequest, plain_request
 from tests.cell.run.small_runs import planned_run
 from tests.interfaces.cli.test_cli import call, exit_code, one_sentence  # noqa: F401 - a fixture
 from tests.latency import attempts
+from tests.program import app
 from tests.twin import PROFILES, small_twin, write_profile
 from tests.waiting import WAIT_S
 

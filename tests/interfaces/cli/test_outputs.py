@@ -22,9 +22,9 @@ from cellapp.ground import outputs
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs, Writes
 from cellapp.interfaces import cli
-from cellapp.interfaces.cli.app import app
 from cellapp.interfaces.cli.command_outputs import written_by
 from tests.cell.run.two_arm_cell import two_arms
+from tests.program import app
 
 ROOT = Path(__file__).parents[3]
 OLD = b"what a person wrote\n"
@@ -159,7 +159,6 @@ def test_every_command_has_its_outputs() -> None:
         "--plan",
         "--out",
         "--geometry",
-        "--page",
         "--results",
         "--joints",
         "--points",

@@ -22,23 +22,21 @@ from typer.testing import CliRunner
 import cellapp
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile, import_csv
-from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.doctor.result import DoctorResult, Finding
 from cellapp.commands.export.run import export_run
 from cellapp.commands.record import Asked, Request, Verb, View, Work
-from cellapp.commands.registry import VERBS
-from cellapp.commands.run.result import WholeRunResult
+from cellapp.commands.registry import records
+from cellapp.commands.run.run import WholeRunResult
 from cellapp.commands.runs.history import summarise
-from cellapp.commands.schema.results import json_schema
+from cellapp.commands.schema import json_schema
 from cellapp.commands.show.overview import run_history, run_overview
-from cellapp.commands.show.tables import overview_sentences, overview_tables
-from cellapp.commands.stages import append_stage
+from cellapp.commands.show.view import overview_sentences, overview_tables
+from cellapp.commands.stages import append_stage, basis_of
 from cellapp.estimation.readings import Reading
 from cellapp.ground import removed
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorResult, Result
-from cellapp.interfaces.cli.app import app
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.derived import command_of
 from cellapp.interfaces.cli.program import wants_json
@@ -47,6 +45,7 @@ from cellapp.interfaces.tui.workspace import load_workspace
 from tests.interfaces.cli.test_cli import call, exit_code  # noqa: F401 - a fixture
 from tests.interfaces.page.cases import calibration
 from tests.interfaces.page.parsed_page import NOON
+from tests.program import app
 from tests.twin import PROFILES, small_twin, write_profile
 
 
@@ -107,7 +106,7 @@ def test_a_failure_is_one_object_on_standard_output(call: Any, case: str, form: 
 def test_every_verb_answers_bad_usage_with_an_object(call: Any) -> None:  # noqa: F811
     from typer.main import get_command
 
-    from cellapp.interfaces.cli.app import app
+    from tests.program import app
 
     verbs = get_command(app).commands  # type: ignore[attr-defined]
     assert {"run", "demo", "calibrate", "trials"} < set(verbs)
@@ -267,7 +266,7 @@ def test_the_faults_are_found(text: str, name: str) -> None:
 
 
 def test_a_finished_run_is_shown_without_them(finished_run: Path) -> None:
-    parts = [stored.part for verb in VERBS for stored in verb.stored]
+    parts = [stored.part for verb in records() for stored in verb.stored]
     assert len(parts) > 5
     shown = []
     for part in ("", *parts):

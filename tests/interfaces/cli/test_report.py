@@ -10,10 +10,10 @@ import pytest
 from typer.testing import CliRunner
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.out_of_date import DATA_MARK, data_mark
+from cellapp.commands.stages import DATA_MARK, data_mark
 from cellapp.ground.errors import CheckFailed, InputError
-from cellapp.interfaces.cli.app import app
 from cellapp.interfaces.page import page
+from tests.program import app
 
 RUNNER = CliRunner()
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.targets import Target, load_targets
-from cellapp.commands.basis import basis_of
-from cellapp.commands.stages import append_stage, read_stages
+from cellapp.commands.stages import append_stage, basis_of, read_stages
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.readings import Readings

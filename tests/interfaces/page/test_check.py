@@ -8,13 +8,12 @@ from typing import Any
 import pytest
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.check.charts import check_charts, error_chart, evidence_chart
-from cellapp.commands.check.view import check_sentences, check_tables
+from cellapp.commands.check.view import check_charts, check_sentences, check_tables, error_chart, evidence_chart
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.headlines import out_of_date_lines
 from cellapp.commands.report.sections import report_sections
 from cellapp.commands.show.overview import run_overview
-from cellapp.commands.show.tables import overview_sentences
+from cellapp.commands.show.view import overview_sentences
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import stage_in_force
 from cellapp.estimation.monitoring.check.records import (

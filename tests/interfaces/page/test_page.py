@@ -21,7 +21,6 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.measurement_order import write_in_order
 from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.targets.records import VerifyResult
-from cellapp.commands.basis import basis_of
 from cellapp.commands.calibrate.charts_accuracy import pair_stop_chart, stop_error_chart
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.calibrate.view import (
@@ -41,12 +40,12 @@ from cellapp.commands.discover.tables import (
     size_tables,
 )
 from cellapp.commands.export.run import calibrated_arms
-from cellapp.commands.plan.section import plan_section
+from cellapp.commands.plan.view import plan_section
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.result import read_results
 from cellapp.commands.report.sections import report_sections
 from cellapp.commands.report.view import all_tables
-from cellapp.commands.stages import CALIBRATION_FILE, append_stage, read_stages
+from cellapp.commands.stages import CALIBRATION_FILE, append_stage, basis_of, read_stages
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Section
 from cellapp.commands.view.table import with_rows

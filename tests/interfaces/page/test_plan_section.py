@@ -16,7 +16,7 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.plan.check_view import design_tables
 from cellapp.commands.plan.result import StopsResult
 from cellapp.commands.plan.run import new_planned_run, plan_result, stored_plan
-from cellapp.commands.plan.section import plan_section
+from cellapp.commands.plan.view import plan_section
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Section
 from cellapp.ground.errors import InputError

@@ -19,9 +19,9 @@ from cellapp.cell.targets.targets import Partner, Target
 from cellapp.commands.compensate.charts import parts_chart, target_charts
 from cellapp.commands.compensate.charts import target_charts as all_charts
 from cellapp.commands.compensate.details import stored_state, target_details
-from cellapp.commands.compensate.section import targets_section
 from cellapp.commands.compensate.tables import measured_tables, refusal_tables, uncertainty_tables
 from cellapp.commands.compensate.target_list import target_list, target_state, target_words
+from cellapp.commands.compensate.view import targets_section
 from cellapp.commands.compensate.words import PART_WORDS, compensate_lines, verify_message
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.result import RunResults, read_results

@@ -9,7 +9,7 @@ import pytest
 from cellapp.cell.run import sqlite_file
 from cellapp.cell.targets.records import ArmVerification, MeasuredTarget, VerifyResult
 from cellapp.commands.run.request import VERB as DAY
-from cellapp.commands.run.result import WholeRunResult
+from cellapp.commands.run.run import WholeRunResult
 from cellapp.ground.results import ErrorSummary, Result
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.endings import REPORT_FILE, ending_of

@@ -12,7 +12,7 @@ from textual.widgets import DataTable, Input, Static
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.target_text import targets_text
 from cellapp.cell.targets.targets import load_targets
-from cellapp.commands.correct.run import correct_run
+from cellapp.commands.correct import correct_run
 from cellapp.commands.push.request import MOST_ROUNDS, PushRequest
 from cellapp.commands.record import Verb
 from cellapp.commands.report.result import read_results

@@ -13,8 +13,8 @@ from textual.widgets import Input, OptionList
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.correct.request import VERB as CORRECT
-from cellapp.commands.correct.request import CorrectRequest
+from cellapp.commands.correct import VERB as CORRECT
+from cellapp.commands.correct import CorrectRequest
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.locate.request import LocateRequest
 from cellapp.commands.record import Request

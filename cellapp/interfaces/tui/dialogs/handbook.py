@@ -20,7 +20,7 @@ from cellapp.interfaces.tui.dialogs.question import Question
 from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind
 
 if TYPE_CHECKING:
-    from cellapp.commands.docs.sections import Section
+    from cellapp.commands.docs.handbook import Section
 
 _SHORTEST_SEARCH = 3
 """Letters from which a search begins: fewer match everywhere."""
@@ -92,8 +92,7 @@ class Handbook(Question[None]):
 
     async def on_mount(self) -> None:
         """List the chapters and open the first section."""
-        from cellapp.commands.docs.handbook import CHAPTERS
-        from cellapp.commands.docs.sections import section_at, sections
+        from cellapp.commands.docs.handbook import CHAPTERS, section_at, sections
 
         self._fill(())
         first = next(iter(CHAPTERS))
@@ -103,8 +102,7 @@ class Handbook(Question[None]):
 
     def _fill(self, found: tuple[Section, ...]) -> None:
         """List parts with their chapters and headings; or the search results."""
-        from cellapp.commands.docs.handbook import PARTS
-        from cellapp.commands.docs.sections import sections
+        from cellapp.commands.docs.handbook import PARTS, sections
 
         contents = self._contents
         contents.clear()
@@ -123,7 +121,7 @@ class Handbook(Question[None]):
     @on(Input.Changed, "#words")
     def search_words(self, event: Input.Changed) -> None:
         """List the sections with these words; all chapters if there are few letters."""
-        from cellapp.commands.docs.sections import search
+        from cellapp.commands.docs.handbook import search
 
         event.stop()
         words = event.value.strip()
@@ -150,7 +148,7 @@ class Handbook(Question[None]):
     # -- the text and its links --------------------------------------------------------------------------------------
 
     async def _show(self, section: Section) -> None:
-        from cellapp.commands.docs.sections import sections
+        from cellapp.commands.docs.handbook import sections
 
         chapter, before = self.query_one("#chapter", VerticalScroll), self._shown
         self._shown = section
@@ -180,7 +178,7 @@ class Handbook(Question[None]):
 
     async def action_follow(self, address: str) -> None:
         """Follow a link of the current chapter; an external page is only named."""
-        from cellapp.commands.docs.sections import section_at
+        from cellapp.commands.docs.handbook import section_at
 
         if self._shown is None:
             return

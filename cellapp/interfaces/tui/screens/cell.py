@@ -385,7 +385,7 @@ class CellScreen(DayScreen):
                 words.add_row(*map(Text, row))
             self.query_one("#cell-tabs", TabbedContent).active = "tab-profile"
         if profile is not None:
-            from cellapp.commands.doctor.profile_view import cell_words, constraint_words
+            from cellapp.commands.doctor.view import cell_words, constraint_words
 
             for row in (*cell_words(profile), *constraint_words(profile)):
                 words.add_row(*map(Text, row))
@@ -413,7 +413,7 @@ class CellScreen(DayScreen):
             return f"No profile is open: choose one in the list, or press {SHOWN['open']}.", "failed"
         if self._doctor is None:
             return f"Not checked yet: {SHOWN['go']} asks the doctor; nothing moves.", "old"
-        from cellapp.commands.doctor.profile_view import doctor_verdict
+        from cellapp.commands.doctor.view import doctor_verdict
 
         words, age = doctor_verdict(self._doctor), datetime.now() - self._doctor_at
         if _written_ns(self._doctor_path) != self._written_ns:

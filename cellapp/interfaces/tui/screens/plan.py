@@ -386,7 +386,7 @@ class PlanScreen(PlanEdits):
             drawn.follow(record if self.state.collecting else None)
 
     def _draw_constraints(self) -> None:
-        from cellapp.commands.doctor.profile_view import constraint_words
+        from cellapp.commands.doctor.view import constraint_words
 
         rows = [] if self._profile is None else constraint_words(self._profile)
         if self._forecast is not None:
@@ -413,7 +413,7 @@ class PlanScreen(PlanEdits):
     def _make_charts(self, workspace: Workspace) -> None:
         """Make the charts of the design in a thread: the numerics take half a second to load."""
         from cellapp.commands.plan.check_view import load_sentences, sweep_sentences, sweep_tables
-        from cellapp.commands.plan.section import design_charts_of, design_tables_of
+        from cellapp.commands.plan.view import design_charts_of, design_tables_of
 
         profile, stops, ways, design = workspace.profile, workspace.stops, workspace.ways, workspace.design
         if profile is not None and ways is not None and stops is not None and stops.stops:
@@ -424,7 +424,7 @@ class PlanScreen(PlanEdits):
 
     @work(thread=True, exclusive=True, group="view")
     def _make_view(self, profile: Profile, view: ViewResult) -> None:
-        from cellapp.commands.plan.charts_view import view_charts
+        from cellapp.commands.plan.charts import view_charts
         from cellapp.commands.plan.check_view import view_sentences, view_tables
 
         self.post_message(Drawn(view, view_charts(profile, view), view_tables(view), view_sentences(view)))

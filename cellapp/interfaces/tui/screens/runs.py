@@ -26,9 +26,8 @@ from textual.worker import get_current_worker
 
 from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.report.result import ReportResult
-from cellapp.commands.runs.columns import contains, run_cells, run_columns
 from cellapp.commands.runs.result import RunsResult
-from cellapp.commands.runs.view import run_lines, runs_sentences
+from cellapp.commands.runs.view import contains, run_cells, run_columns, run_lines, runs_sentences
 from cellapp.ground.errors import CellappError
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui import work as jobs_of_verbs

@@ -39,9 +39,8 @@ from cellapp.commands.compensate.target_list import (
     target_words,
 )
 from cellapp.commands.compensate.words import compensate_summary, unknown_lines, verify_summary
-from cellapp.commands.correct.request import ENDINGS
-from cellapp.commands.correct.request import VERB as CORRECT
-from cellapp.commands.correct.view import correct_table
+from cellapp.commands.correct import ENDINGS, correct_table
+from cellapp.commands.correct import VERB as CORRECT
 from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.push.request import VERB as PUSH

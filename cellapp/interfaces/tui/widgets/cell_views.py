@@ -142,7 +142,7 @@ def devices_of(profile: Profile) -> tuple[str, ...]:
 
 def device_state(name: str, findings: Sequence[Finding], asked: datetime) -> DeviceState | None:
     """Return the state of a device from its findings; None if it has none."""
-    from cellapp.commands.doctor.profile_view import device_words
+    from cellapp.commands.doctor.view import device_words
 
     own = [finding for finding in findings if finding.subject == name or finding.subject.startswith(f"{name}: ")]
     own = [finding for finding in own if finding.subject != f"{name}: SMR"]  # a matter of placement, not of devices

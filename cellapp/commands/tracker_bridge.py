@@ -4,20 +4,55 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
 
 from cellapp.cell.driving.cell import build_plant, tracker_driver
 from cellapp.cell.profile import load_profile
-from cellapp.commands.record import Work
-from cellapp.commands.tracker_bridge.request import TrackerBridgeRequest
-from cellapp.commands.tracker_bridge.result import TrackerBridgeResult
+from cellapp.commands.record import Asked, ProfilePath, Request, Verb, View, Work
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
+from cellapp.ground.results import Result
 from drivers.settings import SettingError
 from drivers.trackers.bridge_server import TrackerService, is_loopback
 from drivers.trackers.bridge_token import read_token
 from drivers.trackers.bridge_wire import LOOPBACK_PORT
 from drivers.trackers.registry import TRACKERS
+
+
+class TrackerBridgeRequest(Request):
+    """Serve the tracker that this computer is wired to, to the cell PC, until interrupted."""
+
+    profile: ProfilePath
+    host: Annotated[str, Asked("Address to listen on; one that other machines reach needs a token.")] = "127.0.0.1"
+    port: Annotated[int | None, Field(ge=0, le=65535), Asked("TCP port; else 50960, or none beside --serial.")] = None
+    serial: Annotated[str | None, Asked("A serial port to serve, as COM3 or /dev/ttyUSB0.", "PORT")] = None
+    baud: Annotated[int, Field(ge=300), Asked("Of the serial port.")] = 115200
+    token_file: Annotated[Path | None, Asked("The shared token; only you may read the file.", "FILE")] = None
+    token_env: Annotated[str | None, Asked("Environment variable that holds the token.", "NAME")] = None
+
+    @model_validator(mode="after")
+    def _one_token(self) -> Self:
+        """Refuse two sources of the token."""
+        if self.token_file is not None and self.token_env is not None:
+            raise ValueError("give --token-file or --token-env, not both")
+        return self
+
+
+VERB = Verb("tracker-bridge", TrackerBridgeRequest, chapter="cell")
+
+
+class TrackerBridgeResult(Result, schema="cellapp-tracker-bridge"):
+    """``tracker-bridge``: which kind of tracker is served, where, and whether a token guards it."""
+
+    kind: str
+    host: str
+    port: int | None
+    serial: str | None
+    guarded: bool
+
 
 DEFAULT_PORT = LOOPBACK_PORT
 _STEP_S = 0.2
@@ -126,3 +161,13 @@ def _token(token_file: Path | None, token_env: str | None) -> str | None:
         return read_token(None if token_file is None else str(token_file), token_env)
     except SettingError as error:
         raise InputError(str(error)) from error
+
+
+def view(result: TrackerBridgeResult, request: Request | None = None) -> View:
+    """Show where the tracker is served."""
+    places = [f"{result.host} port {result.port}"] if result.port is not None else []
+    places += [result.serial] if result.serial is not None else []
+    guard = "with a token" if result.guarded else "without a token, for this machine alone"
+    if result.serial is not None and not result.guarded:
+        guard = "without a token"
+    return View((f"tracker ({result.kind}) at {' and '.join(places)}, {guard}", "Ctrl-C ends this"))

@@ -6,15 +6,17 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from typing import Annotated
+
+from pydantic import Field
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
-from cellapp.commands.emulate.request import EmulateRequest
-from cellapp.commands.emulate.result import EmulatedArm, EmulatedTracker, EmulateResult
-from cellapp.commands.record import Work
+from cellapp.commands.record import Asked, ProfilePath, Request, Verb, View, Work
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken
+from cellapp.ground.results import Record, Result
 from drivers.arms.settings import EmulatedController
 from drivers.emulators.tracker_bridge import TrackerBridgeEmulator
 from drivers.emulators.ur_controller import (
@@ -24,12 +26,60 @@ from drivers.emulators.ur_controller import (
     Personality,
     UrControllerServer,
 )
+from drivers.emulators.ur_controller.personality import STANDARD_PORTS
 from drivers.plant import Plant
 from drivers.plant.factory import factory_calibration
 from drivers.plant.sweep import recorder_of
 from drivers.priority import in_real_time
 from drivers.settings import SettingError
 from drivers.trackers.imperfections import Imperfections
+
+
+class EmulateRequest(Request):
+    """Emulate this cell's controllers and, behind a bridge, its tracker, on loopback until interrupted."""
+
+    profile: ProfilePath
+    pace: Annotated[float, Field(ge=0.1, le=1000.0), Asked("Simulated seconds for each real one.", "X")] = 1.0
+    lost_beams: Annotated[
+        float, Field(ge=0.0, le=60.0), Asked("How often in a minute the beam to a moving SMR breaks.", "N")
+    ] = 0.0
+    simulation: Annotated[bool, Asked("Controllers in simulation mode, for 'rehearse': no arm moves.")] = False
+
+
+VERB = Verb("emulate", EmulateRequest, chapter="emulator")
+
+
+class EmulatedArm(Record):
+    """An emulated arm: its controller and where that listens.
+
+    ``control_port`` on 127.0.0.1 accepts commands for faults and for the operator's actions; see
+    ``drivers/emulators/ur_controller/control.py``.
+    """
+
+    arm: str
+    controller: Personality
+    host: str
+    dashboard_port: int = STANDARD_PORTS["dashboard"]
+    primary_port: int = STANDARD_PORTS["primary"]
+    script_port: int = STANDARD_PORTS["script"]
+    rtde_port: int = STANDARD_PORTS["rtde"]
+    control_port: int = 0
+
+
+class EmulatedTracker(Record):
+    """Where the tracker of the simulated cell is served over the bridge protocol."""
+
+    host: str
+    port: int
+
+
+class EmulateResult(Result, schema="cellapp-emulate"):
+    """``emulate``: what is served; ``pace`` is simulated seconds per real second."""
+
+    pace: float
+    arms: tuple[EmulatedArm, ...]
+    tracker: EmulatedTracker | None
+
 
 _STEP_S = 0.2
 """Longest time until a cancel, such as Ctrl-C, is noticed."""
@@ -286,4 +336,20 @@ def _personality(name: str, arm: Arm, serial: str | None, number: int) -> Person
         model=model.removesuffix("e").removesuffix("E"),  # e-Series controllers report the model without it
         serial=serial or f"2015990000{number}",
         rows=tuple((joint.theta, joint.d, joint.a, joint.alpha) for joint in joints),
+    )
+
+
+def view(result: EmulateResult, request: Request | None = None) -> View:
+    """Show the controllers and their ports."""
+    served = [_arm_words(arm) for arm in result.arms]
+    if (tracker := result.tracker) is not None:
+        served.append(f"tracker: simulated, bridge protocol at {tracker.host} port {tracker.port}")
+    return View((*served, "Ctrl-C ends this"))
+
+
+def _arm_words(arm: EmulatedArm) -> str:
+    return (
+        f"arm {arm.arm}: {arm.controller.model} ({arm.controller.series}), serial {arm.controller.serial},"
+        f" at {arm.host}: dashboard {arm.dashboard_port}, primary {arm.primary_port}, script {arm.script_port},"
+        f" RTDE {arm.rtde_port}; faults on command at 127.0.0.1:{arm.control_port}"
     )

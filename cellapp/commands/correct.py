@@ -4,26 +4,89 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from cellapp.cell.driving.cell_checks import same_calibration
 from cellapp.cell.profile.files import write_new_bytes
-from cellapp.cell.programs.records import CorrectResult, LeftLine, ReadProgram, Six
+from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, LeftLine, ReadProgram, Six
 from cellapp.cell.programs.script_targets import read_script, read_urp, six
-from cellapp.cell.programs.solving import Workplace, assumptions, gate_findings, model_notes, rewritten, solve_targets
+from cellapp.cell.programs.solving import (
+    Workplace,
+    assumptions,
+    correct_lines,
+    gate_findings,
+    model_notes,
+    refusal,
+    rewritten,
+    solve_targets,
+)
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.run.samples import known_readings
-from cellapp.commands.correct.request import ENDINGS, CorrectRequest
-from cellapp.commands.record import Work
+from cellapp.commands.record import Asked, Request, RunFolder, Verb, View, Work
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
+from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
 from cellapp.ground.profile import Arm
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import controller_rows, nominal_arm, published_rows
+
+ENDINGS = (".script", ".urp")
+
+
+class CorrectRequest(Request):
+    """Correct the targets of a UR program by the calibrated model, so that a plain controller truly reaches them.
+
+    Every other line stays byte for byte. Nothing is written while a target cannot be corrected, unless with --partly.
+    """
+
+    folder: RunFolder
+    program: Annotated[
+        Path, Asked("Program of a UR controller: .script or .urp.", "PROGRAM", argument=True, suffixes=ENDINGS)
+    ]
+    out: Annotated[
+        Path,
+        Asked(
+            "The corrected copy, of the same kind.",
+            "FILE",
+            label="corrected copy",
+            suffixes=ENDINGS,
+            writes=Writes.FILES,
+        ),
+    ]
+    arm: Annotated[str | None, Asked("Whose program it is; needed with several arms.", "NAME", label="arm")] = None
+    tcp: Annotated[
+        str | None,
+        Asked(
+            "TCP in the flange frame [m, rad], if the program sets none.",
+            "X,Y,Z,RX,RY,RZ",
+            label="TCP",
+            unit="m, rad",
+            hint="x,y,z,rx,ry,rz; empty: the program's set_tcp",
+        ),
+    ] = None
+    partly: Annotated[
+        bool,
+        Asked(
+            "Write although some targets cannot be corrected; they stay as they are.",
+            label="write although some targets cannot be corrected",
+        ),
+    ] = False
+    extrapolate: Annotated[
+        bool,
+        Asked(
+            "Correct targets outside the joint ranges of the readings too.",
+            label="correct outside the joint ranges of the readings too",
+        ),
+    ] = False
+
+
+VERB = Verb("correct", CorrectRequest, chapter="programs", question="Correct a program")
+
 
 _JOINTS = 6
 _LARGEST = 32 * 1024 * 1024
@@ -178,3 +241,37 @@ def _read(program: Path, out: Path, settings: Arm, tcp: Six | None) -> ReadProgr
     if kind == ".script":
         return read_script(data, str(program), tcp)
     return read_urp(data, str(program), controller_rows(settings), published_rows(settings))
+
+
+def view(result: CorrectResult, request: Request | None = None) -> View:
+    """Show every target, the assumptions, and what could not be corrected."""
+    return View((correct_table(result), *correct_lines(result)), refused=refusal(result))
+
+
+def correct_table(result: CorrectResult) -> Table:
+    """Show each target's old and new numbers in two rows, with size and uncertainty of the correction.
+
+    Below the motion stands the configuration nearest to its solution.
+    """
+    columns = (
+        Column("line"),
+        Column("motion"),
+        Column("target (m, rad)"),
+        number_column("moves", ".3f", "mm"),
+        number_column("turns", ".3f", "mrad"),
+        number_column("sigma", ".3f", "mm"),
+    )
+    rows = tuple(row for target in result.targets for row in _rows(target))
+    return Table(f"Targets of {result.program}", columns, rows)
+
+
+def _rows(target: CorrectedTarget) -> list[tuple[Cell, ...]]:
+    old: tuple[Cell, ...] = (str(target.line), target.command, _numbers(target.old), None, None, None)
+    if target.new is None:
+        return [old, ("", "", "not corrected, see below", None, None, None)]
+    sizes = (target.correction_mm, target.correction_mrad, target.uncertainty_mm)
+    return [old, ("", target.nearest_to, _numbers(target.new), *sizes)]
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return ",".join(f"{value:.3f}" for value in values)  # without spaces: a narrow terminal would break lines there

@@ -1,1 +1,0 @@
-"""The verb ``import``: a new run of readings that another program measured."""
