@@ -71,13 +71,13 @@ TOUCHES: tuple[Touch, ...] = (
     ),
     Touch(
         "chart of a result",
-        (f"{_VERB}/view.py",),
+        (_VERB,),
         (),
         "commands/test_show.py",
     ),
     Touch(
         "dialog with its job",
-        (f"{_VERB}/request.py",),
+        (_VERB,),
         (),
         "commands/test_show.py",
     ),
