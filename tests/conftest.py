@@ -13,7 +13,6 @@ import gc
 import importlib
 import shutil
 from collections import Counter
-from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path
 
@@ -29,13 +28,11 @@ from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.push.run import push_run
 from tests.made_once import made_once
-from tests.scheduling import FAST_PROCESSES, PROCESSES, FromBothEnds, leave_the_processor, waiting_last
+from tests.scheduling import PROCESSES, FromBothEnds, leave_the_processor, waiting_last
 from tests.twin import PROFILES, finished_twin
 
 ROOT = Path(__file__).parent
 FEW_TARGETS = 2
-LONG_COMMANDS = "--long-commands"
-LONG_TESTS = "--long-tests"
 _COUNTED = "documented "
 """What properties of tests begin with whose numbers are added up for the end of the session."""
 _IN_MEMORY, _ROOM = Path("/dev/shm"), 4 << 30
@@ -46,12 +43,8 @@ _COLLECTED_AFTER = (20_000, 10, 10)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption(LONG_COMMANDS, action="store_true", help="run commands of the handbook that take minutes, too")
-    parser.addoption(
-        LONG_TESTS,
-        action="store_true",
-        help="run tests marked 'long', too, that repeat what others check; always so where files or folders are named",
-    )
+    said = "run tests marked 'slow', too; always so where files or folders are named"
+    parser.addoption("--all", action="store_true", help=said)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -70,38 +63,21 @@ def pytest_collection(session: pytest.Session) -> None:
     given = getattr(session.config, "workerinput", None)
     if given is None:
         return
-    files = [path for path in sorted(ROOT.rglob("test_*.py")) if pytest_ignore_collect(path, session.config) is None]
+    files = sorted(ROOT.rglob("test_*.py"))
     first = len(files) * int(given["workerid"].removeprefix("gw")) // given["workercount"]
     for path in files[first:] + files[:first]:
         with contextlib.suppress(Exception, pytest.skip.Exception):  # collecting meets it again, and reports it
             importlib.import_module(".".join(path.relative_to(ROOT.parent).with_suffix("").parts))
 
 
-def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Leave out files without a fast test where those are all that is wanted: loading a third of all files for nothing
-    takes a large part of that selection. None: as usual."""
-    if config.option.markexpr != "fast" or not fnmatch(collection_path.name, "test_*.py"):
-        return None
-    return None if "mark.fast" in collection_path.read_text("utf-8") else True
-
-
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what only repeats; where only fast tests are wanted, also what is slow in their files, and what needs
-    the finished run."""
+    """Put the tests that wait behind the others, and leave out what only repeats."""
     waiting_last(items)
-    left_out = set[pytest.Item]()
-    if not config.getoption(LONG_TESTS):
-        left_out |= {item for item in items if item.get_closest_marker("long")}
-    if config.option.markexpr == "fast":
-        left_out |= {item for item in items if item.get_closest_marker("slow") or _needs_finished_run(item)}
-    config.hook.pytest_deselected(items=list(left_out))
-    items[:] = [item for item in items if item not in left_out]
-
-
-def _needs_finished_run(item: pytest.Item) -> bool:
-    """Whether a test rests on a run that takes ten seconds to make."""
-    return "finished_run" in getattr(item, "fixturenames", ())
+    if config.getoption("--all"):
+        return
+    config.hook.pytest_deselected(items=[item for item in items if item.get_closest_marker("slow")])
+    items[:] = [item for item in items if not item.get_closest_marker("slow")]
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -110,9 +86,7 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
     A file's tests share a process, which has loopback addresses of its own (``loopback.own_address``).
     """
-    if config.args_source != pytest.Config.ArgsSource.TESTPATHS:
-        return 0
-    return FAST_PROCESSES if config.option.markexpr == "fast" else PROCESSES
+    return PROCESSES if config.args_source == pytest.Config.ArgsSource.TESTPATHS else 0
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -129,7 +103,7 @@ def pytest_configure(config: pytest.Config) -> None:
     build = "_get_command"  # all commands, before each that a runner invokes
     setattr(typer.testing, build, cache(getattr(typer.testing, build)))
     if not hasattr(config, "workerinput") and config.args_source != pytest.Config.ArgsSource.TESTPATHS:
-        config.option.long_tests = True
+        config.option.all = True
 
 
 def _has_room(folder: Path) -> bool:

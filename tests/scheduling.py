@@ -15,8 +15,6 @@ from xdist.workermanage import WorkerController
 
 PROCESSES = 3
 """Of all tests, for two cores: two that compute, and one that waits."""
-FAST_PROCESSES = 2
-"""Of the fast tests, which do not wait."""
 _NICENESS = 5
 
 

@@ -6,8 +6,6 @@ import pytest
 
 from tests.latency import ATTEMPTS, attempts
 
-pytestmark = pytest.mark.fast
-
 
 def test_the_least_of_each_latency_counts() -> None:
     made = iter([{"told": 0.3, "stopped": 0.05}, {"told": 0.1, "stopped": 0.4}, {"told": 0.0, "stopped": 0.0}])

@@ -14,8 +14,6 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.fast
-
 ROOT = Path(__file__).parents[1]
 MODULES = sorted(path for folder in ("cellapp", "drivers") for path in (ROOT / folder).rglob("*.py"))
 GROUPS = ("interfaces", "commands", "cell", "estimation", "robot", "ground")
@@ -203,7 +201,6 @@ def test_every_name_in_these_rules_is_a_module() -> None:
     assert {path.parent.name for path in (ROOT / "cellapp").glob("*/__init__.py")} == {*GROUPS, "docs"}
 
 
-@pytest.mark.slow
 def test_imports_go_down() -> None:
     for module, others in imports_between_files().items():
         group = module.split(".")[1] if module.startswith("cellapp.") else ""
@@ -212,7 +209,6 @@ def test_imports_go_down() -> None:
             assert [other for other in others if f"{other}.".startswith(above)] == [], module
 
 
-@pytest.mark.slow
 def test_no_files_import_each_other() -> None:
     assert circles({"a": ["b"], "b": ["c"], "c": ["b"], "d": ["a"]}) == [["b", "c"]]
     assert circles(imports_between_files()) == []
@@ -266,7 +262,6 @@ def test_only_some_rooms_read_settings_and_fewer_open_devices() -> None:
         assert [one for one in found if not f"{one}.".startswith(allowed)] == [], name(path)
 
 
-@pytest.mark.slow
 def test_loading_the_profile_loads_no_driver() -> None:
     """Settings modules import neither numpy nor a device library, so that every command starts fast."""
     heavy = {"numpy", "serial", "rtde_control", "clr", *DRIVERS}
@@ -312,7 +307,6 @@ def test_doors_are_used_by_nobody_inside() -> None:
                 assert imports_of(path, "cellapp.interfaces.tui") == [], name(path)
 
 
-@pytest.mark.slow
 def test_nothing_that_runs_foreign_code_or_hides_errors() -> None:
     for path in MODULES:
         for module in ("pickle", "cPickle", "dill", "shelve", "marshal", "joblib"):
@@ -347,6 +341,18 @@ def _is_safe(path: Path, loader: str) -> bool:
                for node in classes)  # fmt: skip
 
 
+def test_every_room_has_tests_of_its_name() -> None:
+    """A room is a folder in a group of the program, or in ``drivers``; its tests are a folder or a file of its name.
+    Verbs are tested where they are called, too; sections of the profile with its loader."""
+    packages = [path.parent.relative_to(ROOT / "cellapp") for path in (ROOT / "cellapp").glob("*/*/__init__.py")]
+    rooms = {path.as_posix() for path in packages if path.parts[0] != "commands"} - {"ground/profile"}
+    rooms |= {f"drivers/{path.parent.name}" for path in (ROOT / "drivers").glob("*/__init__.py")}
+    files = {path.relative_to(ROOT / "tests") for path in (ROOT / "tests").rglob("test_*.py")}
+    tested = {parent.as_posix() for path in files for parent in path.parents}
+    tested |= {(path.parent / path.stem.removeprefix("test_")).as_posix() for path in files}
+    assert rooms <= tested
+
+
 def test_nothing_waits_by_sleeping_in_tests() -> None:
     """But trials do: a person who presses keys and strikes faults at moments of the clock."""
     for path in set((ROOT / "tests").rglob("*.py")) - set((ROOT / "tests" / "evidence").rglob("*.py")):
@@ -358,7 +364,6 @@ def test_nothing_waits_by_sleeping_in_tests() -> None:
         assert "time.sleep" not in [ast.unparse(node) for node in sleeps], path.name
 
 
-@pytest.mark.slow
 def test_every_package_that_is_imported_is_declared() -> None:
     """What another package brings along by chance is missing where that changes."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]

@@ -12,7 +12,6 @@ from cellapp.commands.docs.handbook import chapter_text
 from cellapp.interfaces.tui.screens import SCREENS
 from tests.touches import TESTS, TOUCHES, Touch, touches_table
 
-pytestmark = pytest.mark.fast
 PACKAGE = Path(cellapp.__file__).parent
 
 
@@ -30,7 +29,6 @@ def test_a_kind_without_lines_elsewhere_is_named_in_its_own_folder_alone() -> No
         assert "greet" not in path.read_text("utf-8").lower(), path
 
 
-@pytest.mark.slow
 def test_a_screen_is_named_in_the_registry_of_screens_alone() -> None:
     for entry in SCREENS:
         word = re.compile(rf"\b{entry.class_name}\b")

@@ -83,6 +83,7 @@ def alone(site: Path, cwd: Path, *commands: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_the_wheel_has_every_file_of_its_packages(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         packed = {name for name in archive.namelist() if ".dist-info/" not in name}
@@ -93,6 +94,7 @@ def test_the_wheel_has_every_file_of_its_packages(wheel: Path) -> None:
     assert {"cellapp/py.typed", "drivers/py.typed", "cellapp/starters/paths/twin.yaml"} <= packed
 
 
+@pytest.mark.slow
 def test_the_sdist_has_what_a_build_and_the_tests_need(built: Path) -> None:
     (path,) = built.glob("*.tar.gz")
     with tarfile.open(path) as archive:
@@ -101,6 +103,7 @@ def test_the_sdist_has_what_a_build_and_the_tests_need(built: Path) -> None:
     assert {"pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md"} <= packed
 
 
+@pytest.mark.slow
 def test_metadata(wheel: Path) -> None:
     import cellapp
 
@@ -112,6 +115,7 @@ def test_metadata(wheel: Path) -> None:
     assert "\nLicense-Expression: MIT\n" in text
 
 
+@pytest.mark.slow
 def test_from_an_empty_folder_to_a_report(site: Path, tmp_path: Path) -> None:
     """Every verb finds its templates, styles, chapters and schemas in the wheel."""
     alone(site, tmp_path, "init --from twin-small")

@@ -43,7 +43,7 @@ TOUCHES: tuple[Touch, ...] = (
         "effect",
         (f"{_EXAMPLE}/hose_pull.py",),
         ("cellapp/robot/effects/registry.py: its class",),
-        "robot/effects/test_new_effect.py",
+        "robot/effects/test_declarations.py",
     ),
     Touch(
         "driver of an arm",
@@ -55,7 +55,7 @@ TOUCHES: tuple[Touch, ...] = (
         "driver of a tracker",
         ("cell/driving/toys/tracker.py",),
         ("drivers/trackers/registry.py: its settings",),
-        "cell/driving/test_new_kinds.py",
+        "cell/driving/test_controllers.py",
     ),
     Touch(
         "export",
@@ -65,21 +65,21 @@ TOUCHES: tuple[Touch, ...] = (
     ),
     Touch(
         "verb with its result",
-        (_VERB,),
-        ("cellapp/commands/registry.py: its name",),
-        "commands/test_toy_verb.py",
+        tuple(f"{_VERB}/{part}.py" for part in ("request", "run", "result", "view")),
+        ("cellapp/commands/folders.py: its folder",),
+        "commands/test_show.py",
     ),
     Touch(
         "chart of a result",
         (_VERB,),
         (),
-        "commands/test_toy_verb.py",
+        "commands/test_show.py",
     ),
     Touch(
         "dialog with its job",
         (_VERB,),
         (),
-        "commands/test_toy_verb.py",
+        "commands/test_show.py",
     ),
     Touch(
         "screen of the day",

@@ -35,7 +35,7 @@ from cellapp.ground.profile.sections import Smr
 from cellapp.ground.progress import Progress
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER
 from drivers.trackers.simulated import SimulatedTracker
-from tests.cell.driving.test_locate import SOME, away, swap_splits
+from tests.cell.driving.test_check import SOME, away, swap_splits
 from tests.twin import PROFILES, finished_twin
 from tests.twin import plant_of as opened_plant
 

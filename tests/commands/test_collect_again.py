@@ -7,17 +7,36 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.measured_again import replace_stop
+from cellapp.cell.run.sqlite_file import REPORT_FILE
+from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import collection_tables
+from cellapp.commands.confirm import MotionNotConfirmed, asked_once, confirmation, first_path_words, require_permission
 from cellapp.commands.next_step import arm_states, next_step
-from cellapp.commands.stages import basis_of, counted_basis, read_stages
+from cellapp.commands.report.result import read_results
+from cellapp.commands.report.run import report_run
+from cellapp.commands.show.overview import run_overview
+from cellapp.commands.stages import (
+    CERTIFICATE_FILE,
+    append_stage,
+    basis_of,
+    complaints_in,
+    complaints_of,
+    counted_basis,
+    read_stages,
+)
 from cellapp.estimation.readings import Reading
+from cellapp.ground.errors import CheckFailed
+from cellapp.ground.profile import Profile
+from cellapp.ground.results import VERIFY
 from cellapp.interfaces.cli import main
+from cellapp.interfaces.page.page import write_page
+from drivers.findings import Finding
 from tests.cell.run.small_runs import collected_run
-
-pytestmark = pytest.mark.fast
+from tests.twin import PROFILES
 
 
 def measure_again(run: RunFile, stop: int) -> None:
@@ -87,3 +106,101 @@ def test_a_list_that_cannot_be_measured_is_refused(
         main()
     assert ended.value.code == 2
     assert message in " ".join(capsys.readouterr().err.split())
+
+
+# -- What is out of date is said, and is an error where that is asked for ----------------------------------------------
+
+
+def test_a_page_is_out_of_date_as_soon_as_the_run_holds_something_newer(finished_copy: Path) -> None:
+    with RunFile.open(finished_copy, write=True) as run:
+        assert complaints_of(run) == []
+        report_run(run, write_page)
+        assert complaints_of(run) == []
+        verify = read_results(run).verify
+        assert verify is not None
+        append_stage(run, VERIFY, verify.model_copy(update={"stopped": "by hand"}), basis_of(run))
+        (complaint,) = complaints_of(run)
+        assert complaint.startswith(f"{REPORT_FILE} is out of date (the run has changed since)")
+        assert run_overview(run).complaints == (complaint,)
+    assert complaints_in(finished_copy) == [complaint]
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"<html>an older page</html>"], ids=["empty", "bytes", "older"])
+def test_a_page_that_does_not_say_what_it_shows_is_out_of_date(finished_copy: Path, content: bytes) -> None:
+    (finished_copy / REPORT_FILE).write_bytes(content)
+    with RunFile.open(finished_copy) as run:
+        (complaint,) = complaints_of(run)
+    assert "an older version wrote it" in complaint
+
+
+def test_a_certificate_that_the_run_does_not_store_is_named(finished_copy: Path) -> None:
+    (finished_copy / CERTIFICATE_FILE).write_text("{}")
+    with RunFile.open(finished_copy) as run:
+        assert complaints_of(run) == [f"{CERTIFICATE_FILE} is not of this run: it stores no certificate"]
+
+
+# -- Real arms move only after a green doctor and a person's permission; simulated ones never ask ----------------------
+
+
+@pytest.fixture
+def real() -> Profile:
+    return load_profile(PROFILES / "ur10-ur5.yaml")
+
+
+@pytest.fixture
+def findings(monkeypatch: pytest.MonkeyPatch) -> list[Finding]:
+    """What the doctor finds."""
+    found: list[Finding] = [Finding("python", "ok", "Python 3.11"), Finding("arm left: tool", "warning", "unusual")]
+    monkeypatch.setattr("cellapp.commands.confirm.examine", lambda profile: found)
+    return found
+
+
+@pytest.mark.parametrize("name", ["twin", "twin-wire", "twin-rtde", "twin-paper"])
+def test_simulated_and_emulated_cells_never_ask(name: str, findings: list[Finding]) -> None:
+    profile = load_profile(PROFILES / f"{name}.yaml")
+    findings.append(Finding("arm left", "failed", "nobody looks"))
+    assert not profile.moves_hardware
+    assert confirmation(profile, None) is None
+    assert confirmation(profile, lambda words: pytest.fail(words)) is None
+
+
+def test_without_anybody_to_ask_nothing_moves(real: Profile, findings: list[Finding]) -> None:
+    for refuse in (require_permission, confirmation):
+        with pytest.raises(MotionNotConfirmed, match="--allow-motion") as caught:
+            refuse(real, None)
+        assert caught.value.exit_code == 2
+    require_permission(real, lambda words: False)
+
+
+def test_a_doctor_that_is_not_green_now_refuses(real: Profile, findings: list[Finding]) -> None:
+    findings.append(Finding("arm left: link", "failed", "192.168.0.10 does not answer"))
+    with pytest.raises(CheckFailed, match=r"arm left: link: 192\.168\.0\.10 does not answer") as caught:
+        confirmation(real, lambda words: True)
+    assert caught.value.exit_code == 1
+
+
+def test_the_person_is_shown_the_first_path_and_decides(real: Profile, findings: list[Finding]) -> None:
+    shown: list[str] = []
+    answers = [False, True]
+
+    def ask(words: str) -> bool:
+        shown.append(words)
+        return answers.pop(0)
+
+    start = home_positions(real)
+    confirm = confirmation(real, asked_once(ask))
+    assert confirm is not None
+    assert [confirm(start, start) for _ in range(4)] == [False, True, True, True]
+    assert len(shown) == 2, "once allowed, nobody is asked again"
+
+
+def test_the_first_path_in_words(real: Profile) -> None:
+    start = home_positions(real)
+    target = start["left"] + np.radians([10.0, 0.0, -45.0, 0.0, 0.0, 0.0])
+    title, left, right, speed = first_path_words(real, start, {"left": target}).splitlines()
+    assert title.startswith("First motion")
+    assert "arm left: from (" in left
+    assert "joint 3 turns farthest, by 45.0 deg" in left
+    assert "m in the cell" in left
+    assert "arm right: stays at (" in right
+    assert "20% of the profile's speed" in speed

@@ -12,11 +12,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cellapp.cell.exports.arm_export import POSES
-from cellapp.cell.exports.export_format import ExportFormat
-from cellapp.cell.exports.formats import export_lines, formats_of
+from cellapp.cell.exports.export_format import CommandFormat, ExportFormat
+from cellapp.cell.exports.formats import all_formats, export_lines, form_line, formats_of
 from cellapp.cell.exports.out_files import files_of_arms
 from cellapp.cell.exports.records import ExportResult
+from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
+from cellapp.cell.targets.targets import load_targets
+from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.export.run import calibrated_arms, export_as_run, sentences
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
 from cellapp.ground.errors import InputError
@@ -24,6 +27,7 @@ from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import CellModel
 from tests.cell.exports import readers
 from tests.interfaces.plugins.installed import add_example, run_commands
+from tests.twin import PROFILES, finished_twin
 
 FORMATS = formats_of(ExportFormat)
 
@@ -177,3 +181,34 @@ def test_the_cell_in_one_file_says_what_it_lacks_of_each_arm(finished_run: Path,
         q = np.random.default_rng(4).uniform(-3.0, 3.0, (100, 6))
         np.testing.assert_allclose(readers.urdf(text, name, q), smr_positions(arm.geometry, q), atol=1e-9)
     assert [path.name for path in tmp_path.iterdir()] == ["cell.urdf"]
+
+
+# -- No file of a simulated cell passes for one of a real cell: its first line says so ---------------------------------
+
+
+@pytest.fixture
+def run(finished_copy: Path) -> Path:
+    """A simulated run with commands at targets."""
+    with RunFile.open(finished_copy, write=True) as run:
+        compensate_run(run, load_targets(PROFILES / "targets" / "twin.yaml", run.profile)[:2])
+    return finished_copy
+
+
+def test_the_first_line_of_every_export_says_that_the_cell_is_simulated(run: Path, tmp_path: Path) -> None:
+    with RunFile.open(run) as opened:
+        for name, form in all_formats().items():
+            for_one = None if name == "urdf-cell" else "left"
+            out = tmp_path / f"{name}{form.suffix}"
+            export_as_run(opened, name, out, for_one)
+            lines = [line for line in out.read_text("utf-8").splitlines() if not line.startswith(("<?xml", "<robot"))]
+            first = lines[0] if lines[0].strip() != "<!--" else lines[1]
+            assert "of a simulated cell" in first, (name, lines[:3])
+            assert not isinstance(form, CommandFormat) or first.startswith("# ")
+
+
+def test_those_of_a_real_cell_do_not(tmp_path: Path) -> None:
+    assert not load_profile(PROFILES / "ur10-real.yaml").is_simulated
+    assert load_profile(PROFILES / "twin-wire.yaml").is_simulated
+    assert finished_twin().is_simulated
+    for form in all_formats().values():
+        assert "simulated" not in form_line(form, simulated=False)

@@ -144,7 +144,6 @@ def _empty_export(folder: Path) -> None:
         export_run(run, None, None, recordings={"joints": folder / "out.csv"})
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("given", "said"),
     [
@@ -159,7 +158,6 @@ def test_a_request_that_makes_no_sense_is_refused(given: dict[str, object], said
         IMPORT.asked({"profile": "p.yaml", "folder": "run", **given})
 
 
-@pytest.mark.fast
 def test_nothing_is_shown_of_no_recordings() -> None:
     assert recording_tables(()) == []
 

@@ -24,8 +24,11 @@ from cellapp.cell.planning.planned_stops import (
     straight_stops,
     write_planned_stops,
 )
+from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
 from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.run.measured_again import reference_drifts
+from cellapp.commands.correct import view
+from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.plan.run import (
     check_plan_file,
     export_plan,
@@ -39,6 +42,7 @@ from cellapp.commands.plan.run import (
     stored_plan,
 )
 from cellapp.commands.show.overview import run_overview
+from cellapp.commands.view.table import Table
 from cellapp.estimation.readings import Reading
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CheckFailed, InputError
@@ -102,7 +106,6 @@ def test_a_run_from_a_file_has_the_plan_as_it_is_written(file: Path, plan: Plann
     assert (tmp_path / "again.csv").read_bytes() == file.read_bytes()
 
 
-@pytest.mark.fast
 def test_a_file_with_another_number_of_stops_makes_a_run_that_asks_for_these(file: Path, tmp_path: Path) -> None:
     result = plan_from_file(quickly_planned(4, plan={"reserve": 1}), file, tmp_path / "other")
     assert (result.stops["left"], result.reserves) == (STOPS, 0)
@@ -111,7 +114,6 @@ def test_a_file_with_another_number_of_stops_makes_a_run_that_asks_for_these(fil
         assert (other.profile.plan.stops, other.profile.plan.reserve) == (STOPS, 0)
 
 
-@pytest.mark.fast
 def test_offences_are_named_by_line_and_configuration_and_nothing_is_written(
     file: Path, plan: PlannedStops, tmp_path: Path
 ) -> None:
@@ -129,7 +131,6 @@ def test_offences_are_named_by_line_and_configuration_and_nothing_is_written(
         assert not (tmp_path / "other").exists()
 
 
-@pytest.mark.fast
 def test_a_file_without_a_stop_of_an_arm_makes_no_run(file: Path, tmp_path: Path) -> None:
     lines = file.read_text("utf-8").splitlines()
     file.write_text("\n".join(line for line in lines if not line.startswith("2,right,stop")), "utf-8")
@@ -244,7 +245,6 @@ def test_reserves_are_planned_last(tmp_path: Path) -> None:
         assert not np.array_equal(first.q["left"], read_planned_stops(run).q["left"])
 
 
-@pytest.mark.fast
 def test_a_running_job_keeps_its_plan_and_a_cancelled_change_writes_nothing(run: RunFile, plan: PlannedStops) -> None:
     with taking_requests(run.folder, JobControl()):
         for change in (lambda: extend_plan(run, 2), lambda: replan(run)):
@@ -270,7 +270,6 @@ def test_changes_are_the_same_for_the_same_run(plan: PlannedStops, tmp_path: Pat
     same_stops(*added)
 
 
-@pytest.mark.fast
 def test_a_plan_result_counts_and_times_what_is_visited(tmp_path: Path) -> None:
     made = plan_new_run(quickly_planned(4, plan={"reserve": 2, "method": "random"}), tmp_path / "run")
     with RunFile.open(tmp_path / "run") as run:
@@ -341,3 +340,24 @@ def test_a_new_design_changes_what_it_may_and_nothing_else(
         assert {tuple(stops.q[name][stop].tolist()) for stop in frozen - failed} <= left
         assert not {tuple(stops.q[name][stop].tolist()) for stop in replaced} & left
         assert len(left) == 9
+
+
+# -- What ``correct`` prints explains each of its columns --------------------------------------------------------------
+
+
+def test_each_size_in_the_table_is_explained_below_it_and_in_the_chapter() -> None:
+    target = CorrectedTarget(
+        line=3, command="movej", kind="pose", old=(0.1, 0.2, 0.3, 0.0, 0.0, 0.0), new=(0.1, 0.2, 0.301, 0.0, 0.0, 0.0),
+        correction_mm=1.0, correction_mrad=0.1, uncertainty_mm=0.02,
+    )  # fmt: skip
+    table, *lines = view(
+        CorrectResult(program="day.script", arm="left", targets=(target,), left=(), assumptions=(), out="out.script")
+    ).parts
+    assert isinstance(table, Table)
+    words = " ".join(map(str, lines))
+    chapter = chapter_text("programs")
+    for column in ("moves", "turns", "sigma"):
+        assert column in [one.title for one in table.columns]
+        assert column in words
+        assert f"*{column}*" in chapter
+    assert "standard uncertainty of a coordinate" in words

@@ -65,7 +65,6 @@ def cell(planned: PlannedCell) -> TrialCell:
 # -- the curve --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.fast
 def test_intervals_hold_the_true_size_as_often_as_they_say() -> None:
     rng = np.random.default_rng(20)
     held, errors = [], []
@@ -84,7 +83,6 @@ def test_intervals_hold_the_true_size_as_often_as_they_say() -> None:
     assert abs(np.median(errors)) < 0.25
 
 
-@pytest.mark.fast
 def test_what_is_never_found_has_no_size_and_what_is_missed_at_any_size_has_none_either() -> None:
     never = NamingCurve.of(0.01, 1.0, [0.3, 1.0, 1.0, 1.0, 1.0, 1.0], [False] * 6)
     assert never.size_at(0.95, (0.5,))[0] > 1.0
@@ -108,7 +106,6 @@ def test_a_large_effect_is_named_and_a_small_one_is_not(cell: TrialCell) -> None
     assert naming_trial(cell, asked.model_copy(update={"size_mm": 0.001})).named is None
 
 
-@pytest.mark.fast
 def test_a_real_cell_is_simulated_as_it_stands() -> None:
     profile = load_profile(PROFILES / "ur10-ur5.yaml")
     assert profile.plant is None
@@ -264,7 +261,6 @@ def test_a_run_keeps_it_and_its_report_shows_it(
     assert len(section.parts) == 2 * len(result.arms)
 
 
-@pytest.mark.fast
 def test_a_run_without_a_plan_is_refused(tmp_path: Path) -> None:
     RunFile.create(tmp_path / "run", twin()).close()
     with pytest.raises(InputError, match="plan"):

@@ -2,31 +2,56 @@
 
 from __future__ import annotations
 
+import inspect
+import json
+import subprocess
+import sys
 from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
 
 import pytest
+from pydantic import BeforeValidator
+from textual.widgets import Input
+from typer.testing import CliRunner
 
+from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import ArmVerification, MeasuredTarget, VerifyResult
 from cellapp.commands.compensate.request import VERB as COMPENSATE
 from cellapp.commands.discover.request import VERB as DISCOVER
 from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.push.request import VERB as PUSH
-from cellapp.commands.record import Request, Stored, Verb
+from cellapp.commands.record import Asked, Request, Stored, Variant, Verb, View, Work
 from cellapp.commands.registry import STORING, records
 from cellapp.commands.report.result import RunResults
 from cellapp.commands.run.request import VERB as RUN
 from cellapp.commands.run.run import WholeRunResult
+from cellapp.commands.schema import results_by_name, written_results
 from cellapp.commands.show.request import OWN_PARTS, show_verb
 from cellapp.commands.show.result import Shown
 from cellapp.commands.show.view import view
-from cellapp.commands.view.parts import printed
+from cellapp.commands.view.charts import Axis, Chart
+from cellapp.commands.view.parts import Facts, Parts, Section, printed, section_of
+from cellapp.commands.view.table import Column, Table
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorSummary
-from cellapp.interfaces.cli.derived import command_of
+from cellapp.interfaces.cli.command_outputs import Commands
+from cellapp.interfaces.cli.derived import add_verbs, command_of, group_of
+from cellapp.interfaces.page.drawn import drawn_parts
+from cellapp.interfaces.page.page import template
+from cellapp.interfaces.render.notebook import html_view
+from cellapp.interfaces.render.terminal import plain_text
+from cellapp.interfaces.tui import offers
+from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.dialogs.program import possible_commands
+from cellapp.interfaces.tui.dialogs.question import Reading
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.work import job_of
+from tests.commands.toys.greet import VERB as GREET
+from tests.commands.toys.greet import GreetResult
+from tests.handbook import declarations
 from tests.interfaces.page.cases import discovery
-
-pytestmark = pytest.mark.fast
+from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
+from tests.twin import finished_twin
 
 SMALL_MM, LARGE_MM = (ErrorSummary(mean=mm, rms=mm, std=0.0, max=mm, n=3) for mm in (0.1, 2.0))
 TARGETS = (MeasuredTarget(name="t1", arm="left", nominal_mm=None, compensated_mm=None, note=""),)
@@ -89,3 +114,185 @@ def test_a_job_is_called_as_its_request_says() -> None:
     assert names == ["verify", "push"]
     assert job_of(DISCOVER, folder="here", propose=3).name == "propose"
     assert job_of(LOCATE, folder="here").name == "locate"
+
+
+# -- What a view is made of: plain text says all of it but the charts, and a section has a message ---------------------
+
+TABLE = Table("a table", (Column("name"),), (("<b>",),))
+CHART = Chart("a chart", Axis("x"), Axis("y"), (), "nothing")
+INSIDE = Section("details", ["'cellapp docs x' says more"], folded=True)
+SHOWN = Section(
+    "shown", [CHART, "word " * 30, Section("empty", [CHART])], message="In a sentence.", about="how to read"
+)
+PARTS: Parts = ["first", Facts((("title", "text"), ("", "more"))), CHART, TABLE, INSIDE, SHOWN, "last"]
+
+
+def test_plain_text_says_everything_but_charts_and_details_in_its_order() -> None:
+    told = list(printed(PARTS))
+    wrapped = ["  " + " ".join(["word"] * 15), "    " + " ".join(["word"] * 15)]
+    section = ["shown", "  In a sentence.", *wrapped, ""]
+    assert told == ["first", "title: text", "  more", TABLE, *section, "last"]
+    for text in (plain_text(PARTS), html_view(PARTS)):
+        assert all(words in text for words in ("first", "title: text", "a table", "shown", "last"))
+        assert not any(words in text for words in ("a chart", "details", "empty", "how to read"))
+
+
+def test_the_message_of_a_section_is_its_first_line_or_what_is_said() -> None:
+    assert (section_of("t", [TABLE, "it holds", "second"]).message, section_of("t", [], message="yes!").message) == (
+        "It holds.",
+        "yes!".capitalize(),
+    )
+    assert section_of("t", [TABLE, "it holds", "second"]).parts == [TABLE, "second"]
+
+
+def test_the_page_draws_parts_by_their_kind_and_leaves_empty_charts_out() -> None:
+    drawn = drawn_parts(PARTS, "key")
+    assert (drawn.sentences, drawn.figures, [table for table, _ in drawn.tables]) == (("first", "last"), (), [TABLE])
+    html = str(template("sections/layout.html").module.draw_parts(drawn))  # type: ignore[attr-defined]
+    assert "<dt>title</dt>" in html
+    assert "&lt;b&gt;" in html
+    assert "<code>cellapp docs x</code> says more" in html
+    assert '<details class="more">' in html
+
+
+# -- What the most used verbs load when they start: no part of scipy before it is used, no search for a mere look ------
+
+LOADED = """
+import sys
+import cellapp.interfaces.cli.app, cellapp.commands.doctor.run
+searches = [name for name in sys.modules if name.startswith("cellapp.estimation.discovery.search")]
+assert not searches, f"doctor: {searches}"
+from importlib import import_module
+for verb in ("plan", "calibrate", "report", "show", "check"):
+    import_module(f"cellapp.commands.{verb}.run")
+    parts = [name for name in sys.modules if name.startswith("scipy.") and not name.startswith("scipy._")]
+    assert set(parts) <= {"scipy.__config__", "scipy.version"}, f"{verb}: {parts}"
+"""
+
+
+def test_verbs_start_without_scipy_and_doctor_without_the_search() -> None:
+    done = subprocess.run([sys.executable, "-c", LOADED], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+# -- What a record declares beyond plain fields reaches the command line: words, types ---------------------------------
+
+
+class ToyRequest(Request):
+    """Do a toy's work."""
+
+    cell: Annotated[Path | None, Asked("The cell.", "CELL", argument=True, needed=True)] = None
+    sides: Annotated[
+        tuple[str, ...],
+        BeforeValidator(lambda given: ("left", "right") if given == "both" else given),
+        Asked("Sides.", typed=Literal["both"] | None),
+    ] = ()
+    parts: Annotated[tuple[str, ...], Asked("Parts.")] = ()
+    count: Annotated[int, Asked("How many.", label="how many")] = 3
+    word: Annotated[str, Asked("A word.", label="word")] = ""
+
+
+VERB = Verb(
+    "toy",
+    ToyRequest,
+    chapter="toy",
+    question="Toy?",
+    variants={"all": Variant("All.", {"parts": ("a", "b")}), "one": Variant("One.", {"parts": ("a",)})},
+)
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[ToyRequest]:
+    """The requests that the verb was run with."""
+    requests: list[Any] = []
+
+    def run(verb: Verb, request: Request, work: Work) -> Any:
+        requests.append(request)
+
+    monkeypatch.setattr(Verb, "run", run)
+    monkeypatch.setattr(Verb, "view", lambda verb, result, request: View())
+    monkeypatch.setattr("cellapp.interfaces.cli.job.Job.result", lambda job, result: None)
+    return requests
+
+
+def test_words_after_a_verb_fix_fields_and_the_first_may_be_left_out(asked: list[ToyRequest]) -> None:
+    app = Commands()
+    app.callback()(lambda: None)
+    app.add_typer(group_of(VERB), name=VERB.name)
+    for words in (["all", "c.yaml"], ["c.yaml", "--sides", "both"], ["one", "c.yaml", "--count", "1"]):
+        assert CliRunner().invoke(app, ["toy", *words]).exit_code == 0
+    assert asked == [
+        ToyRequest(cell=Path("c.yaml"), parts=("a", "b")),
+        ToyRequest(cell=Path("c.yaml"), parts=("a", "b"), sides=("left", "right")),
+        ToyRequest(cell=Path("c.yaml"), parts=("a",), count=1),
+    ]
+    assert CliRunner().invoke(app, ["toy", "all"]).exit_code == 2, "the command line needs the cell"
+
+
+def test_a_field_has_the_type_of_the_command_line() -> None:
+    parameters = inspect.signature(command_of(VERB)).parameters
+    assert list(parameters) == ["cell", "sides", "parts", "count", "word", "json_file"]
+    assert get_args(parameters["sides"].annotation)[0] == Literal["both"] | None
+
+
+# -- A verb is one folder and one line: a toy appears on the command line, in schemas, handbook and palette ------------
+
+WITH_TOY = (*records(), GREET)
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """Folder of a run without a plan."""
+    with RunFile.create(tmp_path / "run", finished_twin()):
+        return tmp_path / "run"
+
+
+def test_a_command_with_its_options_its_output_and_its_json(run: Path) -> None:
+    app = Commands()
+    app.callback()(lambda: None)
+    add_verbs(app, WITH_TOY)
+    printed = CliRunner().invoke(app, ["greet", str(run), "--times", "2"])
+    assert printed.exit_code == 0
+    assert "Greeted" in printed.stdout
+    assert "hello to all of them" in printed.stdout
+    written = json.loads(CliRunner().invoke(app, ["greet", str(run), "--json", "-"]).stdout)
+    assert written == {"schema": "toy-greet", "version": 1, "arms": ["left", "right"], "times": 1}
+    assert CliRunner().invoke(app, ["greet", str(run), "--times", "4"]).exit_code == 2
+
+
+def test_a_chart_on_the_page() -> None:
+    result = GreetResult(arms=("left", "right"), times=2)
+    (figure,) = drawn_parts(GREET.view(result).parts, "greet").figures
+    assert figure.caption == "Greetings"
+    assert figure.note == "Everybody is greeted as often."
+
+
+def test_a_schema() -> None:
+    assert GreetResult in written_results(WITH_TOY)
+    assert "toy-greet" in results_by_name(written_results(WITH_TOY))
+
+
+def test_a_line_in_the_list_of_the_handbook(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(declarations, "records", lambda: WITH_TOY)
+    assert "| `cellapp greet` | Say hello to the arms of a run. | no | [commands](commands.md) |" in (
+        declarations.verbs_part()
+    )
+
+
+async def test_a_dialog_a_job_and_a_text_in_the_terminal_application(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(offers, "records", lambda: WITH_TOY)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.open_run(run)
+        await until(pilot, lambda: app.workspace.folder == run, "the run")
+        offered = {one.title: one for one in possible_commands(app, app.day_screen)}
+        assert offered["cellapp greet"].help == "Say hello to the arms of a run."
+        offered["cellapp greet"].callback()
+        await until(pilot, lambda: isinstance(app.screen, VerbQuestion) and "times" in shown_text(app), "the dialog")
+        app.screen.query_one("#times", Input).value = "3"
+        await pilot.press("enter")
+        await until(pilot, lambda: isinstance(app.screen, Reading), "the result")
+        assert "hello to all of them" in shown_text(app)

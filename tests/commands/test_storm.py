@@ -38,7 +38,6 @@ def at_own_addresses() -> Profile:
     return profile.model_copy(update={"arms": arms, "tracker": profile.tracker.model_copy(update={"driver": driver})})
 
 
-@pytest.mark.fast
 def test_events_are_of_all_kinds_and_in_order() -> None:
     events = drawn_events(400, 200, 50, ("left", "right"), np.random.default_rng(3))
     counts = Counter(event.kind for event in events)
@@ -50,7 +49,6 @@ def test_events_are_of_all_kinds_and_in_order() -> None:
     assert events == drawn_events(400, 200, 50, ("left", "right"), np.random.default_rng(3))
 
 
-@pytest.mark.fast
 def test_a_storm_needs_devices_that_can_be_emulated_here() -> None:
     profile = at_own_addresses()
     assert wire_profile(profile, 7).plan.stops == 7
@@ -64,12 +62,12 @@ def test_a_storm_needs_devices_that_can_be_emulated_here() -> None:
         wire_profile(profile.model_copy(update={"plant": None}), 7)
 
 
-@pytest.mark.fast
 def test_a_folder_that_exists_is_not_written_to(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="give the path of a new folder"):
         storm_trial(at_own_addresses(), 4, 0, 0, keep=tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="needs loopback addresses beyond 127.0.0.1")
 def test_a_small_storm_loses_and_doubles_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "kept"

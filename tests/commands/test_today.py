@@ -14,7 +14,6 @@ from cellapp.commands.runs.view import view
 from cellapp.commands.view.table import Table
 from cellapp.estimation.discovery.records import BeforeAfter
 
-pytestmark = pytest.mark.fast
 NOW = datetime(2026, 3, 31, 12, tzinfo=UTC)
 ARMS = {"left": ArmState(type="UR10", planned=40, measured=40, splits={})}
 

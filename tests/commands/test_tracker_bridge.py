@@ -246,6 +246,7 @@ def test_arms_and_tracker_are_emulated_together() -> None:
 # -- trial -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_fifty_measurements_with_every_fault(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.CRITICAL)
     seen: list[int] = []

@@ -5,7 +5,7 @@ The first line of a block is a language, then words that say what may be done wi
 ``sh``
     Commands. The tests run them in a folder with a small run, in the order of the chapter.
 ``sh long``
-    Commands that take more than a few seconds on the small run. Run only with ``--long-commands``.
+    Commands that take more than a few seconds on the small run. Run by the slow tests, on full profiles.
 ``sh server``
     Commands that serve until they are interrupted. Their options are checked; they are not run.
 ``sh real-cell``
@@ -23,7 +23,7 @@ The first line of a block is a language, then words that say what may be done wi
     Only read.
 ``text``
     What a command prints, after a line ``$ cellapp ...`` whose options are checked, or anything else that nobody runs.
-    ``printed``: the commands before it print this; compared with ``--long-commands``, as small runs have other figures.
+    ``printed``: the commands before it print this; compared by the slow tests, as small runs have other figures.
 """
 
 from __future__ import annotations

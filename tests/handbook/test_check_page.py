@@ -37,6 +37,7 @@ def changed_profile(folder: Path, plant: Plant) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_commands_do_what_the_page_says(
     finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

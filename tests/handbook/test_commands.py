@@ -1,7 +1,6 @@
 """Every command and every example of README and handbook: read by the program, and run where that takes seconds.
 
-``python -m pytest tests/handbook/test_commands.py --long-commands --timeout 7200`` runs those marked ``long``, too,
-with full profiles.
+Slow tests run those marked ``long``, too, with full profiles.
 How to mark a block: ``tests/handbook/chapters.py``. What placeholders stand for, and files that chapters only name:
 ``tests/handbook/workspace.py``.
 """
@@ -14,7 +13,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import LONG_COMMANDS
 from tests.handbook.chapters import (
     CHAPTERS,
     EXCERPT,
@@ -47,8 +45,20 @@ def is_run(chapter: str, example: Example, *, long: bool) -> bool:
     return long or LONG not in example.words
 
 
-def is_run_at_all(chapter: str) -> bool:
-    return any(is_run(chapter, example, long=True) for example in examples(chapter))
+_SLOW = (pytest.mark.slow, pytest.mark.timeout(1800))
+CHAPTERS_RUN = [
+    *(
+        pytest.param(chapter, False, id=chapter)
+        for chapter in CHAPTERS
+        if any(is_run(chapter, example, long=False) for example in examples(chapter))
+    ),
+    *(
+        pytest.param(chapter, True, id=f"{chapter}, long", marks=_SLOW)
+        for chapter in CHAPTERS
+        if any(example.words & {LONG, PRINTED} for example in examples(chapter))
+    ),
+]
+"""Chapter, and whether its long commands run as well and what they print is compared, on full profiles."""
 
 
 @pytest.mark.parametrize("chapter", CHAPTERS)
@@ -85,16 +95,16 @@ def _problems(example: Example, profiles: Path) -> Iterator[str]:
                     yield from _told(command.place, command.text, f"{word} does not exist")
 
 
-@pytest.mark.parametrize("chapter", [chapter for chapter in CHAPTERS if is_run_at_all(chapter)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("chapter", "long"), CHAPTERS_RUN)
 def test_commands_and_python_run(
     chapter: str,
+    long: bool,
     finished_run: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    pytestconfig: pytest.Config,
     record_property: Callable[[str, object], None],
 ) -> None:
-    long = bool(pytestconfig.getoption(LONG_COMMANDS))
     space = Workspace(tmp_path, finished_run, full_size=long)
     space.prepare(examples(chapter))
     monkeypatch.chdir(tmp_path)
@@ -127,7 +137,6 @@ def _told(place: str, text: str, problem: str) -> list[str]:
 # -- the test finds what is wrong -------------------------------------------------------------------------------------
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("line", "problem"),
     [
@@ -143,7 +152,6 @@ def test_a_wrong_command_is_found(line: str, problem: str) -> None:
     assert bool(problem) == bool(not_understood(line, whole=True))
 
 
-@pytest.mark.fast
 def test_an_option_that_acts_while_it_is_parsed_does_not_act(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -154,26 +162,22 @@ def test_an_option_that_acts_while_it_is_parsed_does_not_act(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.fast
 def test_the_first_blocks_of_the_readme_are_those_that_ci_runs() -> None:
     first = [example for example in examples("README") if example.language == "sh"][:RUN_BY_CI]
     assert all(not example.words and example.text.startswith("python -m pip install") for example in first)
 
 
-@pytest.mark.fast
 def test_a_sentence_may_leave_arguments_out() -> None:
     assert not not_understood("cellapp push DIR TARGETS [--verify] [--iterate N]", whole=False)
     assert not not_understood("cellapp trials ...", whole=False)
     assert "No such option" in not_understood("cellapp push [--verfy]", whole=False)
 
 
-@pytest.mark.fast
 def test_a_line_that_is_not_printed_is_found() -> None:
     assert not_printed(" a   b\nc ... d\n", "a b  \nc c2 c3 d e\n") == ""
     assert not_printed("a b\nc ... x\n", "a b\nc c2 d\n") == "not printed: c ... x"
 
 
-@pytest.mark.fast
 def test_lines_that_continue_are_one_command() -> None:
     text = "# why\ncellapp plan PROFILE \\\n  --run DIR\n\ncellapp runs  # all\n"
     found = list(commands(Example(Path("a.md"), 11, "sh", frozenset(), (), text)))

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import re
 
-import pytest
-
 from tests.evidence.page import README_ROWS, figures_part, readme_part
 from tests.evidence.skeleton import Limit, Share, programs, stated_results
 from tests.handbook.chapters import CHAPTERS, ROOT, chapter_path
-
-pytestmark = pytest.mark.fast
 
 
 def test_programs_that_are_named_are_there() -> None:

@@ -5,13 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import pytest
-
 from cellapp.commands.docs.handbook import chapter_text, topic_text
 from cellapp.commands.doctor.run import installed_findings
 from tests.interfaces.plugins.installed import EXAMPLE, REGISTRIES, add_example, installed
-
-pytestmark = pytest.mark.fast
 
 INCLUDED = re.compile(r"<!-- file: (\S+) -->\n```[\w ]+\n(.*?)```\n", re.DOTALL)
 

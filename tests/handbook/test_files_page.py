@@ -27,8 +27,6 @@ from cellapp.robot.model import CellModel
 from tests.handbook.declarations import results_part
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 
 def block(section: str, language: str) -> str:
     """The first example in a language of a section."""

@@ -23,8 +23,6 @@ from tests.handbook.frame_figures import FIGURES, figure_svg
 from tests.handbook.sketch import Sketch, arc, arrow, dot, label, line, sketch_svg
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 DOCS = Path(cellapp.docs.__file__).parent
 MOST_BYTES = 12_000
 

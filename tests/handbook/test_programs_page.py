@@ -18,6 +18,7 @@ from tests.program import app
 COMMANDS = "".join(blocks("programs", "sh")).splitlines()
 
 
+@pytest.mark.slow
 def test_the_commands_do_what_the_page_says(
     finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

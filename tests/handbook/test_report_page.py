@@ -16,8 +16,6 @@ from cellapp.ground.profile.sections import Tolerances
 from tests.handbook.chapters import blocks
 from tests.handbook.page_pictures import PICTURES, PagePicture, write_pictures
 
-pytestmark = pytest.mark.fast
-
 PAGE = chapter_text("report")
 FIGURES = Path(cellapp.docs.__file__).parent / "figures"
 MOST_BYTES = 150_000
@@ -54,7 +52,6 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.slow
 def test_pictures_are_taken_of_windows_and_parts(folder: Path) -> None:
     from PIL import Image
 

@@ -12,7 +12,6 @@ from cellapp.commands.docs.handbook import CHAPTERS, anchor_of, chapter_text, se
 from cellapp.ground.errors import InputError
 from tests.program import app
 
-pytestmark = pytest.mark.fast
 _HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 _FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 

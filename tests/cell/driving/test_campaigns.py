@@ -58,7 +58,7 @@ def test_the_engine_survives_the_campaigns(campaigns: list[Campaign]) -> None:
     assert struck == set(KINDS), "every fault struck at least once"
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_the_engine_survives_more_campaigns(bench: Bench) -> None:
     assert failures(bench, *OTHER_SEEDS) == set()
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,23 +11,45 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.check import CheckTask, DrivenCheck, check_candidates, drive_check
-from cellapp.cell.driving.measuring import APART_M
+from cellapp.cell.driving.locate import LocatingStops
+from cellapp.cell.driving.measuring import APART_M, FoundPoint, covariances, lattice, share_of_chance
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_motion, refuse_stop
+from cellapp.cell.targets.targets import load_targets
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.collect.run import collect_stops
+from cellapp.commands.compensate.run import compensate_run
+from cellapp.commands.discover.run import discover_run
+from cellapp.commands.locate.result import LocateResult
+from cellapp.commands.locate.run import locate_run, typed_pose
 from cellapp.commands.locate.station import excess_of_readings
-from cellapp.commands.stages import read_stages
+from cellapp.commands.locate.view import location_sentences, location_tables
+from cellapp.commands.push.run import push_run
+from cellapp.commands.report.result import read_results
+from cellapp.commands.report.run import report_run
+from cellapp.commands.show.overview import run_overview
+from cellapp.commands.stages import CALIBRATION_FILE, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.monitoring.check import SequentialState
 from cellapp.estimation.readings import Readings
+from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import HardwareError, InputError
-from cellapp.ground.profile import Profile
+from cellapp.ground.profile import Pose, Profile
 from cellapp.ground.progress import Progress
+from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, VERIFY
+from cellapp.interfaces.page.page import write_page
+from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import CellModel
+from drivers.trackers.protocol import Point
 from drivers.trackers.simulated import SimulatedTracker
+from tests.twin import PROFILES, plant_of, small_twin
 
 
 @dataclass
@@ -188,3 +211,315 @@ def test_a_cell_without_a_free_stop_is_refused(task: CheckTask, finished_run: Pa
     lying = {name: replace(arm, q=np.zeros_like(arm.q)) for name, arm in readings.items()}
     with pytest.raises(InputError, match="nothing was moved"):
         check_candidates(task.profile, task.model, lying)
+
+
+# -- Locating a tracker that was moved in the simulated cell: the calibration holds again, faults change nothing -------
+
+TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
+SOME = (*TARGETS[:6], *TARGETS[20:26])
+
+
+def away(pose: Pose | None, by: tuple[float, float, float], turn: tuple[float, float, float]) -> Pose:
+    """A pose moved by ``by`` [m], and turned by ``turn`` [rad] of roll, pitch and yaw."""
+    assert pose is not None
+    x, y, z = (a + b for a, b in zip(pose.position, by, strict=True))
+    roll, pitch, yaw = (a + b for a, b in zip(pose.rpy, turn, strict=True))
+    return Pose(position=(x, y, z), rpy=(roll, pitch, yaw))
+
+
+@pytest.fixture
+def run(finished_copy: Path) -> Iterator[RunFile]:
+    with RunFile.open(finished_copy, write=True) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def moved_run(finished_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[RunFile, LocateResult]]:
+    """A run whose tracker was moved by half a metre and ten degrees, and located with four points."""
+    folder = tmp_path_factory.mktemp("moved") / "run"
+    shutil.copytree(finished_run, folder)
+    with RunFile.open(folder, write=True) as opened:
+        truth = away(opened.profile.tracker.pose, (0.4, 0.3, 0.02), (0.01, -0.01, np.radians(10.0)))
+        rough = away(truth, (0.03, -0.02, 0.02), (-0.01, 0.01, 0.012))
+        yield opened, locate_run(opened, tracker_pose=rough, simulated_pose=truth)
+
+
+def changed_plant(monkeypatch: pytest.MonkeyPatch, change: Callable[[Profile], Profile]) -> None:
+    """Let ``locate`` open a cell that is not what its profile says."""
+
+    @contextmanager
+    def opened(profile: Profile, **options: Any) -> Iterator[Cell]:
+        with open_cell(change(profile), **options) as cell:
+            yield cell
+
+    monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", opened)
+
+
+def with_left(profile: Profile, **changes: Any) -> Profile:
+    left = profile.arms["left"].model_copy(update=changes)
+    return profile.model_copy(update={"arms": {**profile.arms, "left": left}})
+
+
+def swap_splits(run: RunFile) -> None:
+    """Let one reading of each arm validate that identified, and the other way round."""
+    for name in run.profile.arms:
+        words = list(run.readings(name).split or ())
+        one, other = words.index("identify"), words.index("validate")
+        words[one], words[other] = "validate", "identify"
+        run.assign_splits(name, words)
+
+
+def test_four_points_find_the_station_within_its_stated_uncertainty(moved_run: tuple[RunFile, LocateResult]) -> None:
+    run, found = moved_run
+    assert (found.verdict, found.moved, found.complaints()) == ("located", True, [])
+    assert found.by_arm == {"left": 2, "right": 2}
+    assert found.shift_mm == pytest.approx(500.4, abs=0.1)
+    truth = found.simulated_pose
+    assert truth is not None
+    np.testing.assert_allclose(found.tracker_pose.position, truth.position, atol=0.3e-3)
+    assert found.points[0].found_off_mm > 10.0
+    assert found.points[-1].found_off_mm < 1.0
+    assert found.degrees_of_freedom == 6
+    assert 0.0 < found.uncertainty_mm < 0.02
+    model = CellModel.load(run.folder / CALIBRATION_FILE)
+    assert model.T_M_M0 is not None
+    np.testing.assert_allclose(model.T_M_M0, found.T_new_old)
+    table, *_ = location_tables(found)
+    assert len(table.rows) == 4
+    assert location_sentences(found)[0].startswith("the tracker was moved 500.4")
+
+
+def test_targets_are_met_from_the_new_station_as_before(moved_run: tuple[RunFile, LocateResult]) -> None:
+    run, _ = moved_run
+    after = push_run(run, SOME, verify=True)
+    for name in ("left", "right"):
+        assert after.arms[name].compensated_mm.mean < 45e-3, "the tracker scatters by some 25 um"
+        assert after.arms[name].nominal_mm.mean > 1.0
+    stages = read_stages(run)
+    assert stages.stale_model() == ""
+    assert stages.in_force == stages.current[LOCATE]
+    basis = stages.current[VERIFY].basis
+    assert basis is not None
+    assert list(basis.stages) == [LOCATE]
+    assert run_overview(run).next_verb == "report"
+    assert "Station of the tracker" in Path(report_run(run, write_page).page).read_text("utf-8")
+
+
+def test_without_locating_nothing_is_found_from_there(run: RunFile) -> None:
+    """What the verb is for: the old model points a moved tracker past the SMRs."""
+    far = away(run.profile.tracker.pose, (0.4, 0.3, 0.0), (0.0, 0.0, 0.2))
+    with pytest.raises(HardwareError, match="--tracker-pose"):
+        locate_run(run, simulated_pose=far)
+    assert LOCATE not in read_stages(run).current
+
+
+def test_a_stand_that_was_kicked_is_found_without_a_rough_pose(run: RunFile) -> None:
+    kicked = away(run.profile.tracker.pose, (0.02, -0.03, 0.0), (0.002, 0.0, 0.01))
+    found = locate_run(run, simulated_pose=kicked)
+    assert (found.verdict, found.moved) == ("located", True)
+    np.testing.assert_allclose(found.tracker_pose.position, kicked.position, atol=0.3e-3)
+    again = locate_run(run)
+    assert again.simulated_pose == found.simulated_pose, "the simulated tracker stays where it was put"
+    assert max(point.found_off_mm for point in again.points) < 0.3
+
+
+def test_a_tracker_that_was_not_moved_leaves_the_run_open(run: RunFile) -> None:
+    found = locate_run(run)
+    assert (found.verdict, found.moved) == ("located", False)
+    assert found.shift_mm < 0.3
+    collect_stops(run, resume=True)  # all stops are stored: nothing to refuse
+
+
+def test_readings_of_two_stations_are_not_mixed(moved_run: tuple[RunFile, LocateResult]) -> None:
+    run, _ = moved_run
+    with pytest.raises(InputError, match="two stations do not calibrate together"):
+        collect_stops(run, resume=True)
+
+
+def test_verification_and_commands_of_the_old_station_are_out_of_date(run: RunFile) -> None:
+    kicked = away(run.profile.tracker.pose, (0.02, 0.0, 0.0), (0.0, 0.0, 0.0))
+    locate_run(run, simulated_pose=kicked)
+    stages = read_stages(run)
+    assert set(stages.out_of_date) == {"compensate", "verify"}
+    assert stages.out_of_date[VERIFY] == "the tracker was located since, and another model is in force"
+    located = stages.current[LOCATE]
+    assert located.basis is not None
+    assert list(located.basis.stages) == [DISCOVER]
+    assert run_overview(run).in_force == LOCATE
+
+
+def test_another_calibration_asks_for_another_location_except_for_programs_and_exports(run: RunFile) -> None:
+    kicked = away(run.profile.tracker.pose, (0.02, 0.0, 0.0), (0.0, 0.0, 0.0))
+    locate_run(run, simulated_pose=kicked)
+    swap_splits(run)
+    notes = calibrate_run(run).notes
+    assert any(note.startswith("the tracker's station is out of date") for note in notes)
+    stages = read_stages(run)
+    assert stages.in_force == stages.current[CALIBRATE]
+    assert "the tracker was moved, and 'locate' is out of date" in stages.stale_model()
+    with pytest.raises(InputError, match="out of date"):
+        push_run(run, SOME, verify=True)
+    discover_run(run)
+    stages = read_stages(run)
+    assert stages.next_verb() == "locate"
+    assert stages.stale_arms() == "", "programs and exports are in the frame of an arm's own base"
+    assert stages.stale_model() == stages.stale_station() != ""
+    locate_run(run)
+    assert read_stages(run).stale_model() == ""
+
+
+def test_the_model_before_is_used_again_and_again(run: RunFile) -> None:
+    """Two moves are not added up: each location starts from the calibration, so errors do not grow."""
+    first = away(run.profile.tracker.pose, (0.03, 0.0, 0.0), (0.0, 0.0, 0.01))
+    second = away(run.profile.tracker.pose, (0.05, 0.02, 0.0), (0.0, 0.0, 0.02))
+    locate_run(run, simulated_pose=first)
+    found = locate_run(run, simulated_pose=second)
+    np.testing.assert_allclose(found.tracker_pose.position, second.position, atol=0.3e-3)
+    stages = read_stages(run)
+    model, old = model_of(run, stages.current[LOCATE]), model_of(run, stages.current[DISCOVER])
+    assert model.T_M_M0 is not None
+    np.testing.assert_allclose(
+        model.arms["left"].geometry.T_M_B(), model.T_M_M0 @ old.arms["left"].geometry.T_M_B(), atol=1e-12
+    )
+    np.testing.assert_array_equal(model.T_R_L, old.T_R_L)
+
+
+def test_a_moved_base_is_named_and_its_model_not_used(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    base = run.profile.arms["left"].base
+    changed_plant(monkeypatch, lambda profile: with_left(profile, base=away(base, (0.003, 0.0, 0.0), (0.0, 0.0, 0.0))))
+    found = locate_run(run)
+    assert found.verdict == "base moved"
+    first = found.other_motions[0]
+    assert (first.kind, first.arm, first.others_still) == ("base", "left", True)
+    assert first.shift_mm == pytest.approx(3.0, abs=0.1)
+    assert found.by_arm == {"left": 4, "right": 4}
+    (complaint,) = found.complaints()
+    assert complaint.startswith(f"the base of arm left was moved by {first.shift_mm:.3f} mm")
+    stages = read_stages(run)
+    assert stages.in_force == stages.current[DISCOVER]
+    assert "no motion of the tracker explains the points" in stages.stale_model()
+    with pytest.raises(InputError, match="cellapp locate"):
+        push_run(run, SOME, verify=True)
+    assert read_results(run).locate == found
+
+
+def test_a_remounted_smr_is_named(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    smr = run.profile.arms["left"].smr
+    assert smr.offset != "unknown"
+    x, y, z = smr.offset
+    moved = smr.model_copy(update={"offset": (x + 0.4e-3, y, z - 0.3e-3)})
+    changed_plant(monkeypatch, lambda profile: with_left(profile, smr=moved))
+    found = locate_run(run)
+    assert found.verdict == "smr moved"
+    first = found.other_motions[0]
+    assert (first.kind, first.arm, first.others_still) == ("smr", "left", True)
+    arm = model_of(run, read_stages(run).current[DISCOVER]).arms["left"]
+    one_point_mm = 1e3 * arm.measured_uncertainty(run.readings("left").q).mean()
+    # four points halve the noise of one, the station that the other arm's four points fix adds no more than as much
+    assert first.shift_mm == pytest.approx(0.5, abs=3.0 * one_point_mm)
+    (complaint,) = found.complaints()
+    assert complaint.startswith(f"the SMR of arm left sits {first.shift_mm:.3f} mm from where it was")
+
+
+def test_one_arm_only_locates_the_tracker_for_itself(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The right SMR is covered: all points come from the left arm."""
+    monkeypatch.setattr(LocatingStops, "best", _only("left", LocatingStops.best), raising=True)
+    kicked = away(run.profile.tracker.pose, (0.03, 0.0, 0.0), (0.0, 0.0, 0.01))
+    found = locate_run(run, simulated_pose=kicked)
+    assert (found.verdict, found.by_arm) == ("located", {"left": 4})
+    assert any(note.startswith("arm right: no further joint positions") for note in found.notes)
+
+
+def _only(wanted: str, best: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda self, name, T: best(self, name, T) if name == wanted else None
+
+
+def test_a_fault_leaves_the_model_as_it_was(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[Cell] = []
+
+    @contextmanager
+    def failing(profile: Profile, **options: Any) -> Iterator[Cell]:
+        with open_cell(profile, **options) as cell:
+            opened.append(cell)
+            yield cell
+
+    monkeypatch.setattr("cellapp.cell.driving.supervision.open_cell", failing)
+    before = (run.folder / CALIBRATION_FILE).read_bytes(), read_stages(run).current
+
+    def protective_stop(event: Progress) -> None:
+        if event.job == "locate" and event.done == 1:
+            opened[-1].arms["left"].protective_stop()  # type: ignore[attr-defined]
+
+    def lost(event: Progress) -> None:
+        tracker = opened[-1].tracker
+        assert isinstance(tracker, SimulatedTracker)
+        if event.done == 2:
+            tracker.cut_link()
+
+    def covered(event: Progress) -> None:
+        tracker = opened[-1].tracker
+        assert isinstance(tracker, SimulatedTracker)
+        if event.done == 2:
+            tracker.covered |= {"left", "right"}
+
+    for fault, says in ((protective_stop, "protective stop"), (lost, "link"), (covered, "were not found")):
+        with pytest.raises(HardwareError, match=says):
+            locate_run(run, listener=fault)
+        assert not any(plant_of(opened[-1]).moving(name) for name in ("left", "right"))
+        assert ((run.folder / CALIBRATION_FILE).read_bytes(), read_stages(run).current) == before
+    control = JobControl()
+    with pytest.raises(Stopped):
+        locate_run(run, listener=lambda event: control.stop() if event.done == 1 else None, control=control)
+    assert read_stages(run).current == before[1]
+
+
+@pytest.mark.parametrize("text", ["", "1,2,3", "1,2,3,4,5,nan", "1;2;3;4;5;6", "a,b,c,d,e,f"])
+def test_a_pose_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match=r"--tracker-pose: expected x,y,z,roll,pitch,yaw in m and deg"):
+        typed_pose(text, "--tracker-pose")
+
+
+def test_what_cannot_be_done_is_refused_before_anything_moves(run: RunFile) -> None:
+    with pytest.raises(InputError, match="at least 3 points"):
+        locate_run(run, 2)
+    assert typed_pose("3.8,0,0.6,0,0,180", "").rpy[2] == pytest.approx(np.pi)
+
+
+def test_compensation_states_more_uncertainty_than_before(moved_run: tuple[RunFile, LocateResult]) -> None:
+    run, _ = moved_run
+    stages = read_stages(run)
+    old, new = model_of(run, stages.current[DISCOVER]), model_of(run, stages.current[LOCATE])
+    q = run.readings("left").q[:20]
+    assert new.arms["left"].uncertainty(q).mean() > 1.1 * old.arms["left"].uncertainty(q).mean()
+    assert any(target.uncertainty_mm for target in compensate_run(run, SOME).targets)
+
+
+@given(
+    direction=st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1),
+    distance_m=st.floats(0.0, 0.12),
+)
+def test_every_place_within_reach_is_near_one_that_is_pointed_at(
+    direction: tuple[float, float, float], distance_m: float
+) -> None:
+    place = np.array(direction) / np.linalg.norm(direction) * distance_m
+    places = np.array(lattice(0.16))
+    assert np.linalg.norm(places - place, axis=1).min() <= 0.05
+    assert np.all(np.diff(np.linalg.norm(places, axis=1)) >= -1e-12)
+
+
+def found_points(rng: np.random.Generator, sigma_m: float, stated_m: float, count: int) -> list[FoundPoint]:
+    """Points of five repeats that scatter by ``sigma_m`` [m] and state ``stated_m`` [m]."""
+    found = []
+    for _ in range(count):
+        repeats_M = rng.normal(0.0, sigma_m, (5, 3))
+        point = Point(repeats_M.mean(axis=0), stated_m**2 * np.eye(3), 0.0, 1.0, None)
+        found.append(FoundPoint("left", np.zeros(6), point, repeats_M, MeasurementConditions(), 0.0))
+    return found
+
+
+@pytest.mark.parametrize(("share", "left"), [(1.0, 0.2), (0.5, 0.8), (0.0, 1.0)], ids=["all", "half", "none"])
+def test_only_what_scatters_from_one_repeat_to_the_next_falls_by_averaging(share: float, left: float) -> None:
+    """``left`` of the variance stays after five repeats, ``share`` of the standard deviation scatters."""
+    found = found_points(np.random.default_rng(0), 20e-6 * share, 20e-6, 100)
+    variance = covariances(found, share_of_chance(found))[:, 0, 0]
+    np.testing.assert_allclose(variance / 20e-6**2, left, rtol=0.1)

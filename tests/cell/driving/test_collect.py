@@ -134,7 +134,7 @@ def test_every_stop_of_both_arms_is_stored_once(run: RunFile, plan: dict[str, np
     assert [event.done for event in heard if event.detail is None] == [*range(STOPS), STOPS]
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_no_witness_sees_contact(seed: int, tmp_path: Path, watched: Watched) -> None:
     profile = small_twin(25, plant={"seed": 40 + seed}).model_copy(update={"seed": seed})
     with RunFile.create(tmp_path / "run", profile) as run:

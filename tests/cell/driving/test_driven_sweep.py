@@ -362,7 +362,6 @@ def test_pulses_that_the_tracker_does_not_stamp_are_told(
         assert len(read_recordings_of(run, "right")[0].joints.triggers_s) == 1
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("wrong", [0.0, 1001.0, "fast"])
 def test_rates_that_no_tracker_has_are_refused_by_the_profile(wrong: object) -> None:
     with pytest.raises(ValidationError):
@@ -371,7 +370,6 @@ def test_rates_that_no_tracker_has_are_refused_by_the_profile(wrong: object) -> 
         UrSettings.model_validate({"host": "127.0.0.2", "trigger_output": 8})
 
 
-@pytest.mark.fast
 def test_the_rest_of_a_motion_begins_slowly_and_lies_on_it() -> None:
     rng = np.random.default_rng(3)
     sweep = Sweep(np.zeros(6), 0.1 * rng.normal(size=(4, 6)), 0.1 * rng.normal(size=(4, 6)), 7.003)

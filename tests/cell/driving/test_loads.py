@@ -27,7 +27,6 @@ from drivers.arms.protocol import ArmState
 from drivers.arms.simulated import SimulatedArm
 from tests.twin import small_twin, with_arm
 
-pytestmark = pytest.mark.fast
 STOPS = 6
 HEAVY = Payload(mass=5.0, center_of_mass=(0.0, 0.0, 0.06))
 

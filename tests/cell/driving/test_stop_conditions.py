@@ -21,8 +21,6 @@ from drivers.arms.simulated import SimulatedArm
 from drivers.clock import RealClock
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.fixture(scope="module")
 def plan() -> dict[str, np.ndarray]:

@@ -252,7 +252,6 @@ def refused(name: str, reason: str) -> ExportedCommand:
     return ExportedCommand(record, (), reason)
 
 
-@pytest.mark.fast
 def test_a_program_is_for_six_joints_and_needs_a_target() -> None:
     with pytest.raises(InputError, match=r"has 7 joints, a program for UR controllers six.*Take --as commands"):
         urscript(commands_of(7, refused("a", "out of reach")), [])
@@ -260,7 +259,6 @@ def test_a_program_is_for_six_joints_and_needs_a_target() -> None:
         urscript(commands_of(6, refused("a", "out of reach")), [])
 
 
-@pytest.mark.fast
 def test_a_side_of_approach_is_driven_and_names_stay_comments() -> None:
     record = refused("x\nend\nstopj(1)", "").record
     way = (np.full(6, 0.1), np.full(6, 0.2))

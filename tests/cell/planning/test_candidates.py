@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,11 +20,13 @@ from cellapp.cell.planning.candidates import (
     exclusions,
     joint_ranges,
     random_configurations,
+    workspace_configurations,
 )
+from cellapp.cell.planning.designed import design_stops, free_ways, hubs_of, within_reach
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.bodies import ArmBodies, place
-from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.cell.safety.gate import CellBodies, clear_alone, visible
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import CellBodies, clear_alone, refuse_motion, visible
 from cellapp.cell.safety.visibility import TrackerField, sight_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -94,7 +97,6 @@ def plain_rejection(cell: CellBodies, name: str, draws: int) -> np.ndarray:
     return np.asarray(q[clear_alone(cell, place(cell.arms[name], q))])
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("which", CELLS)
 def test_every_candidate_can_be_measured(which: str) -> None:
     cell, name = CELLS[which]
@@ -135,7 +137,6 @@ def test_small_incidence_is_preferred_and_no_joint_loses_its_range() -> None:
         np.testing.assert_allclose(np.quantile(pool.q, level, axis=0), np.quantile(plain, level, axis=0), atol=0.25)
 
 
-@pytest.mark.fast
 def test_random_configurations_are_independent() -> None:
     cell, name = CELLS["UR10"]
     configurations = random_configurations(cell, small_twin(), name, np.random.default_rng(5))
@@ -145,7 +146,6 @@ def test_random_configurations_are_independent() -> None:
     assert visible(cell, name, q).all()
 
 
-@pytest.mark.fast
 def test_the_seed_makes_the_pool() -> None:
     cell, name = CELLS["UR10"]
     first, again, other = (pool_of(cell, name, seed) for seed in (1, 1, 2))
@@ -154,7 +154,6 @@ def test_the_seed_makes_the_pool() -> None:
     assert not np.any(np.all(first.q == other.q, axis=1))
 
 
-@pytest.mark.fast
 def test_joints_that_may_not_move_give_no_copies() -> None:
     cell, name = CELLS["UR10"]
     start = pool_of(cell, name).q[0]
@@ -173,7 +172,6 @@ def test_a_pool_may_be_smaller_than_asked_for_but_not_than_the_plan(monkeypatch:
         draw_pool(cell, small_twin(COUNT * 10), name, 5000, np.random.default_rng(0))
 
 
-@pytest.mark.fast
 def test_drawing_can_be_cancelled() -> None:
     token = CancelToken()
     token.cancel()
@@ -181,7 +179,6 @@ def test_drawing_can_be_cancelled() -> None:
         draw_pool(*CELLS["UR10"][:1], small_twin(), "left", 10, np.random.default_rng(0), token)
 
 
-@pytest.mark.fast
 @settings(max_examples=12, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), which=st.sampled_from(sorted(CELLS)))
 def test_what_is_seen_of_combined_joints_is_what_placing_them_gives(seed: int, which: str) -> None:
@@ -254,3 +251,64 @@ def test_what_cannot_be_measured_names_its_constraint(cause: str, monkeypatch: p
     with pytest.raises(InputError, match=f"arm left: none of [0-9]+ random .*: .*{extent}.* What helps: ") as told:
         draw_pool(cell, profile, "left", 10, np.random.default_rng(0))
     assert first.advice in str(told.value)
+
+
+# -- Points of the workspace: clear, inside the ranges, seen by the tracker or not -------------------------------------
+
+
+def test_targets_are_clear_wherever_the_smr_looks() -> None:
+    profile = small_twin()
+    cell = cell_bodies(profile)
+    q = workspace_configurations(profile, cell, "left", 200, np.random.default_rng(5))
+    assert q.shape == (200, 6)
+    assert clear_alone(cell, place(cell.arms["left"], q)).all()
+    assert visible(cell, "left", q).mean() < 0.2
+    again = workspace_configurations(profile, cell, "left", 200, np.random.default_rng(5))
+    np.testing.assert_array_equal(q, again)
+
+
+# -- Candidates within easy reach: what lies behind a wall that no way passes is none, and free ways are free ----------
+
+
+def test_free_ways_agree_with_finely_placed_bodies() -> None:
+    profile = small_twin()
+    cell, home = cell_bodies(profile), home_positions(profile)["left"]
+    q = draw_pool(cell, profile, "left", 60, np.random.default_rng(4)).q
+    free = free_ways(cell, "left", home, q)
+    shares = np.linspace(0.0, 1.0, 12)[1:-1]
+    for row, found in zip(q, free, strict=True):
+        at = home + shares[:, None] * (row - home)
+        assert found == clear_alone(cell, place(cell.arms["left"], at)).all()
+
+
+def test_poses_beyond_a_locked_range_are_out_of_reach() -> None:
+    """The real cell's joint limits leave pockets: those within reach have straight ways that the gate accepts."""
+    profile = load_profile(PROFILES / "ur10-ur5.yaml")
+    cell, homes = cell_bodies(profile), home_positions(profile)
+    q = draw_pool(cell, profile, "right", 300, np.random.default_rng(2)).q
+    reached = within_reach(cell, "right", q, hubs_of(cell, "right", q, homes["right"]))
+    assert 0.5 < reached.mean() < 0.98
+    alone = replace(cell, arms={"right": cell.arms["right"]})
+
+    def ways(rows: np.ndarray) -> float:
+        hubs = np.vstack([homes["right"][None], q[reached][:8]])
+        free = [[not refuse_motion(alone, {"right": hub}, {"right": row}) for hub in hubs] for row in rows]
+        return float(np.mean(free))
+
+    assert ways(q[reached][8:28]) > 2.0 * ways(q[~reached][:20])
+
+
+def test_a_design_is_the_same_by_seed_and_keeps_what_it_is_given() -> None:
+    profile = small_twin(12, plan={"candidates": 200})
+    first, again = design_stops(profile, 12), design_stops(profile, 12)
+    other = design_stops(profile.model_copy(update={"seed": 8}), 12)
+    for name, q in first.stops.q.items():
+        np.testing.assert_array_equal(q, again.stops.q[name])
+        assert not np.array_equal(q, other.stops.q[name])
+    longer = design_stops(profile, 3, kept=first.stops)
+    assert len(longer.stops) == 15
+    for name, q in first.stops.q.items():
+        np.testing.assert_array_equal(longer.stops.q[name][:12], q)
+        np.testing.assert_array_equal(longer.stops.approach_from[name][:12], first.stops.approach_from[name])
+    assert longer.stops.block[12:].min() > first.stops.block.max()
+    assert all(pool.rejected for pool in first.pools.values())

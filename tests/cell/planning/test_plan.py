@@ -3,25 +3,50 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 from cellapp.cell.driving.cell import open_cell
-from cellapp.cell.planning.plan import plan_run, plan_stops
-from cellapp.cell.run import RunFile
+from cellapp.cell.planning.plan import make_stops, plan_run, plan_stops
+from cellapp.cell.planning.planned_stops import (
+    PLANNED_STOPS_RESULT,
+    STOP_CONDITIONS_RESULT,
+    PlannedStops,
+    StopConditions,
+    joined,
+    last_motions,
+    proposed_stops,
+    read_plan_design,
+    read_planned_stops,
+    read_stop_conditions,
+    routes,
+    stop_conditions_json,
+    straight_stops,
+    write_planned_stops,
+)
+from cellapp.cell.planning.proposal.propose import ProposedStop, append_proposed_stops
+from cellapp.cell.planning.view import check_stops
+from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, predicted_smr, refuse_motion
+from cellapp.commands.plan.run import freeze_stops, new_planned_run, replan
+from cellapp.ground.counting import listed_numbers
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken, Progress
 from drivers.plant.clearance import segment_distances
+from tests.cell.planning.hand_made import same_stops, some_stops
+from tests.program import app
 from tests.twin import small_twin, with_arms
-
-pytestmark = pytest.mark.fast
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +177,6 @@ def test_where_nothing_can_be_seen_planning_ends_in_words(
         plan_stops(profile)
 
 
-@pytest.mark.slow
 def test_an_unsafe_home_and_arms_too_close_are_told() -> None:
     profile = small_twin(3)
     home = profile.arms["right"].home
@@ -182,3 +206,220 @@ def test_a_plan_is_stored_reported_and_cancelled(tmp_path: Any) -> None:
     token = CancelToken()
     with pytest.raises(Cancelled):
         plan_stops(profile, lambda event: token.cancel(), token)
+
+
+# -- Plans by the method of the profile: alone, around kept stops, for one arm, down to a single stop ------------------
+
+
+def quick(stops: int, **plan: Any) -> Profile:
+    """The twin with few candidates and one effect to design for."""
+    return small_twin(stops, plan={"candidates": 120, "effects": ("backlash",), **plan})
+
+
+def one_arm(profile: Profile) -> Profile:
+    assert profile.plant is not None
+    plant = profile.plant.model_copy(update={"effects": {}})
+    return profile.model_copy(update={"arms": {"left": profile.arms["left"]}, "plant": plant})
+
+
+@pytest.mark.parametrize("method", ["random", "designed"])
+def test_plans_are_safe_and_follow_what_is_kept(method: str) -> None:
+    profile = quick(4, method=method, reserve=1)
+    stops, design = make_stops(profile)
+    assert (len(stops), design is None) == (5, method == "random")
+    more, _ = make_stops(profile, kept=stops, add=1)
+    same_stops(more.take(range(5)), stops)
+    assert len(more) == 6
+    assert more.block[5] > stops.block.max()
+    assert not [one for one in check_stops(profile, more) if not one.is_avoided]
+    with pytest.raises(InputError, match="nothing is left to design"):
+        make_stops(profile, kept=stops)
+
+
+@pytest.mark.parametrize("method", ["random", "designed"])
+def test_one_arm_alone_and_a_single_stop_are_planned(method: str) -> None:
+    for profile, arms in ((one_arm(quick(3, method=method)), 1), (quick(1, method=method), 2)):
+        stops: PlannedStops = make_stops(profile)[0]
+        assert (len(stops), len(stops.q)) == (profile.plan.stops, arms)
+        assert not [one for one in check_stops(profile, stops) if not one.is_avoided]
+
+
+# -- Frozen stops: which are listed, what a new design leaves, what is refused -----------------------------------------
+
+
+@given(st.sets(st.integers(0, 999), min_size=1))
+def test_any_set_of_stops_can_be_listed(stops: set[int]) -> None:
+    assert listed_numbers(",".join(map(str, stops)), "configurations") == tuple(sorted(stops))
+    assert listed_numbers(f" {min(stops)}-{max(stops)} ", "configurations") == tuple(range(min(stops), max(stops) + 1))
+
+
+@pytest.mark.parametrize("text", ["", "1,", "a", "-3", "1-2-3", "1.5", "99999999"])
+def test_what_is_no_list_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="expected configurations such as 0-9,12, or none"):
+        listed_numbers(text, "configurations")
+
+
+def test_a_new_design_leaves_what_is_frozen(tmp_path: Path) -> None:
+    with new_planned_run(small_twin(6, plan={"method": "random"}), tmp_path / "run") as run:
+        before = read_planned_stops(run)
+        assert freeze_stops(run, [1, 4]).notes == ("2 of 6 stops are frozen",)
+        replan(run)
+        after = read_planned_stops(run)
+        assert np.array_equal(after.q["left"][after.frozen], before.q["left"][[1, 4]])
+        with pytest.raises(InputError, match="there is no configuration 6; there are 0 to 5"):
+            freeze_stops(run, [6])
+        freeze_stops(run, [])
+        assert not read_planned_stops(run).frozen.any()
+
+
+def test_the_command_freezes(tmp_path: Path) -> None:
+    new_planned_run(small_twin(4, plan={"method": "random"}), tmp_path / "run").close()
+    ended = CliRunner().invoke(app, ["plan", "--run", str(tmp_path / "run"), "--freeze", "0-1,3"])
+    assert ended.exit_code == 0, ended.output
+    assert "3 of 4 stops are frozen" in ended.output
+    with RunFile.open(tmp_path / "run") as run:
+        assert read_planned_stops(run).frozen.tolist() == [True, True, False, True]
+
+
+# -- Conditions of planned stops: damaged ones are named ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[]", "damaged"),
+        ('{"1": {"left": {"via": [0, 1]}}}', "6 finite joint positions"),
+        ('{"1": {"left": {"dwell_s": 1e9}}}', "between 0 and 600 s"),
+        ('{"1": {"middle": {}}}', "middle"),
+        ('{"one": {}}', "damaged"),
+    ],
+)
+def test_damaged_conditions_are_named(tmp_path: Path, text: str, says: str) -> None:
+    with RunFile.create(tmp_path / "run", small_twin(2)) as run:
+        run.write_result(STOP_CONDITIONS_RESULT, text)
+        with pytest.raises(InputError, match=says):
+            read_stop_conditions(run)
+
+
+# -- A plan in the run file: all of it comes back, old runs read the same, damaged documents are named -----------------
+
+
+def test_a_plan_comes_back_bit_for_bit(tmp_path: Path) -> None:
+    stops = some_stops(7)
+    with RunFile.create(tmp_path / "run", small_twin(7)) as run:
+        write_planned_stops(run, stops, proposed={5})
+        back = read_planned_stops(run)
+        assert proposed_stops(read_stop_conditions(run)) == {5}
+        assert read_plan_design(run) is None
+    same_stops(back, stops)
+
+
+def test_an_old_run_has_straight_ways_and_its_listed_stops_are_proposed(tmp_path: Path) -> None:
+    q = some_stops(4).q
+    with RunFile.create(tmp_path / "run", small_twin(4)) as run:
+        run.write_plan(q)
+        same_stops(read_planned_stops(run), straight_stops(q))
+        conditions = {3: {"left": StopConditions(q["left"][3] - 0.1, 2.0)}}
+        run.write_result(STOP_CONDITIONS_RESULT, stop_conditions_json(conditions))
+        stops = read_planned_stops(run)
+        assert proposed_stops(read_stop_conditions(run)) == {3}
+    np.testing.assert_array_equal(stops.approach_starts(3)["left"], q["left"][3] - 0.1)
+    assert set(stops.approach_starts(3)) == {"left"}
+    assert stops.approach_starts(2) == {}
+    assert stops.dwell_s["left"].tolist() == [0.0, 0.0, 0.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[]", "damaged"),
+        ("{", "damaged"),
+        ('{"block": [0, 0, 0, 0]}', "more stops than the 3"),
+        ('{"block": [0], "frozen": [3]}', "more stops than the 3"),
+        ('{"block": [0], "repeat_of": {"1": -1}}', "more stops than the 3"),
+        ('{"block": [0], "legs": {"1": [{"left": [0, 1]}]}}', "6 finite joint positions"),
+        ('{"block": [0], "legs": {"1": [{"left": [0, 1, 2, 3, 4, NaN]}]}}', "damaged"),
+        ('{"block": [0], "legs": {"1": [{"middle": [0, 1]}]}}', "'middle'"),
+        ('{"block": [0], "colour": 1}', "colour"),
+    ],
+)
+def test_a_damaged_document_is_named(tmp_path: Path, text: str, says: str) -> None:
+    with RunFile.create(tmp_path / "run", small_twin(3)) as run:
+        run.write_plan(some_stops(3).q)
+        run.write_result(PLANNED_STOPS_RESULT, text)
+        with pytest.raises(InputError, match=f"'{PLANNED_STOPS_RESULT}'.*{says}|{says}"):
+            read_planned_stops(run)
+
+
+def test_a_plan_is_stored_with_all_documents_or_not_at_all(tmp_path: Path) -> None:
+    stops = some_stops(4)
+    with RunFile.create(tmp_path / "run", small_twin(4)) as run:
+        write_planned_stops(run, stops)
+        run.write_plan(stops.q)
+        before = run.read_result(PLANNED_STOPS_RESULT), run.read_result(STOP_CONDITIONS_RESULT)
+        wrong = replace(stops, q={name: q[:2] for name, q in stops.q.items()} | {"left": stops.q["left"][:1]})
+        with pytest.raises(ValueError, match="different numbers"):
+            write_planned_stops(run, wrong)
+        assert (run.read_result(PLANNED_STOPS_RESULT), run.read_result(STOP_CONDITIONS_RESULT)) == before
+
+
+def test_outcomes_of_stops_that_are_replaced_are_forgotten(tmp_path: Path) -> None:
+    stops = some_stops(4)
+    with RunFile.create(tmp_path / "run", small_twin(4)) as run:
+        write_planned_stops(run, stops)
+        for stop in (1, 2):
+            run.add_stop(stop, {}, [Outcome(stop, "left", "left out", "a column")])
+        stops.q["left"][2] += 0.01
+        write_planned_stops(run, stops)
+        assert [one.stop for one in run.outcomes()] == [1]
+
+
+def test_proposed_stops_follow_designed_ones_and_replace_earlier_proposals(tmp_path: Path) -> None:
+    designed, further = some_stops(4), some_stops(9)
+    with RunFile.create(tmp_path / "run", small_twin(4)) as run:
+        write_planned_stops(run, designed)
+        for count in (3, 2):
+            proposed = [
+                ProposedStop(further.targets(k), {"left": StopConditions(further.q["left"][k] - 0.02, 1.0)})
+                for k in range(4, 4 + count)
+            ]
+            assert append_proposed_stops(run, proposed) == 4
+        stops = read_planned_stops(run)
+        assert proposed_stops(read_stop_conditions(run)) == {4, 5}
+    same_stops(stops.take(range(4)), designed)
+    assert stops.block.tolist() == [0, 0, 1, 1, 2, 2]
+    assert stops.legs[4:] == ((), ())
+
+
+def test_taking_and_joining_keep_what_still_holds() -> None:
+    stops = some_stops(6)
+    same_stops(joined(stops.take(range(3)), stops.take(range(3, 6))).take(range(3)), stops.take(range(3)))
+    same_stops(joined(stops.take([]), stops), stops)
+    chosen = stops.take([0, 2, 3])
+    assert chosen.legs == (stops.legs[0], (), stops.legs[3]), "legs that begin elsewhere are dropped"
+    assert stops.repeat_of.tolist() == [-1, -1, -1, 0, -1, -1]
+    assert chosen.repeat_of.tolist() == [-1, -1, 0]
+    assert stops.take([3]).repeat_of.tolist() == [-1]
+
+
+def test_every_route_ends_with_the_planned_last_motion() -> None:
+    stops: PlannedStops = some_stops(6)
+    for stop in range(6):
+        for as_planned in (True, False):
+            for route in routes(stops, stop, as_planned=as_planned):
+                reached: dict[str, np.ndarray] = {}
+                for motion in route:
+                    before, reached = reached, {**reached, **motion}
+                for name, q in stops.targets(stop).items():
+                    np.testing.assert_array_equal(reached[name], q)
+                    if name in stops.approach_starts(stop):
+                        np.testing.assert_array_equal(before[name], stops.approach_starts(stop)[name])
+
+
+def test_last_motions_are_planned_or_straight_from_the_stop_before() -> None:
+    stops = some_stops(5)
+    homes = {name: np.full(6, 0.5) for name in stops.q}
+    motions = last_motions(stops, homes)
+    np.testing.assert_array_equal(motions["right"], stops.q["right"] - stops.approach_from["right"])
+    np.testing.assert_array_equal(motions["left"][0], stops.q["left"][0] - 0.5)
+    np.testing.assert_array_equal(motions["left"][3], stops.q["left"][3] - stops.q["left"][2])

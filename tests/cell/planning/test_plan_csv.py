@@ -20,8 +20,6 @@ from cellapp.ground.profile.schema import Payload
 from tests.cell.planning.hand_made import same_stops, some_stops
 from tests.twin import small_twin, with_arm, with_arms
 
-pytestmark = pytest.mark.fast
-
 PROFILE = with_arms(small_twin(4), limits=((-6.0, 6.0),) * 6)
 
 

@@ -86,7 +86,6 @@ def test_designed_stops_tell_more_than_random_ones_on_unseen_points(judged: ArmD
     assert designed.indices.o5 > random.indices.o5
 
 
-@pytest.mark.fast
 def test_errors_by_number_of_stops_fall(judged: ArmDesign) -> None:
     assert [one.stops for one in judged.by_stops] == [25, COUNT]
     assert judged.by_stops[0].mean_mm > judged.by_stops[1].mean_mm
@@ -94,7 +93,6 @@ def test_errors_by_number_of_stops_fall(judged: ArmDesign) -> None:
     assert ArmDesign.model_validate_json(judged.model_dump_json()) == judged
 
 
-@pytest.mark.fast
 def test_no_phase_of_a_joint_is_left_out(pools: Pools, chosen: Mapping[str, np.ndarray]) -> None:
     for name, rows in chosen.items():
         q = pools[name].q
@@ -104,7 +102,6 @@ def test_no_phase_of_a_joint_is_left_out(pools: Pools, chosen: Mapping[str, np.n
         assert np.all(gaps <= np.where(parts_without, unreachable + limits, limits))
 
 
-@pytest.mark.fast
 def test_the_largest_gap_of_the_profile_holds(pools: Pools) -> None:
     limit = math.radians(20.0)
     strict = small_twin(60, plan={**FEW, "largest_gap": limit})
@@ -114,7 +111,6 @@ def test_the_largest_gap_of_the_profile_holds(pools: Pools) -> None:
     assert np.all(largest_gaps(q[rows])[reachable] <= limit)
 
 
-@pytest.mark.fast
 def test_kept_stops_count(twin: Profile, pools: Pools) -> None:
     """Beside stops at which the third joint is bent one way, the others are chosen from the other side."""
     q = pools["left"].q
@@ -125,7 +121,6 @@ def test_kept_stops_count(twin: Profile, pools: Pools) -> None:
     assert np.mean(q[beside, 2] > 0.5) < np.mean(q[free, 2] > 0.5)
 
 
-@pytest.mark.fast
 def test_a_pool_may_be_smaller_than_the_plan(twin: Profile, pools: Pools) -> None:
     few = {name: replace(pool, q=pool.q[:12], incidence=pool.incidence[:12]) for name, pool in pools.items()}
     rows = select_stops(twin, few, COUNT, np.random.default_rng(1))
@@ -168,7 +163,6 @@ def test_any_cell_can_be_designed(cell: Any) -> None:
     assert coupled == (len(profile.arms) == 2)
 
 
-@pytest.mark.fast
 def test_the_columns_are_geometry_listed_effects_and_potential_terms(twin: Profile, pools: Pools) -> None:
     model = model_of(twin, pools)
     slugs = [name.split(": ")[0] for name in model.names[len(model.parameters.columns) :]]
@@ -180,7 +174,6 @@ def test_the_columns_are_geometry_listed_effects_and_potential_terms(twin: Profi
     assert model_of(small_twin(COUNT, plan={"effects": ()}), pools).wanted == len(model.parameters.columns)
 
 
-@pytest.mark.fast
 def test_rows_are_whitened_displacements_per_expected_size(twin: Profile, pools: Pools) -> None:
     model, q = model_of(twin, pools), pools["left"].q[:300]
     conditions = even_conditions(twin, "left", q, {"right": pools["right"].q}, np.random.default_rng(4))
@@ -194,7 +187,6 @@ def test_rows_are_whitened_displacements_per_expected_size(twin: Profile, pools:
     assert np.all(np.linalg.norm(told, axis=1) > 0.9 * size / np.hypot(1e-4, 4e-5))
 
 
-@pytest.mark.fast
 def test_oblique_stops_tell_less(twin: Profile, pools: Pools) -> None:
     q, plan = pools["left"].q[:200], twin.plan
     conditions = drawn_conditions(twin, "left", q, {}, np.random.default_rng(4))
@@ -206,7 +198,6 @@ def test_oblique_stops_tell_less(twin: Profile, pools: Pools) -> None:
     assert np.any(told[1] < 0.98 * told[0])
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("effects", "words"),
     [
@@ -221,7 +212,6 @@ def test_effects_that_no_plan_can_show_are_refused(pools: Pools, effects: tuple[
     assert words in str(refused.value)
 
 
-@pytest.mark.fast
 def test_a_selection_can_be_cancelled(twin: Profile, pools: Pools) -> None:
     token = CancelToken()
     token.cancel()

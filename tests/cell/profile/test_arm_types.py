@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cellapp.cell.profile.loader import arm_type_of_text
-from cellapp.cell.profile.starters import arm_type_files
+from cellapp.cell.profile import load_profile
+from cellapp.cell.profile.files import write_text
+from cellapp.cell.profile.loader import arm_type_of_text, profile_from_json, profile_to_json
+from cellapp.cell.profile.starters import arm_type_files, starter_profiles, write_starter
+from cellapp.commands.doctor.view import cell_words, constraint_words
+from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import ArmType
-from cellapp.ground.starters import starters_folder
+from cellapp.ground.starters import offered_profiles, starters_folder
 from cellapp.robot.kinematics.chain import flange_poses, nominal_geometry
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, rotation_x, rotation_y
-
-pytestmark = pytest.mark.fast
+from tests.twin import PROFILES
 
 Axes = list[tuple[tuple[float, float, float], tuple[float, float, float]]]
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -145,3 +149,180 @@ def test_arms_of_universal_robots_have_their_published_rows(name: str) -> None:
     np.testing.assert_allclose([joint.alpha for joint in joints], np.radians([90, 0, 0, 90, -90, 0]), atol=1e-12)
     reach = max(float(np.hypot(*capsule.start[:2])) for capsule in found.capsules)
     assert reach == pytest.approx(max(-lengths[1], -lengths[2]), abs=1e-9), "the upper arm's body is as long as its row"
+
+
+# -- The section ``obstacles``: what it refuses, with file, line and key, and its words for people ---------------------
+
+
+def written(folder: Path, *lines: str) -> Path:
+    """The twin's profile with obstacles at its end."""
+    text = (PROFILES / "twin.yaml").read_text("utf-8").replace("type: arms/", f"type: {PROFILES}/arms/")
+    path = folder / "cell.yaml"
+    path.write_text("\n".join([text, "obstacles:", *(f"  {line}" for line in lines), ""]), "utf-8")
+    return path
+
+
+ALL = (
+    "table: {shape: box, size: [1.0, '500 mm', 0.04], pose: {position: [0.0, 0.0, -0.4]}}",
+    "post: {shape: cylinder, radius: 0.1, length: 2.0, pose: {position: [-1.0, 0, 1], rpy: ['90 deg', 0, 0]}}",
+    "lamp: {shape: sphere, radius: '50 mm', pose: {position: [0, 0, 2]}}",
+    "hose: {shape: capsule, radius: 0.02, length: 0.1, fixed_to: flange, arm: right}",
+    "plinth: {shape: box, size: [0.2, 0.2, 0.2], fixed_to: base, arm: left, pose: {position: [0, 0, -0.1]}}",
+    "part: {shape: mesh, file: part.stl, scale: 0.001}",
+)
+
+
+def test_obstacles_are_read_and_kept_in_a_run(tmp_path: Path) -> None:
+    (tmp_path / "part.stl").write_bytes(b"read by the gate, not here")
+    profile = load_profile(written(tmp_path, *ALL))
+    assert [one.shape for one in profile.obstacles.values()] == [
+        "box", "cylinder", "sphere", "capsule", "box", "mesh"
+    ]  # fmt: skip
+    assert profile_from_json(profile_to_json(profile)) == profile
+    words = dict(cell_words(profile))
+    assert words["obstacle table"].startswith("box 1000 x 500 x 40 mm, in the cell: x 0.000, y 0.000, z -0.400 m")
+    assert words["obstacle post"].startswith("cylinder of radius 100 mm, length 2000 mm, in the cell")
+    assert "roll 90.0" in words["obstacle post"]
+    assert words["obstacle hose"].startswith("capsule of radius 20 mm, length 100 mm, on the flange of arm right: ")
+    assert words["obstacle plinth"].startswith("box 200 x 200 x 200 mm, on the base of arm left: ")
+    assert words["obstacle lamp"].startswith("sphere of radius 50 mm, in the cell")
+    assert words["obstacle part"].startswith(f"mesh {tmp_path / 'part.stl'}, scale 0.001, in the cell")
+    assert "between arms, from 6 obstacles and from the floor" in dict(constraint_words(profile))["clearance"]
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("a: {shape: box, size: [1, 2]}", "a.size: expected 3 values, got a list of 2"),
+        ("a: {shape: box, size: [1, 2, 0]}", "a.size[2]: expected more than 0, got 0"),
+        ("a: {shape: sphere, radius: -0.1}", "a.radius: expected more than 0, got -0.1"),
+        ("a: {shape: sphere, radius: .nan}", "a.radius: expected a finite number, got .nan"),
+        ("a: {shape: sphere, radius: 250}", "a.radius: 250 m is beyond 100 m"),
+        ("a: {shape: cone, radius: 1}", "a.shape: expected 'box', 'cylinder', 'capsule', 'sphere' or 'mesh'"),
+        ("a: {radius: 1}", "a.shape: missing; it must be given"),
+        ("a: {shape: sphere, radius: 1, colour: red}", "a.colour: unknown key; known here are fixed_to, arm"),
+        ("a: {shape: cylinder, radius: 1, lenght: 1}", "a.lenght: unknown key; did you mean 'length'?"),
+        ("a: {shape: sphere, radius: 1, arm: left}", "a.arm: must not be given for an obstacle that is fixed to"),
+        ("a: {shape: sphere, radius: 1, fixed_to: base}", "a.arm: is missing for an obstacle that is fixed to"),
+        ("a: {shape: sphere, radius: 1, fixed_to: base, arm: top}", "a.arm: unknown arm; arms are left, right"),
+        ("a: {shape: sphere, radius: 1, fixed_to: roof, arm: left}", "a.fixed_to: expected 'cell', 'base' or 'flange'"),
+        ("left: {shape: sphere, radius: 1}", "left: an obstacle needs a name of its own, other than those of the arms"),
+        ("a: {shape: mesh, file: gone.stl}", "a.file: file not found: "),
+        ("a: {shape: mesh}", "a.file: missing; it must be given"),
+        ("a: 7", "a: expected keys with values, got 7"),
+    ],
+)  # fmt: skip
+def test_bad_obstacles_are_named_with_their_line(line: str, words: str, tmp_path: Path) -> None:
+    path = written(tmp_path, line)
+    with pytest.raises(InputError) as caught:
+        load_profile(path)
+    number = len(path.read_text("utf-8").splitlines())
+    assert f"cell.yaml:{number}: obstacles.{words}" in str(caught.value)
+
+
+def test_the_same_name_twice_is_refused(tmp_path: Path) -> None:
+    sphere = "a: {shape: sphere, radius: 0.1}"
+    with pytest.raises(InputError, match=r"obstacles\.a: duplicate key \(first in line \d+\); keep one"):
+        load_profile(written(tmp_path, sphere, sphere))
+
+
+# -- Starter profiles: an empty folder gets a profile that loads; nothing that a person wrote is overwritten -----------
+
+NAMES = [path.stem for path in offered_profiles(starters_folder())]
+
+
+def test_the_twin_is_first_and_each_has_a_sentence() -> None:
+    starters = starter_profiles()
+    assert starters[0].name == "twin"
+    assert [starter.name for starter in starters] == NAMES
+    assert all(starter.sentence.endswith(".") for starter in starters)
+    without_device = {starter.name for starter in starters if not starter.has_device}
+    assert without_device == {"ur10-6d", "ur10-real", "ur10-real-d", "ur5-real"}
+
+
+def test_the_small_twin_is_the_twin_with_fewer_stops() -> None:
+    twin, small = (load_profile(starters_folder() / f"{name}.yaml") for name in ("twin", "twin-small"))
+    assert small.plan.stops < twin.plan.stops
+    assert twin == small.model_copy(update={"name": twin.name, "plan": twin.plan, "splits": twin.splits})
+    assert twin.plan == small.plan.model_copy(update={"stops": twin.plan.stops})
+
+
+def test_an_installed_package_brings_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder ``profiles`` beside an installed package is another package's."""
+    for folder in ("cellapp/starters", "profiles"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "twin.yaml").touch()
+    monkeypatch.setattr("cellapp.ground.starters.files", lambda package: tmp_path / package)
+    assert starters_folder() == tmp_path / "cellapp" / "starters"
+
+
+def test_an_installation_without_them_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cellapp.ground.starters.files", lambda package: tmp_path / package)
+    with pytest.raises(InputError, match="lacks its starter profiles; install it again"):
+        starters_folder()
+
+
+def test_a_cell_with_targets_gets_all_example_lists(tmp_path: Path) -> None:
+    write_starter("twin", tmp_path)
+    for folder in ("targets", "paths"):
+        brought = {path.name for path in (starters_folder() / folder).iterdir()}
+        assert {path.name for path in (tmp_path / "profiles" / folder).iterdir()} == brought
+    write_starter("ur10-real", tmp_path / "other")
+    assert not (tmp_path / "other" / "profiles" / "targets").exists()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_starter_loads_where_it_was_written(name: str, tmp_path: Path) -> None:
+    path = write_starter(name, tmp_path)
+    assert path == tmp_path / "profiles" / f"{name}.yaml"
+    profile = load_profile(path)
+    assert profile == load_profile(starters_folder() / f"{name}.yaml")
+    assert profile.targets is None or (path.parent / profile.targets).is_file()
+
+
+def test_starters_share_arm_types_but_overwrite_nothing(tmp_path: Path) -> None:
+    write_starter("twin", tmp_path)
+    write_starter("ur10-ur5", tmp_path)  # the same arm types are there already
+    with pytest.raises(InputError, match=r"twin\.yaml exists already; nothing was written"):
+        write_starter("twin", tmp_path)
+    own = tmp_path / "profiles" / "arms" / "ur5.yaml"
+    own.write_text("# mine\n", "utf-8")
+    with pytest.raises(InputError, match=r"ur5\.yaml exists already; nothing was written"):
+        write_starter("ur5-real", tmp_path)
+    assert not (tmp_path / "profiles" / "ur5-real.yaml").exists()
+    assert own.read_text("utf-8") == "# mine\n"
+
+
+def test_an_unknown_starter_is_refused_with_those_that_exist(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'tvin' is no profile that comes with cellapp; there are twin,"):
+        write_starter("tvin", tmp_path)
+
+
+def test_a_folder_that_cannot_be_made_gets_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "profiles").write_text("a file, not a folder", "utf-8")
+    with pytest.raises(InputError, match=r"cannot be (written|reached) \(.+\); give a"):
+        write_starter("twin", tmp_path)
+
+
+def test_a_link_stays_a_link_and_permissions_stay(tmp_path: Path) -> None:
+    file, link = tmp_path / "cell.yaml", tmp_path / "link.yaml"
+    file.write_text("old\n", "utf-8")
+    file.chmod(0o640)
+    link.symlink_to(file)
+    write_text(link, "new\n")
+    assert link.is_symlink()
+    assert file.read_text("utf-8") == "new\n"
+    assert file.stat().st_mode & 0o777 == 0o640
+
+
+def test_a_full_disk_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text("old\n", "utf-8")
+
+    def full(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(InputError, match="No space left on device"):
+        write_text(path, "new\n")
+    assert [(entry.name, entry.read_text("utf-8")) for entry in tmp_path.iterdir()] == [("cell.yaml", "old\n")]

@@ -18,8 +18,6 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Traceability
 
-pytestmark = pytest.mark.fast
-
 PROFILES = Path(__file__).parents[3] / "profiles"
 SHIPPED = sorted(PROFILES.glob("*.yaml"))
 
@@ -296,10 +294,10 @@ def test_many_errors_are_counted(twin: Path) -> None:
         (b"a: 1\n--- \nb: 2\n", 2, "not YAML"),
         (b"a: &a [*a]\n", 1, "nested too deeply"),
         (b"a: *nothing\n", 1, "not YAML"),
-        pytest.param(b"a: " + b"[" * 2000, None, "nested too deeply", marks=pytest.mark.slow),
-        pytest.param(b"a: &a [x,x,x,x,x,x,x,x,x,x]\n" + b"".join(
+        (b"a: " + b"[" * 2000, None, "nested too deeply"),
+        (b"a: &a [x,x,x,x,x,x,x,x,x,x]\n" + b"".join(
             b"%c: &%c [%s]\n" % (letter, letter, b",".join([b"*%c" % (letter - 1)] * 10)) for letter in b"bcdefgh"
-        ), None, "more than 100000 values", marks=pytest.mark.slow),
+        ), None, "more than 100000 values"),
         (b"version: 99\nbrand: new\n", 1, "install a newer cellapp"),
     ],
 )  # fmt: skip
@@ -336,7 +334,6 @@ def test_short_forms_of_numbers(twin: Path) -> None:
     assert profile_from_json(profile_to_json(profile)) == profile
 
 
-@pytest.mark.slow
 @settings(deadline=None)
 @given(
     offset=st.tuples(*[st.floats(-10.0, 10.0)] * 3),

@@ -3,19 +3,56 @@
 from __future__ import annotations
 
 import contextlib
+import gzip
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from cellapp.cell.programs.records import CorrectedTarget, ReadProgram
+from cellapp.cell.driving.cell import build_plant
+from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.profile.files import controller_file_text, controller_table
+from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, ReadProgram
 from cellapp.cell.programs.script_targets import read_script
-from cellapp.cell.programs.solving import rewritten
+from cellapp.cell.programs.solving import (
+    Workplace,
+    aim,
+    controller_chain,
+    flange_of,
+    nearest_vector,
+    outside,
+    rewritten,
+    solve_targets,
+    true_flange,
+)
 from cellapp.cell.programs.urscript import Unreadable, parse_expression, pose_matrix, pose_numbers, tokens_of
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.arm_identity import recorded_controllers
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.correct import correct_run, correct_table
+from cellapp.commands.plan.run import new_planned_run
+from cellapp.commands.report.data import read_report_data
+from cellapp.commands.report.sections import controllers_section
+from cellapp.commands.view.table import Table
 from cellapp.ground.errors import InputError
-
-pytestmark = pytest.mark.fast
+from cellapp.ground.profile.schema import FactoryErrors
+from cellapp.ground.profile.sections import ControllerTable
+from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
+from cellapp.robot.kinematics.statics import Bodies
+from cellapp.robot.kinematics.transforms import rotation_vectors
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import controller_rows, published_rows
+from drivers.plant.factory import factory_calibration
+from tests.arms import OFF_AXIS, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
+from tests.cell.programs.test_truth import FACTOR, Array, Cell, cell_of, corrected, errors, waypoint
+from tests.made_once import made_once
+from tests.twin import small_twin, with_arm
 
 TCP = "set_tcp(p[0, 0, 0.1, 0, 0, 0])\n"
 POSE, JOINTS = "p[0.4, -0.2, 0.3, 0, 3.1, 0]", "[0.1, -1.2, 1.3, -1.4, 1.5, 0.6]"
@@ -148,7 +185,6 @@ LINES = ["# movel(p[1,2,3,4,5,6])", 'textmsg("end")', "x = x + 1", "", "  sleep(
 NOISE = st.lists(st.sampled_from(LINES))
 
 
-@pytest.mark.slow
 @given(poses=st.lists(NUMBERS, min_size=1, max_size=5), noise=NOISE, ends=st.sampled_from(["\n", "\r\n"]))
 def test_programs_come_back_byte_for_byte(poses: list[list[float]], noise: list[str], ends: str) -> None:
     lines = [*noise]
@@ -195,3 +231,294 @@ def test_very_long_chains_of_variables_are_named() -> None:
 
 def test_a_byte_order_mark_is_no_word() -> None:
     assert len(read_script(f"\ufeffdef a():\nmovej({JOINTS})\nend".encode(), "a").targets) == 1
+
+
+# -- A controller with its factory's calibration: nominal in the profile, read back, compared, its programs corrected --
+
+_CHAIN = ("deltaTheta", "d", "a", "alpha")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A calibrated run whose controllers have a calibration; that of the left one is nominal."""
+
+    def make(folder: Path) -> None:
+        twin = small_twin(30, plant={"factory": FactoryErrors(length=1e-4, angle=1e-4), "effects": {}})
+        twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
+        own, left = factory_calibration(build_plant(twin), "left"), twin.arms["left"]
+        assert own is not None
+        text = controller_file_text((own.rows - published_rows(left)).tolist(), own.checksum, ("a comment",))
+        table = ControllerTable.model_validate(controller_table(text, Path("left.conf")))
+        with new_planned_run(with_arm(twin, "left", factory=table), folder) as run:
+            collect_run(run)
+            calibrate_run(run)
+
+    return made_once(tmp_path_factory, "factory-run", make)
+
+
+@pytest.fixture(scope="module")
+def cell(folder: Path) -> Cell:
+    found = cell_of(folder, "left")
+    with RunFile.open(folder) as run:
+        rows = controller_rows(run.profile.arms["left"])
+    return replace(found, rows=rows)
+
+
+def taught(cell: Cell, rows: Array) -> str:
+    """A program whose waypoints were taught on a controller that computes by ``rows``."""
+    values = "".join(
+        f'<{tag} value="{", ".join(map(repr, column))}"/>' for tag, column in zip(_CHAIN, rows.T.tolist(), strict=True)
+    )
+    body = "".join(waypoint(number, q) for number, q in enumerate(cell.q))
+    body = re.sub(r"<Kinematics.*?</Kinematics>", f'<Kinematics status="LINEARIZED">{values}</Kinematics>', body)
+    return f'<URProgram name="cell"><children><Move motionType="MoveJ">{body}</Move></children></URProgram>\n'
+
+
+def angles(program: str) -> Array:
+    return np.array([[float(part) for part in one.split(",")] for one in re.findall(r'angles="([^"]*)"', program)])
+
+
+def test_waypoints_of_a_calibrated_controller_reach_its_true_poses(cell: Cell, tmp_path: Path) -> None:
+    source = taught(cell, cell.rows)
+    new, result = corrected(cell, source, tmp_path, ".urp")
+    assert "controller: computes by its own calibration, checksum" in result.assumptions[0]
+    before, _ = errors(cell, angles(source))
+    after, _ = errors(cell, angles(new))
+    assert before.mean() > 0.05e-3
+    assert after.mean() < before.mean() / FACTOR
+
+
+def test_waypoints_of_another_controller_are_refused_by_name(cell: Cell, tmp_path: Path) -> None:
+    other = cell.rows.copy()
+    other[0, 0] += 1e-3
+    (tmp_path / "old.urp").write_bytes(gzip.compress(taught(cell, other).encode()))
+    with RunFile.open(cell.run.folder) as run:
+        result = correct_run(run, tmp_path / "old.urp", tmp_path / "new.urp", "left")
+        assert result.out is None
+        assert "another one than that in arms.*.factory" in result.refused[0][2]
+        (tmp_path / "old.script").write_text("movej([0,0,0,0,0,0])")
+        with pytest.raises(InputError, match=r"controller of this run computes with another calibration.*factory"):
+            correct_run(run, tmp_path / "old.script", tmp_path / "new.script", "right")
+
+
+def test_the_report_compares_published_factory_and_identified_rows(folder: Path) -> None:
+    with RunFile.open(folder) as run:
+        assert all(one.dh_rows is not None for one in recorded_controllers(run).values())
+        section = controllers_section(run, read_report_data(run))
+    assert section is not None
+    table = section.parts[0]
+    assert isinstance(table, Table)
+    mean = {(row[0], row[1]): row[2] for row in table.rows}
+    for arm in ("left", "right"):
+        published, factory, ours = (mean[arm, whose] for whose in ("published", "factory", "cellapp"))
+        assert isinstance(published, float)
+        assert isinstance(factory, float)
+        assert isinstance(ours, float)
+        assert ours < factory < 0.6 * published
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no section"),
+        ("x", "no calibration.conf"),
+        ("[mounting]\ndelta_theta = [0]\n", "has no delta_a"),
+        ("[mounting]\ndelta_theta = [a]\n", "expected numbers between commas"),
+        ("[mounting]\ndelta_theta = [nan]\n", "not a finite number"),
+    ],
+)
+def test_a_file_that_is_no_calibration_is_refused(text: str, words: str) -> None:
+    with pytest.raises(InputError, match=f"left.conf: .*{words}"):
+        controller_table(text, Path("left.conf"))
+
+
+# -- Corrections of single targets: exact by the model, on the branch of the controller, refused with a reason ---------
+
+ArrayOfSolving = NDArray[np.float64]
+HOME = np.array([0.3, -1.4, 1.6, -1.7, 1.2, 0.4])
+TCP_OF_SOLVING = (0.02, -0.03, 0.15, 0.1, 0.2, 0.3)
+LIMITS = np.tile([-2.0 * np.pi, 2.0 * np.pi], (6, 1))
+
+
+def term(slug: str, **values: float) -> EffectTerm:
+    size = np.array(list(values.values()))
+    return EffectTerm(slug, tuple(values), size, np.zeros(len(size)), ("",) * len(size), EFFECTS[slug].law())
+
+
+COMPLIANCE = term("joint_compliance", compliance2=1.0 / 6e4, compliance3=1.0 / 3e4, compliance5=1.0 / 1e4)
+ECCENTRICITY = term("encoder_eccentricity", cos1q1=8e-5, sin1q1=-5e-5, sin1q4=2e-4)
+SCALE = term("tracker_scale", scale=1e-5)
+
+
+def arm_model(seed: int | None = 1, *effects: EffectTerm, network: Any = None) -> ArmModel:
+    nominal = at_station(UR10, OFF_AXIS)
+    true = nominal if seed is None else true_geometry(nominal, np.random.default_rng(seed))
+    bodies = Bodies(UR10_MASSES, UR10_CENTERS, 2.0, np.array([0.0, 0.0, 0.05]))
+    return ArmModel(true, nominal, bodies, np.array([0.1, 0.0, 0.99498744]), effects, network)
+
+
+def place(arm: ArmModel, **changes: Any) -> Workplace:
+    own = Workplace(arm, LIMITS, HOME, np.array([HOME - 1.0, HOME + 1.0]), 7, None, extrapolate=False)
+    return replace(own, **changes)
+
+
+def tcp_pose(q: ArrayOfSolving) -> tuple[float, ...]:
+    return pose_numbers(flange_of(controller_chain(arm_model()), q[None])[0] @ pose_matrix(TCP_OF_SOLVING))
+
+
+def solved(source: str, workplace: Workplace) -> list[CorrectedTarget]:
+    return solve_targets(workplace, read_script(source.encode(), "a", TCP_OF_SOLVING).targets)
+
+
+def pose_text(q: ArrayOfSolving) -> str:
+    return f"p{[round(value, 9) for value in tcp_pose(q)]}"
+
+
+def joints(result: CorrectedTarget) -> ArrayOfSolving:
+    assert result.q_new is not None, result.reason
+    return np.array(result.q_new)
+
+
+class Waves:
+    """A correction in the base frame that varies with the joints, as a residual network's does."""
+
+    def correct(self, q: ArrayOfSolving) -> ArrayOfSolving:
+        return 3e-4 * np.sin(q[:, :3])
+
+    def spread(self, q: ArrayOfSolving) -> ArrayOfSolving:
+        return np.zeros((len(q), 3))
+
+
+MODELS = [arm_model(), arm_model(2, COMPLIANCE, ECCENTRICITY), arm_model(3, COMPLIANCE, network=Waves())]
+
+
+@pytest.mark.parametrize("arm", MODELS)
+def test_the_model_puts_the_flange_where_the_program_means(arm: ArmModel) -> None:
+    q = HOME + np.random.default_rng(0).uniform(-0.5, 0.5, (20, 6))
+    results = solved("\n".join(f"movel({pose_text(one)})\nmovej({one.tolist()})" for one in q), place(arm))
+    assert not any(one.reason for one in results)
+    reached = true_flange(arm, np.array([one.q_new for one in results]), MeasurementConditions())
+    wanted = arm.nominal.T_M_B() @ flange_of(controller_chain(arm), np.repeat(q, 2, axis=0))
+    assert np.linalg.norm(reached[:, :3, 3] - wanted[:, :3, 3], axis=1).max() < 1e-8
+    turn = rotation_vectors(wanted[:, :3, :3].transpose(0, 2, 1) @ reached[:, :3, :3])
+    assert np.abs(turn).max() < 1e-8
+    for pose, same in zip(results[::2], results[1::2], strict=True):
+        np.testing.assert_allclose(joints(pose), joints(same), atol=1e-7)
+        told = pose_numbers(flange_of(controller_chain(arm), np.array([pose.q_new]))[0] @ pose_matrix(TCP_OF_SOLVING))
+        np.testing.assert_allclose(pose_matrix(pose.new or ()), pose_matrix(told), atol=1e-9)
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 2**31), length=st.floats(0.0, 2e-3), angle=st.floats(0.0, 3e-3))
+def test_any_arm_is_inverted_below_a_micrometre(seed: int, length: float, angle: float) -> None:
+    nominal = at_station(UR10, OFF_AXIS)
+    rng = np.random.default_rng(seed)
+    arm = replace(arm_model(), geometry=true_geometry(nominal, rng, length, angle), effects=(COMPLIANCE,))
+    q = HOME + rng.uniform(-0.4, 0.4, (5, 6))
+    found = aim(arm, arm.nominal.T_M_B() @ flange_of(controller_chain(arm), q), q, MeasurementConditions())
+    assert found.residual_m.max() < 1e-6
+    assert found.residual_rad.max() < 1e-6
+    assert np.abs(found.q - q).max() < 0.1
+
+
+def test_an_arm_without_errors_leaves_the_program_byte_for_byte() -> None:
+    source = f"movej({HOME.tolist()})\nmovel({pose_text(HOME + 0.1)}, v = .1)\n"
+    program = read_script(source.encode(), "a", TCP_OF_SOLVING)
+    results = solve_targets(place(arm_model(None)), program.targets)
+    assert [one.correction_mm for one in results] == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert rewritten(program.text, program.targets, results) == source
+
+
+def test_the_rotation_of_the_flange_follows_from_four_points() -> None:
+    arm = arm_model(4, COMPLIANCE, ECCENTRICITY)
+    q = HOME + np.random.default_rng(1).uniform(-0.6, 0.6, (10, 6))
+    rotations, origins = arm.flange(q)
+    poses = true_flange(arm, q, MeasurementConditions())
+    np.testing.assert_allclose(poses[:, :3, :3], rotations, atol=1e-10)
+    np.testing.assert_allclose(poses[:, :3, 3], origins, atol=1e-10)
+
+
+def test_the_branch_is_the_one_the_controller_takes() -> None:
+    other = np.array([0.3, -0.35, -1.6, 0.1, -1.2, 0.4 + np.pi])
+    arm, wide = arm_model(), {"measured": np.array([HOME - 4.0, HOME + 4.0])}
+    source = f"movel({pose_text(HOME)})"
+    (near_home,) = solved(source, place(arm, **wide))
+    assert near_home.nearest_to == "home"
+    np.testing.assert_allclose(joints(near_home), HOME, atol=0.02)
+    turned = HOME + np.array([0, 0, 0, 0, 0, -2.0 * np.pi])
+    first, second = solved(f"movej({turned.tolist()})\n{source}", place(arm, **wide))
+    assert second.nearest_to == "line 1"
+    np.testing.assert_allclose(joints(second), turned, atol=0.02)
+    (asked,) = solved(f"movej(get_inverse_kin({pose_text(other)}, qnear={other.tolist()}))", place(arm, **wide))
+    assert asked.nearest_to == "qnear"
+    np.testing.assert_allclose(joints(asked), other, atol=0.02)
+    assert first.nearest_to == ""
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ("movel(p[3, 0, 0, 0, 0, 0])", "out of reach"),
+        ("movej([7, -1.4, 1.6, -1.7, 1.2, 0.4])", "position of joint 1, 401.070 deg, is beyond its limits"),
+        ("movej([0.3, -1.4, 1.6, -1.7, 0.0, 0.4])", "singular posture"),
+        ("movej([0.3, -1.4, 1.6, -1.7, -1.2, 0.4])", "outside the calibrated range: joint 5 at"),
+    ],
+)
+def test_targets_without_a_correction_say_why(source: str, words: str) -> None:
+    (result,) = solved(source, place(arm_model()))
+    assert result.new is None
+    assert words in result.reason
+
+
+def test_a_shorter_arm_does_not_reach_what_the_published_one_just_does() -> None:
+    arm = arm_model(None)
+    rows = arm.geometry.rows.copy()
+    rows[1, 2] += 2e-3
+    short = replace(arm, geometry=replace(arm.geometry, rows=rows))
+    (result,) = solved("movej([0.3, -1.4, 0.0, -1.7, 1.2, 0.4])", place(short, extrapolate=True))
+    assert "edge of the reach: the calibrated arm stays" in result.reason
+
+
+def test_only_the_position_of_the_point_on_the_way_changes() -> None:
+    q = HOME + np.array([0.1, 0.05, 0, 0, 0, 0])
+    via = [*tcp_pose(q)[:3], 0.0, 0.0, 0.0]
+    first, second = solved(f"movec(p{via}, {pose_text(HOME)})", place(arm_model()))
+    assert first.new is not None
+    assert first.new[3:] == (0.0, 0.0, 0.0)
+    assert first.correction_mm is not None
+    assert 0.1 < first.correction_mm < 20.0
+    assert second.new is not None
+
+
+def test_what_moves_only_the_reading_is_not_corrected() -> None:
+    source = f"movej({HOME.tolist()})"
+    assert solved(source, place(arm_model(5, SCALE)))[0].new == solved(source, place(arm_model(5)))[0].new
+
+
+def test_the_payload_of_the_program_counts() -> None:
+    source, arm = f"movej({HOME.tolist()})", arm_model(6, COMPLIANCE)
+    none, same, heavy = (solved(source, place(arm, payload_kg=mass))[0].new for mass in (None, 2.0, 9.0))
+    assert none == same
+    assert heavy != same
+
+
+def test_ranges_count_whole_turns_away() -> None:
+    measured = np.array([[-0.5, 3.0], [0.5, 4.0]])
+    assert outside(np.array([2.0 * np.pi, 3.5 - 2.0 * np.pi]), measured) == []
+    assert outside(np.array([0.6, 3.5]), measured) == [0]
+
+
+def test_a_rotation_vector_stays_near_the_old_one() -> None:
+    here = nearest_vector([0.0, 0.0, -3.1], [0.0, 0.0, 3.2])
+    np.testing.assert_allclose(here, [0.0, 0.0, 2.0 * np.pi - 3.1], atol=1e-12)
+    np.testing.assert_allclose(nearest_vector([0.1, 0.2, 0.3], [0.1, 0.2, 0.3]), [0.1, 0.2, 0.3])
+
+
+def test_the_table_has_old_and_new_numbers() -> None:
+    targets = solved(f"movej({HOME.tolist()})\nmovel(p[3, 0, 0, 0, 0, 0])", place(arm_model()))
+    result = CorrectResult(program="a", out=None, arm="left", targets=tuple(targets), left=(), assumptions=())
+    rows = correct_table(result).text_rows()
+    assert [row[0] for row in rows] == ["1", "", "2", ""]
+    assert rows[0][2] == "0.300,-1.400,1.600,-1.700,1.200,0.400"
+    assert float(rows[1][3]) == pytest.approx(targets[0].correction_mm, abs=6e-4)
+    assert rows[3][2] == "not corrected, see below"

@@ -15,8 +15,6 @@ from cellapp.cell.programs.solving import rewritten
 from cellapp.ground.errors import InputError
 from tests.arms import UR10
 
-pytestmark = pytest.mark.fast
-
 ANGLES = '<JointAngles angles="0.1, -1.2, 1.3, -1.4, 1.5, 0.6"/>'
 CALIBRATED = (
     '<Kinematics status="LINEARIZED"><deltaTheta value="0, 0.001, 0, 0, 0, 0"/><a value="0, -0.612, -0.5723, 0, 0, 0"/>'

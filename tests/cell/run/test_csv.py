@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy.spatial.transform import Rotation
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile, import_csv, read_readings_csv, write_readings_csv
+from cellapp.cell.run.stations import STATIONS_RESULT, stored_tie_sentences
+from cellapp.commands.import_ import import_new_run
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.errors import InputError
+from cellapp.robot.kinematics.transforms import apply, invert, transform
+from tests.cell.run.csv_rows import Rows, written
+from tests.cell.run.test_measured_again import change, left_alone
 from tests.cell.run.two_arm_cell import assert_same, two_arms
 
 ROOT = Path(__file__).parents[3]
@@ -53,7 +60,6 @@ def refusal(path: Path) -> str:
     return str(caught.value)
 
 
-@pytest.mark.fast
 def test_a_file_of_two_arms(path: Path) -> None:
     write(path, *ROWS)
     readings, notes = read_readings_csv(path, JOINTS)
@@ -71,7 +77,6 @@ def test_a_file_of_two_arms(path: Path) -> None:
     assert notes == [f"{path}: column 'mood' is unknown; it is kept and not used"]
 
 
-@pytest.mark.fast
 def test_rows_come_back_in_the_order_of_configurations(path: Path) -> None:
     write(path, *reversed(ROWS))
     readings, _ = read_readings_csv(path, JOINTS)
@@ -80,7 +85,6 @@ def test_rows_come_back_in_the_order_of_configurations(path: Path) -> None:
     assert readings["left"].extras == {"mood": ("good", "bad")}
 
 
-@pytest.mark.fast
 def test_what_is_optional_may_be_absent(path: Path) -> None:
     write(path, "5,left,1,2,3,4,5", header="configuration,arm,q1,q2,x_m,y_m,z_m")
     readings, notes = read_readings_csv(path, JOINTS)
@@ -92,7 +96,6 @@ def test_what_is_optional_may_be_absent(path: Path) -> None:
     assert notes == [f"{path}: arm 'right' of the profile has no readings in this file"]
 
 
-@pytest.mark.fast
 def test_spaces_byte_order_mark_blank_lines_and_windows_line_ends(path: Path) -> None:
     text = "\r\n".join([HEADER.replace(",", " , "), ROWS[0].replace(",", " , "), "", ROWS[2], "", ""])
     path.write_bytes(b"\xef\xbb\xbf" + text.encode())
@@ -100,7 +103,6 @@ def test_spaces_byte_order_mark_blank_lines_and_windows_line_ends(path: Path) ->
     assert len(readings["left"]) == 2
 
 
-@pytest.mark.fast
 def test_a_misspelt_optional_column_is_pointed_out(path: Path) -> None:
     write(path, *ROWS, header=HEADER.replace("sigma_m", "sigma"))
     readings, notes = read_readings_csv(path, JOINTS)
@@ -142,7 +144,6 @@ BAD_CELLS = [
 ]
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(("row", "old", "new", "column", "says"), BAD_CELLS)
 def test_a_bad_cell_is_named_with_file_line_and_column(
     path: Path, row: int, old: str, new: str, column: str, says: str
@@ -157,7 +158,6 @@ def test_a_bad_cell_is_named_with_file_line_and_column(
     assert "\n" not in message
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("old", "new", "column", "says"),
     [
@@ -182,7 +182,6 @@ def test_a_bad_header_names_the_column(path: Path, old: str, new: str, column: s
     assert says in told
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("sign", ["2", "0.5", "+", "-2"])
 def test_approach_is_a_sign(path: Path, sign: str) -> None:
     header = "configuration,arm,q1,q2,x_m,y_m,z_m,approach1,approach2"
@@ -203,7 +202,6 @@ COVARIANCES = [
 ]
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(("six", "column", "says"), COVARIANCES)
 def test_a_covariance_that_is_none(path: Path, six: str, column: str, says: str) -> None:
     header = "configuration,arm,q1,q2,x_m,y_m,z_m,sxx,sxy,sxz,syy,syz,szz"
@@ -224,7 +222,6 @@ def test_a_covariance_that_is_none(path: Path, six: str, column: str, says: str)
     assert says in message
 
 
-@pytest.mark.fast
 def test_degrees_are_noticed_and_a_far_turned_joint_is_not_degrees(path: Path) -> None:
     header = "configuration,arm,q1,q2,x_m,y_m,z_m"
     write(path, "0,left,1,2,3,4,5", "1,left,90,2,3,4,5", "2,left,10,-45,3,4,5", header=header)
@@ -234,7 +231,6 @@ def test_degrees_are_noticed_and_a_far_turned_joint_is_not_degrees(path: Path) -
     assert readings["left"].q[1, 0] == 13.0
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("content", "where", "says"),
     [
@@ -257,14 +253,12 @@ def test_a_file_that_holds_no_readings(path: Path, content: bytes, where: str, s
     assert says in message
 
 
-@pytest.mark.fast
 def test_a_missing_file_and_a_folder(path: Path) -> None:
     assert "file not found" in refusal(path)
     path.mkdir()
     assert "cannot be read" in refusal(path)
 
 
-@pytest.mark.fast
 def test_several_errors_are_told_together(path: Path) -> None:
     rows = [row.replace("0.2,", "x,", 1).replace("3.5", "y") for row in ROWS]
     write(path, *rows)
@@ -276,7 +270,6 @@ def test_several_errors_are_told_together(path: Path) -> None:
     ]
 
 
-@pytest.mark.fast
 def test_an_import_is_a_whole_run(path: Path, tmp_path: Path) -> None:
     write(path, *ROWS)
     with import_csv(two_arms(), path, tmp_path / "run") as run:
@@ -290,7 +283,6 @@ def test_an_import_is_a_whole_run(path: Path, tmp_path: Path) -> None:
         import_csv(two_arms(), path, tmp_path / "run")
 
 
-@pytest.mark.fast
 def test_an_import_without_any_reading_of_an_arm_is_refused(path: Path, tmp_path: Path) -> None:
     write(path, *(row for row in ROWS if "left" in row))
     with pytest.raises(InputError, match=r"readings\.csv: arm: no reading of arm right"):
@@ -298,7 +290,6 @@ def test_an_import_without_any_reading_of_an_arm_is_refused(path: Path, tmp_path
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.fast
 def test_export_has_the_columns_of_the_import(path: Path, tmp_path: Path) -> None:
     header = "zeta," + HEADER + ",alpha,payload_kg"
     write(path, *(f"{index},{row},x y,," for index, row in enumerate(ROWS)), header=header + ",empty")
@@ -313,7 +304,6 @@ def test_export_has_the_columns_of_the_import(path: Path, tmp_path: Path) -> Non
     assert not (tmp_path / "out.csv.new").exists()
 
 
-@pytest.mark.fast
 def test_a_text_is_no_formula_of_a_spreadsheet(path: Path, tmp_path: Path) -> None:
     rows = [row.replace("good", "=1+2").replace("bad", "-0.5") for row in ROWS]
     write(path, *rows)
@@ -407,7 +397,6 @@ def test_export_then_import_gives_every_bit_back(data: st.DataObject, tmp_path_f
     shutil.rmtree(folder)
 
 
-@pytest.mark.fast
 @settings(max_examples=50, deadline=None)
 @given(content=st.text(alphabet='configuration,arm"qxyz_m123.\n-e5leftrigh', max_size=120))
 def test_any_text_is_read_or_refused(content: str, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -422,7 +411,6 @@ def test_any_text_is_read_or_refused(content: str, tmp_path_factory: pytest.Temp
     shutil.rmtree(path.parent)
 
 
-@pytest.mark.fast
 def test_the_real_arm(tmp_path: Path) -> None:
     profile = load_profile(ROOT / "profiles" / "ur10-real.yaml")
     with import_csv(profile, REAL, tmp_path / "run") as run:
@@ -445,7 +433,6 @@ def test_the_real_arm(tmp_path: Path) -> None:
         assert next(csv.reader(file)) == list(given_rows[0])
 
 
-@pytest.mark.fast
 def test_joints_beyond_their_limits_are_refused_by_row_with_a_guess(tmp_path: Path, path: Path) -> None:
     """One row in degrees among rows in radians once ruined a calibration without a word."""
     rows = [f"{k},left,0.1,0.2,1,2,3" for k in range(5)]
@@ -465,7 +452,6 @@ def test_joints_beyond_their_limits_are_refused_by_row_with_a_guess(tmp_path: Pa
     assert readings["left"].q[2, 1] == 12.5
 
 
-@pytest.mark.fast
 def test_a_run_is_not_made_of_a_joint_position_in_degrees(tmp_path: Path) -> None:
     text = REAL.read_text(encoding="utf-8").splitlines()
     cells = text[7].split(",")
@@ -478,7 +464,6 @@ def test_a_run_is_not_made_of_a_joint_position_in_degrees(tmp_path: Path) -> Non
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("column", "value"),
     [
@@ -510,3 +495,106 @@ def test_absurd_and_non_finite_values_are_refused_by_row(path: Path, column: str
     with pytest.raises(InputError) as refused:
         read_readings_csv(path, JOINTS, limits=limits)
     assert str(refused.value).startswith(f"{path}:4: {column}: expected ")
+
+
+# -- Readings of two tracker stations through the one door: tied by reference nests, mistakes named by row -------------
+
+T = transform(Rotation.from_euler("z", 1.2).as_matrix(), [2.0, -1.0, 0.2])
+NESTS = np.array([[2.0, 1.5, -0.5], [3.5, -1.0, -0.5], [4.5, 1.0, -0.4], [3.0, 0.2, -0.6], [4.8, -1.2, 0.3]])
+POINTS = np.random.default_rng(2).uniform(-0.8, 0.8, (12, 3)) + np.array([3.5, 0.0, 0.3])
+
+
+def xyz(p: np.ndarray) -> dict[str, str]:
+    return dict(zip(("x_m", "y_m", "z_m"), map(repr, p.tolist()), strict=True))
+
+
+def readings() -> Rows:
+    q = np.random.default_rng(4).uniform(-1.0, 1.0, (12, 6))
+    back = apply(invert(T), POINTS)
+    return [
+        {
+            "configuration": str(k),
+            "arm": "left",
+            **{f"q{j + 1}": repr(float(a)) for j, a in enumerate(q[k])},
+            **xyz(POINTS[k] if k < 6 else back[k]),
+            "station": "north" if k < 6 else "south",
+        }
+        for k in range(12)
+    ]
+
+
+def nests() -> Rows:
+    noise = np.random.default_rng(5).normal(0.0, 1e-5, (2, 5, 3))
+    rows = [{"station": "north", "nest": f"F{k}", **xyz(p)} for k, p in enumerate(NESTS + noise[0])]
+    return rows + [
+        {"station": "south", "nest": f"F{k}", **xyz(p)} for k, p in enumerate(apply(invert(T), NESTS) + noise[1])
+    ]
+
+
+def test_two_stations_are_one_frame_and_the_import_says_how_well(tmp_path: Path) -> None:
+    table, floor = written(tmp_path / "in.csv", readings()), written(tmp_path / "floor.csv", nests())
+    result = import_new_run(left_alone(), table, tmp_path / "run", reference_nests=floor)
+    (note,) = (one for one in result.notes if one.startswith("station south is tied to north by 5 reference nests"))
+    assert "a coordinate of arm left is known to 0.0" in note
+    with RunFile.open(tmp_path / "run") as run:
+        left = run.readings("left")
+        assert run.rows("left").station == ("north",) * 6 + ("south",) * 6
+    assert left.station is None
+    np.testing.assert_allclose(left.p_M[:6], POINTS[:6], atol=1e-12)
+    np.testing.assert_allclose(left.p_M[6:], POINTS[6:], atol=5e-5)
+
+
+def test_stations_without_nests_are_refused(tmp_path: Path) -> None:
+    table = written(tmp_path / "in.csv", readings())
+    with pytest.raises(InputError, match=r"readings of 2 stations \(north, south\) have frames of their own"):
+        import_new_run(left_alone(), table, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def drop(count: int) -> Callable[[Rows], None]:
+    def act(rows: Rows) -> None:
+        del rows[-count:]
+
+    return act
+
+
+def exchange(rows: Rows) -> None:
+    rows[6]["nest"], rows[8]["nest"] = "F3", "F1"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (drop(3), "station 'south' is not tied to 'north': measure three nests or more"),
+        (change("x_m", "2.001", 0), "F0"),
+        (change("nest", "F1", 5), r":8: nest: 'F1' of station 'south' is in line 7 already"),
+        (change("y_m", "far", 3), r":5: y_m: expected metres up to 100, got 'far'"),
+        (change("station", "", 3), r":5: station: the value is missing"),
+        (exchange, "did it move, or are names exchanged"),
+        (drop(5), "no nest of station south, which readings of arm left name"),
+    ],
+)
+def test_a_mistake_is_named(tmp_path: Path, spoil: Callable[[Rows], None], says: str) -> None:
+    rows = nests()
+    spoil(rows)
+    table, floor = written(tmp_path / "in.csv", readings()), written(tmp_path / "floor.csv", rows)
+    with pytest.raises(InputError, match=says):
+        import_new_run(left_alone(), table, tmp_path / "run", reference_nests=floor)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_stop_of_two_stations_is_named(tmp_path: Path) -> None:
+    rows = readings()
+    rows[6]["configuration"] = "2"
+    table, floor = written(tmp_path / "in.csv", rows), written(tmp_path / "floor.csv", nests())
+    with pytest.raises(InputError, match="give each station stops of its own"):
+        import_new_run(left_alone(), table, tmp_path / "run", reference_nests=floor)
+
+
+def test_the_words_are_kept_for_calibration(tmp_path: Path) -> None:
+    table, floor = written(tmp_path / "in.csv", readings()), written(tmp_path / "floor.csv", nests())
+    import_new_run(left_alone(), table, tmp_path / "run", reference_nests=floor)
+    with RunFile.open(tmp_path / "run") as run:
+        (sentence,) = stored_tie_sentences(run.read_result(STATIONS_RESULT))
+    assert sentence.startswith("station south is tied to north")
+    assert stored_tie_sentences(None) == ()

@@ -16,8 +16,6 @@ from cellapp.estimation.readings import joined
 from cellapp.ground.errors import InputError
 from tests.cell.run.two_arm_cell import assert_same, two_arms
 
-pytestmark = pytest.mark.fast
-
 HEADER = (
     "configuration,arm,q1,q2,payload_kg,payload_cx_m,payload_cy_m,payload_cz_m,x_m,y_m,z_m,"
     "quat_w,quat_x,quat_y,quat_z,sigma_rad,smr,station"

@@ -53,7 +53,6 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.fast
 def test_a_run_keeps_its_profile_and_is_one_file_when_closed(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(0, {"left": reading(0), "right": reading(1, 3)})
@@ -65,7 +64,6 @@ def test_a_run_keeps_its_profile_and_is_one_file_when_closed(profile: Profile, f
     assert list(files(folder)) == ["run.sqlite"]
 
 
-@pytest.mark.fast
 def test_reading_does_not_change_the_file(profile: Profile, folder: Path) -> None:
     RunFile.create(folder, profile).close()
     before = files(folder)
@@ -134,7 +132,6 @@ def test_every_bit_of_a_stop_comes_back(data: st.DataObject, tmp_path_factory: p
     shutil.rmtree(folder)
 
 
-@pytest.mark.fast
 def test_a_stop_with_all_its_values(profile: Profile, folder: Path) -> None:
     full = Reading(
         q=np.array([0.1, -0.2]),
@@ -166,7 +163,6 @@ def test_a_stop_with_all_its_values(profile: Profile, folder: Path) -> None:
     np.testing.assert_array_equal(left.in_split("train"), [1])
 
 
-@pytest.mark.fast
 def test_a_stop_is_stored_for_all_arms_or_for_none(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(0, {"right": reading(0, 3)})
@@ -176,7 +172,6 @@ def test_a_stop_is_stored_for_all_arms_or_for_none(profile: Profile, folder: Pat
         assert run.readings("right").time_s[0] == 0.0
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("arm", "wrong", "says"),
     [
@@ -200,7 +195,6 @@ def test_values_that_are_no_reading(profile: Profile, folder: Path, arm: str, wr
         assert run.stops_done() == set()
 
 
-@pytest.mark.fast
 def test_plan_splits_events_and_results(profile: Profile, folder: Path) -> None:
     rng = np.random.default_rng(0)
     plan = {"right": rng.normal(size=(12, 3)), "left": rng.normal(size=(12, 2))}
@@ -228,7 +222,6 @@ def test_plan_splits_events_and_results(profile: Profile, folder: Path) -> None:
         assert run.read_result("other") is None
 
 
-@pytest.mark.fast
 def test_a_plan_does_not_change_under_measured_stops(profile: Profile, folder: Path) -> None:
     plan = {"left": np.arange(8.0).reshape(4, 2)}
     with RunFile.create(folder, profile) as run:
@@ -242,7 +235,6 @@ def test_a_plan_does_not_change_under_measured_stops(profile: Profile, folder: P
         np.testing.assert_array_equal(run.read_plan()["left"], longer["left"])
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     "plan",
     [
@@ -259,7 +251,6 @@ def test_a_plan_that_does_not_fit(profile: Profile, folder: Path, plan: dict[str
         assert run.read_plan() == {}
 
 
-@pytest.mark.fast
 def test_wrong_splits(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(0, {"left": reading(0)})
@@ -270,7 +261,6 @@ def test_wrong_splits(profile: Profile, folder: Path) -> None:
         assert run.readings("left").split is None
 
 
-@pytest.mark.fast
 def test_a_reader_looks_on_while_another_writes(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run, RunFile.open(folder) as reader:
         for stop in range(3):
@@ -280,7 +270,6 @@ def test_a_reader_looks_on_while_another_writes(profile: Profile, folder: Path) 
         assert len(run.readings("left")) == 3
 
 
-@pytest.mark.fast
 def test_threads_share_a_run(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
 
@@ -298,7 +287,6 @@ def test_threads_share_a_run(profile: Profile, folder: Path) -> None:
         assert len(run.events()) == 30
 
 
-@pytest.mark.fast
 def test_a_full_disk_is_a_sentence_and_costs_only_that_stop(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(0, {"left": reading(0)})
@@ -312,7 +300,6 @@ def test_a_full_disk_is_a_sentence_and_costs_only_that_stop(profile: Profile, fo
         assert run.read_result("big") is None
 
 
-@pytest.mark.fast
 def test_using_a_closed_run_is_a_sentence(profile: Profile, folder: Path) -> None:
     run = RunFile.create(folder, profile)
     run.close()
@@ -324,7 +311,6 @@ def test_using_a_closed_run_is_a_sentence(profile: Profile, folder: Path) -> Non
 # -- folders that hold something else ---------------------------------------------------------------------------------
 
 
-@pytest.mark.fast
 def test_a_folder_with_a_run_is_not_used_again(profile: Profile, folder: Path) -> None:
     RunFile.create(folder, profile).close()
     before = files(folder)
@@ -335,7 +321,6 @@ def test_a_folder_with_a_run_is_not_used_again(profile: Profile, folder: Path) -
     assert files(folder) == before
 
 
-@pytest.mark.fast
 def test_a_folder_with_something_else_is_not_used(profile: Profile, folder: Path) -> None:
     folder.mkdir(parents=True)
     (folder / "thesis.tex").write_text("draft")
@@ -344,7 +329,6 @@ def test_a_folder_with_something_else_is_not_used(profile: Profile, folder: Path
     assert files(folder) == {"thesis.tex": b"draft"}
 
 
-@pytest.mark.fast
 def test_a_file_is_no_folder(profile: Profile, tmp_path: Path) -> None:
     path = tmp_path / "run"
     path.write_text("x")
@@ -357,7 +341,6 @@ def test_a_file_is_no_folder(profile: Profile, tmp_path: Path) -> None:
     assert path.read_text() == "x"
 
 
-@pytest.mark.fast
 def test_an_empty_folder_and_one_of_a_killed_creation_are_used(profile: Profile, folder: Path) -> None:
     folder.mkdir(parents=True)
     (folder / "run.sqlite.new").write_bytes(b"half")
@@ -366,7 +349,6 @@ def test_an_empty_folder_and_one_of_a_killed_creation_are_used(profile: Profile,
     assert list(files(folder)) == ["run.sqlite"]
 
 
-@pytest.mark.fast
 def test_a_creation_that_fails_leaves_nothing(profile: Profile, tmp_path: Path) -> None:
     def fill(run: RunFile) -> None:
         run.add_stop(0, {"left": reading(0)})
@@ -385,7 +367,6 @@ def test_a_creation_that_fails_leaves_nothing(profile: Profile, tmp_path: Path) 
 # -- files that cannot be opened --------------------------------------------------------------------------------------
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("write", [False, True])
 @pytest.mark.parametrize(("spoil", "says"), SPOILED)
 def test_a_file_that_is_no_run_is_refused_and_left_alone(
@@ -403,7 +384,6 @@ def test_a_file_that_is_no_run_is_refused_and_left_alone(
     assert files(folder) == before
 
 
-@pytest.mark.fast
 def test_a_missing_run(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="run folder not found"):
         RunFile.open(tmp_path / "none")
@@ -476,7 +456,6 @@ def test_nothing_committed_is_lost_by_a_kill_at_any_moment(profile: Profile, fol
         assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
 
 
-@pytest.mark.fast
 def test_a_commit_waits_for_the_disk(profile: Profile, folder: Path) -> None:
     """SIGKILL cannot show this: after a power cut only what was synchronised is there."""
     with RunFile.create(folder, profile) as run:
@@ -486,7 +465,6 @@ def test_a_commit_waits_for_the_disk(profile: Profile, folder: Path) -> None:
     assert (synchronous, journal) == (2, "wal")
 
 
-@pytest.mark.fast
 def test_who_changes_nothing_leaves_every_byte_as_it_was(profile: Profile, folder: Path) -> None:
     RunFile.create(folder, profile).close()
     before = (folder / "run.sqlite").read_bytes()
@@ -496,7 +474,6 @@ def test_who_changes_nothing_leaves_every_byte_as_it_was(profile: Profile, folde
     assert list(files(folder)) == ["run.sqlite"]
 
 
-@pytest.mark.fast
 def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lacks(
     profile: Profile, folder: Path
 ) -> None:
@@ -523,7 +500,6 @@ def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lac
         np.testing.assert_array_equal(left.dwell_s, [np.nan, 1.5])
 
 
-@pytest.mark.fast
 def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_stages(
     profile: Profile, folder: Path
 ) -> None:
@@ -547,7 +523,6 @@ def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_
     assert [request[1:] for request in found.requests] == [("pause", "by a person")]
 
 
-@pytest.mark.fast
 def test_a_file_of_the_fourth_schema_gets_the_order_of_measurement(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(1, {"left": reading(1)})
@@ -566,7 +541,6 @@ def test_a_file_of_the_fourth_schema_gets_the_order_of_measurement(profile: Prof
         np.testing.assert_array_equal(run.readings("left").sequence, [np.nan, 1.0])
 
 
-@pytest.mark.fast
 def test_a_file_of_the_seventh_schema_takes_several_rows_of_a_stop(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(1, {"left": reading(1)})
@@ -587,7 +561,6 @@ def test_a_file_of_the_seventh_schema_takes_several_rows_of_a_stop(profile: Prof
             run.readings("left")
 
 
-@pytest.mark.fast
 def test_an_outcome_counts_until_the_stop_is_measured(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(1, {"left": reading(1)}, [Outcome(1, "right", "not measured", "hidden")])

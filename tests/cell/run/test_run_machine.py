@@ -20,8 +20,6 @@ from cellapp.estimation.readings import Reading
 from cellapp.ground.errors import InputError
 from tests.cell.run.two_arm_cell import two_arms
 
-pytestmark = pytest.mark.fast
-
 PROFILE = two_arms()
 JOINTS = {"left": 2, "right": 3}
 STOPS = 6
@@ -190,4 +188,3 @@ class RunMachine(RuleBasedStateMachine):
 
 RunMachine.TestCase.settings = settings(max_examples=25, stateful_step_count=20, deadline=None, derandomize=True)
 TestRunMachine = RunMachine.TestCase
-TestRunMachine.pytestmark = [pytest.mark.slow]  # type: ignore[attr-defined]

@@ -66,7 +66,6 @@ def read(tmp_path: Path, joint_text: str, point_text: str):
     return one, notes
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("case", FILES)
 def test_files_of_other_programs_are_understood(case: str, tmp_path: Path) -> None:
     one, notes = read(tmp_path, *FILES[case])
@@ -80,7 +79,6 @@ def test_files_of_other_programs_are_understood(case: str, tmp_path: Path) -> No
     assert case.startswith("joints") or any("understood as time_s = " in note for note in notes)
 
 
-@pytest.mark.fast
 def test_one_family_of_numbered_columns_are_the_joints() -> None:
     own = {"time_s", "q1", "q2", "q3", "q4"}
     traced = [f"AxisQMsr_LBR_7_R800_1[{number}]" for number in range(1, 8)]
@@ -102,7 +100,6 @@ def test_what_a_name_leaves_open_is_decided_only_where_it_is_sure(tmp_path: Path
     assert "positions that were commanded" in notes[0]
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("head", "columns"),
     [("t,actual_q0,actual_q1,q0,q1", (Q, Q + 1.0)), ("time_s,q1,q2,actual_q_0,actual_q_1", (Q, Q + 1.0))],
@@ -114,7 +111,6 @@ def test_no_name_of_a_joint_is_given_twice(head: str, columns: tuple[np.ndarray,
     assert len(one.state.unknown) == 2
 
 
-@pytest.mark.fast
 def test_stamps_may_be_dates_and_lost_beams_nan_or_zero(tmp_path: Path) -> None:
     rows = joints(TIMES, POINTS).tolist()
     clock = [f"2026-05-03T10:00:{row[0]:09.6f}" for row in rows]
@@ -129,7 +125,6 @@ def test_stamps_may_be_dates_and_lost_beams_nan_or_zero(tmp_path: Path) -> None:
     assert np.diff(one.points.columns["time_s"]) == pytest.approx(np.diff(kept), abs=2e-6)
 
 
-@pytest.mark.fast
 def test_data_frames_and_files_of_windows_are_read(tmp_path: Path) -> None:
     points = text_of("time_s,x_m,y_m,z_m", joints(TIMES, POINTS))
     frame = text_of(",time,q0,q1", joints(np.arange(len(STAMPS)), STAMPS, Q))
@@ -158,7 +153,6 @@ ORIENTATIONS = {
 }
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("names", ORIENTATIONS)
 def test_orientations_are_read_as_those_of_readings(names: str, tmp_path: Path) -> None:
     points = text_of(f"time_s,x_m,y_m,z_m,{names}", joints(TIMES, POINTS, ORIENTATIONS[names]))
@@ -168,7 +162,6 @@ def test_orientations_are_read_as_those_of_readings(names: str, tmp_path: Path) 
     assert any("of the probe's orientation in the tracker frame" in note for note in notes)
 
 
-@pytest.mark.fast
 def test_comments_between_and_below_the_rows_of_plain_files_are_no_rows(tmp_path: Path) -> None:
     lines = text_of("time_s,x_m,y_m,z_m,remark", joints(TIMES, POINTS)).splitlines()
     lines = [lines[0], *(f"{line},fine" for line in lines[1:])]
@@ -203,7 +196,6 @@ BAD = {
 }
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("case", BAD)
 def test_what_is_not_clear_is_refused_where_it_is_wrong(case: str, tmp_path: Path) -> None:
     *texts, said = BAD[case]

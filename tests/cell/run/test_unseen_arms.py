@@ -14,7 +14,6 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Halt
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
 LOST = Halt("not seen at rest", "arm left: link lost")
 
 

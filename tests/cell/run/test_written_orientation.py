@@ -12,7 +12,6 @@ from cellapp.cell.run import read_readings_csv
 from cellapp.cell.run.recorded_csv import converted, read_recorded
 from cellapp.ground.errors import InputError
 
-pytestmark = pytest.mark.fast
 TURNS = Rotation.from_rotvec([[0.3, -1.2, 2.0], [-0.4, 0.1, 0.9], [1.0, 0.2, -0.3]])
 FORMS = {
     "qx,qy,qz,qw": TURNS.as_quat(),

@@ -54,13 +54,11 @@ def at(**q: float) -> dict[str, np.ndarray]:
     return {name: np.array([value]) for name, value in q.items()}
 
 
-@pytest.mark.fast
 def test_stops_at_which_bars_collide_are_refused(turnstiles: CellBodies) -> None:
     assert refuse_stop(turnstiles, at(a=0.0, b=math.pi)) == "arms a and b: collide with each other"
     assert refuse_stop(turnstiles, at(a=QUARTER, b=math.pi)) == ""
 
 
-@pytest.mark.fast
 def test_a_motion_between_safe_stops_is_refused_if_it_collides(turnstiles: CellBodies) -> None:
     here, there = at(a=-QUARTER, b=math.pi), at(a=QUARTER, b=math.pi)
     assert refuse_stop(turnstiles, here) == refuse_stop(turnstiles, there) == ""
@@ -69,7 +67,6 @@ def test_a_motion_between_safe_stops_is_refused_if_it_collides(turnstiles: CellB
     assert refuse_motion(turnstiles, at(a=-QUARTER, b=0.0), at(a=QUARTER, b=0.0)) == ""
 
 
-@pytest.mark.fast
 def test_a_motion_must_be_safe_at_any_relative_speed(turnstiles: CellBodies) -> None:
     here, there = at(a=-QUARTER, b=math.pi), at(a=QUARTER, b=QUARTER)
     share = np.linspace(0.0, 1.0, 2001)[:, None]
@@ -80,7 +77,6 @@ def test_a_motion_must_be_safe_at_any_relative_speed(turnstiles: CellBodies) -> 
     assert "each other" in refuse_motion(turnstiles, here, there), "but b may start late"
 
 
-@pytest.mark.fast
 def test_the_clearance_is_kept_between_samples_too() -> None:
     # b's tip lies just inside the clearance of the circle that a's tip runs on, wherever the samples happen to fall
     for clearance in (0.02, 0.05, 0.2):
@@ -90,7 +86,6 @@ def test_the_clearance_is_kept_between_samples_too() -> None:
             assert "of each other" in refuse_motion(cell, at(a=start, b=math.pi), at(a=1.5, b=math.pi))
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("start", np.linspace(-1.5, -1.45, 9))
 def test_thin_bars_do_not_slip_through_between_samples(start: float) -> None:
     cell = CellBodies({"a": turnstile(0.0, 0.001), "b": turnstile(2.0015, 0.001)}, None, 0.0, -1.0)
@@ -98,7 +93,6 @@ def test_thin_bars_do_not_slip_through_between_samples(start: float) -> None:
     assert refuse_motion(cell, at(a=start, b=1.0), at(a=1.5, b=1.0)) == ""
 
 
-@pytest.mark.fast
 def test_nan_and_vectors_of_wrong_length_are_refused(twin: CellBodies) -> None:
     for bad in (np.nan, np.inf):
         q = HOME["left"].copy()
@@ -111,7 +105,6 @@ def test_nan_and_vectors_of_wrong_length_are_refused(twin: CellBodies) -> None:
     assert "for 6 joints" in refuse_motion(twin, HOME, {**HOME, "left": HOME["left"][None]})
 
 
-@pytest.mark.fast
 def test_unknown_arms_and_arms_without_bodies_are_refused(twin: CellBodies) -> None:
     assert "arm middle" in refuse_motion(twin, HOME, {**HOME, "middle": np.zeros(6)})
     assert "arm right: its position or target is not given" in refuse_motion(twin, {"left": HOME["left"]}, HOME)
@@ -124,7 +117,6 @@ def test_unknown_arms_and_arms_without_bodies_are_refused(twin: CellBodies) -> N
     assert "arm left: has no bodies" in refuse_stop(cell, HOME)
 
 
-@pytest.mark.fast
 def test_home_is_safe_and_limits_hold(twin: CellBodies) -> None:
     assert refuse_stop(twin, HOME) == ""
     q = HOME["right"].copy()
@@ -136,21 +128,18 @@ def test_home_is_safe_and_limits_hold(twin: CellBodies) -> None:
     assert refuse_motion(twin, HOME, {**HOME, "right": q}) == ""
 
 
-@pytest.mark.fast
 def test_an_arm_outside_its_limits_may_come_back(twin: CellBodies) -> None:
     outside = HOME["left"].copy()
     outside[5] = 6.5
     assert refuse_motion(twin, {**HOME, "left": outside}, HOME) == ""
 
 
-@pytest.mark.fast
 def test_the_ceiling(twin: CellBodies) -> None:
     low = dataclasses.replace(twin, ceiling=1.2)  # the upright UR10 is 1.43 m high
     assert "arm left: collides with the ceiling" in refuse_stop(low, HOME)
     assert refuse_stop(dataclasses.replace(twin, ceiling=1.6), HOME) == ""
 
 
-@pytest.mark.fast
 def test_the_floor(twin: CellBodies) -> None:
     down = HOME["left"].copy()
     down[1] = math.radians(30.0)
@@ -164,7 +153,6 @@ def test_the_floor(twin: CellBodies) -> None:
     assert "floor" in refuse_motion(twin, {**HOME, "left": side}, {**HOME, "left": other})
 
 
-@pytest.mark.fast
 def test_an_arm_that_folds_onto_itself(twin: CellBodies) -> None:
     folded = HOME["left"].copy()
     folded[2] = math.radians(178.0)
@@ -179,7 +167,6 @@ def predicted_end(cell: CellBodies, name: str, q: np.ndarray) -> np.ndarray:
     return np.asarray(place(arm, q[None]).smr[0] - arm.geometry.T_M_B()[:3, 3])
 
 
-@pytest.mark.fast
 def test_arms_that_reach_for_each_other(twin: CellBodies) -> None:
     cell = dataclasses.replace(twin, floor=-5.0)
     # both stretched out level, in all directions: they meet only where both point at the other's base
@@ -231,7 +218,6 @@ def test_admitted_motions_keep_clear_by_the_distances_of_the_plant(twin: CellBod
     assert passed >= 5
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("joint", range(6))
 def test_no_body_point_moves_farther_than_its_lever_allows(twin: CellBodies, joint: int) -> None:
     rng = np.random.default_rng(joint)
@@ -268,7 +254,6 @@ def test_visible_smrs_are_visible_to_the_simulated_optics(twin: CellBodies, azim
         assert seen.sum() >= 0.4 * reachable, "what is not seen is near the acceptance's edge or behind a body"
 
 
-@pytest.mark.fast
 def test_a_body_in_the_beam_hides_the_smr() -> None:
     T_C_M = transform(np.eye(3), [4.0, 0.0, 0.0])
     field = TrackerField(T_C_M, (-2 * math.pi, 2 * math.pi), (-1.0, 1.0), (0.5, 10.0))

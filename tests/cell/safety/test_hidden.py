@@ -20,8 +20,6 @@ from cellapp.robot.kinematics.transforms import transform
 from tests.cell.safety.test_gate import turnstile
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 FIELD = TrackerField(transform(np.eye(3), [-3.0, 0.0, 0.0]), (-1.0, 1.0), (-0.5, 0.5), (1.0, 10.0))
 """A tracker before two bars at its own height, looking along x."""
 SEEN = {"a": np.array([math.pi]), "b": np.array([math.pi])}

@@ -24,8 +24,6 @@ from cellapp.robot.kinematics.transforms import apply, rotation_from_vector, tra
 from tests.cell.safety.test_gate import HOME, QUARTER, turnstile
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 SHAPES: dict[str, Shape] = {
     "box": RoundedBox(np.array([0.4, 0.25, 0.1])),
     "plate": RoundedBox(np.array([0.5, 0.5, 0.001])),
@@ -217,7 +215,6 @@ def test_thin_obstacles_are_found_between_samples(start: float, clearance: float
     assert refuse_motion(far, at(start), at(1.5)) == ""
 
 
-@pytest.mark.slow
 def test_a_larger_clearance_never_admits_more() -> None:
     rng = np.random.default_rng(5)
     obstacles = [Obstacle(name, shape, random_pose(rng)) for name, shape in SHAPES.items()]
@@ -274,7 +271,6 @@ def random_stops(cell: CellBodies, count: int, seed: int) -> dict[str, np.ndarra
     return {name: HOME[name] + rng.uniform(-1.5, 1.5, (count, 6)) for name in cell.arms}
 
 
-@pytest.mark.slow
 def test_many_stops_at_once_are_judged_as_one_by_one() -> None:
     cell = cell_bodies(crowded())
     q = random_stops(cell, 400, 1)
@@ -328,7 +324,6 @@ def test_obstacles_of_a_base_move_with_it() -> None:
     assert not np.any(list(moved.values()))
 
 
-@pytest.mark.slow
 def test_what_a_flange_carries_is_checked_against_everything() -> None:
     bare = cell_bodies(small_twin(plan={"floor": -2.0}))
     long = BoxObstacle(

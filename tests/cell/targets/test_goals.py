@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import json
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,14 +14,48 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.exports.arm_export import lost_by, workspace
+from cellapp.cell.exports.command_table import COMMAND_TABLE
+from cellapp.cell.planning.plan import plan_stops
+from cellapp.cell.run import RunFile
+from cellapp.cell.targets.compensate import compensate, compensate_result
 from cellapp.cell.targets.goals import ArmGoals, goals_of_arm, work_frame_pose
-from cellapp.cell.targets.targets import FramePoint, Partner, Target, WorkFrame
+from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
+from cellapp.cell.targets.target_text import new_texts, targets_text, typed_target, typed_texts
+from cellapp.cell.targets.targets import (
+    FramePoint,
+    Partner,
+    Target,
+    WorkFrame,
+    load_targets,
+    same_target,
+    target_record,
+)
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.certificate.judgements import judge_run
+from cellapp.commands.certificate.run import certificate_run
+from cellapp.commands.certificate.view import certificate_sections, certificate_tables
+from cellapp.commands.compensate.tables import measured_turn_tables, turn_tables
+from cellapp.commands.compensate.target_list import target_states
+from cellapp.commands.compensate.view import view as compensated_view
+from cellapp.commands.discover.run import discover_run
+from cellapp.commands.export.run import export_commands
+from cellapp.commands.push.run import push_run
+from cellapp.commands.run_results import read_stage_results
+from cellapp.commands.stages import read_stages
+from cellapp.commands.stored_model import model_of, stage_in_force
+from cellapp.commands.view.words import judgement_table
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.plan_forecast import nominal_model
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.sections import Smr, Tolerances
+from cellapp.interfaces.page.page import certificate_page
+from cellapp.interfaces.tui.widgets.charts_view import verdict_lines
 from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_zyx, transform, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
-from tests.twin import small_twin
-
-pytestmark = pytest.mark.fast
+from tests.twin import HIDDEN, PROFILES, finished_twin, small_twin
 
 _AT_M = 1e-12
 """Rounding of a few transforms of coordinates of some metres."""
@@ -78,7 +116,6 @@ def check_goals(goals: ArmGoals, position_M: Array, rotation_M: Array) -> None:
     np.testing.assert_allclose(goals.rotation_M, np.broadcast_to(rotation_M, goals.rotation_M.shape), atol=_AT_M)
 
 
-@pytest.mark.slow
 @given(poses, poses)
 def test_one_physical_pose_is_one_goal_in_every_frame(T_M_S: Array, T_M_W: Array) -> None:
     targets = everywhere(T_M_S, T_M_W)
@@ -87,7 +124,6 @@ def test_one_physical_pose_is_one_goal_in_every_frame(T_M_S: Array, T_M_W: Array
     check_goals(goals, T_M_S[:3, 3], T_M_S[:3, :3])
 
 
-@pytest.mark.slow
 @given(poses, poses)
 def test_the_nominal_goal_is_that_of_the_nominal_base(T_M_S: Array, T_M_W: Array) -> None:
     goals = goals_of_arm(MODEL, everywhere(T_M_S, T_M_W), "left")
@@ -100,7 +136,6 @@ def test_the_nominal_goal_is_that_of_the_nominal_base(T_M_S: Array, T_M_W: Array
     np.testing.assert_allclose(goals.nominal_rotation_M, np.array(expected)[:, :3, :3], atol=_AT_M)
 
 
-@pytest.mark.slow
 @given(poses, poses, poses)
 def test_the_partner_is_seen_from_the_first_arm(T_M_S: Array, T_M_W: Array, T_S_P: Array) -> None:
     yaw, pitch, roll = zyx_angles(T_S_P[:3, :3])
@@ -140,3 +175,201 @@ def test_a_work_frame_is_where_its_points_were_measured(T: Array, off: float) ->
     touched = first.model_copy(update={"measured": (x, y, z + off)})
     _, rms = work_frame_pose(frame.model_copy(update={"points": (touched, *rest)}))
     assert rms <= abs(off) / 2.0 + 1e-12  # four points, and registration only makes the sum of squares smaller
+
+
+# -- Orientation at targets where a probe on the flange measures it: predicted, judged, verified, certified, exported --
+
+TOLERANCE = 0.5e-3
+LEFT = tuple(
+    target.model_copy(update={"orientation_tolerance": TOLERANCE, "tolerance": 0.2e-3})
+    for target in load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
+    if target.arm == "left" and target.partner is None
+)[:20]
+
+
+def probed(stops: int) -> Profile:
+    """The twin's left arm alone, with a probe."""
+    profile = finished_twin(stops)
+    left = profile.arms["left"]
+    smr = Smr.model_validate({**left.smr.model_dump(), "probe": {"rpy": (0.0, 0.0, 0.3), "sigma": 4e-5}})
+    tolerances = profile.tolerances.model_copy(update={"orientation": TOLERANCE})
+    arms = {"left": left.model_copy(update={"smr": smr})}
+    assert profile.plant is not None
+    plant = profile.plant.model_copy(update={"effects": {"left": HIDDEN["left"]}})
+    return profile.model_copy(update={"arms": arms, "tolerances": tolerances, "plant": plant})
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunFile]:
+    profile = probed(100)
+    with RunFile.create(tmp_path_factory.mktemp("turned") / "run", profile) as made:
+        made.write_plan(plan_stops(profile))
+        collect_run(made)
+        calibrate_run(made)
+        discover_run(made)
+        yield made
+
+
+@pytest.fixture(scope="module")
+def model(run: RunFile) -> CellModel:
+    return model_of(run, stage_in_force(run, read_stages(run)))
+
+
+@pytest.fixture(scope="module")
+def verified(run: RunFile) -> VerifyResult:
+    return push_run(run, LEFT, verify=True)
+
+
+def test_what_is_predicted_of_the_rotation_holds_when_it_is_measured(run: RunFile, verified: VerifyResult) -> None:
+    turns = [one.orientation for one in verified.targets]
+    assert all(turn is not None for turn in turns)
+    kept = [turn.final_mrad <= turn.within_mrad for turn in turns if turn and turn.final_mrad and turn.within_mrad]
+    assert len(kept) == len(LEFT)
+    assert np.mean(kept) >= 0.85  # of 20 bounds of 95 %, fewer than 17 hold in 1 of 400 cases
+    arm = verified.arms["left"]
+    assert arm.nominal_mrad is not None
+    assert arm.compensated_mrad is not None
+    assert arm.nominal_mrad.mean > 10.0 * arm.compensated_mrad.mean
+    assert {turn.verdict for turn in turns if turn is not None} == {"in"}
+    assert verified.complaints() == []
+    (table,) = measured_turn_tables(verified)
+    assert len(table.rows) == len(LEFT)
+
+
+def test_the_nominal_command_is_off_by_what_was_predicted(run: RunFile, verified: VerifyResult) -> None:
+    stored = read_stage_results(run).compensate
+    assert stored is not None
+    for command, measured in zip(stored.targets, verified.targets, strict=True):
+        assert command.orientation is not None
+        assert measured.orientation is not None
+        assert command.orientation.nominal_mrad == pytest.approx(measured.orientation.nominal_mrad, abs=0.3)
+    assert turn_tables(stored)
+    assert any("95 % bound of the measured rotation" in str(part) for part in compensated_view(stored).parts)
+
+
+def test_verdicts_follow_the_one_rule(run: RunFile, model: CellModel) -> None:
+    tight = [LEFT[0].model_copy(update={"orientation_tolerance": limit}) for limit in (5e-3, 5e-5)]
+    named = [one.model_copy(update={"name": f"t{k}"}) for k, one in enumerate(tight)]
+    named.append(LEFT[0].model_copy(update={"name": "free", "rpy": None, "orientation_tolerance": None}))
+    found = compensate_result(compensate(run.profile, model, named)).targets
+    turns = [one.orientation for one in found]
+    assert turns[0] is not None
+    assert turns[1] is not None
+    assert turns[2] is not None
+    assert (turns[0].verdict, turns[1].verdict, turns[2].verdict) == ("in", "cannot say", "")
+    assert turns[2].nominal_mrad is None
+    assert turns[2].within_mrad > 0.0
+
+
+def test_the_run_is_judged_and_the_table_carries_both_units(run: RunFile, verified: VerifyResult) -> None:
+    judged = judge_run(run.profile, read_stage_results(run))
+    (one,) = [one for one in judged if one.characteristic == "orientation"]
+    assert (one.conformity, one.unit, one.n, one.value_mm) == ("conforms", "mrad", len(LEFT), None)
+    assert one.tolerance == pytest.approx(0.5)
+    assert "of orientation mrad" in judgement_table(judged).title
+    assert any("0.500 mrad" in line.plain for line in verdict_lines(judged, 100))
+    others = [judgement for judgement in judged if judgement.characteristic != "orientation"]
+    assert all("value_mrad" not in judgement.model_dump() for judgement in others)
+
+
+def test_a_stored_measurement_is_judged_by_another_tolerance(run: RunFile, verified: VerifyResult) -> None:
+    target = LEFT[0].model_copy(update={"orientation_tolerance": 1e-6})
+    (state,) = target_states([target], read_stage_results(run))
+    assert state.verdict == "cannot say"  # some 0.05 mrad are more than a thousandth, not more than U and it
+    assert state.measured[0].orientation_tolerance_mrad == pytest.approx(1e-3)
+    assert not same_target(target, verified.targets[0])
+
+
+def test_an_error_beyond_its_tolerance_is_a_complaint(verified: VerifyResult) -> None:
+    first = verified.targets[0]
+    assert first.orientation is not None
+    beyond = first.model_copy(
+        update={"orientation": first.orientation.model_copy(update={"final_mrad": 0.9, "verdict": "cannot say"})}
+    )
+    result = verified.model_copy(update={"targets": (beyond, *verified.targets[1:])})
+    (complaint,) = result.complaints()
+    assert f"{first.name} (0.900 mrad, tolerance 0.5 mrad)" in complaint
+    assert "1 of these not proven" in complaint
+
+
+def test_the_certificate_states_rotations_with_their_own_budget(run: RunFile, verified: VerifyResult) -> None:
+    made = certificate_run(run, certificate_page)
+    errors = made.arms["left"].errors
+    assert errors.left_mrad == verified.arms["left"].compensated_mrad
+    assert errors.predicted_left_mrad is not None
+    assert made.orientation_contributions is not None
+    assert made.orientation_contributions[0].source == "6-D probe"
+    assert made.arms["left"].expanded_mrad == pytest.approx(
+        2.0 * np.linalg.norm([one.standard_mrad or np.nan for one in made.orientation_contributions])
+    )
+    titles = [table.title for table in certificate_tables(made)]
+    assert "Errors of orientation as found and as left [mrad]" in titles
+    assert "Uncertainty of a measured error of orientation [mrad]" in titles
+    assert any(
+        section.title.startswith("Uncertainty of a measured error of o") for section in certificate_sections(made)
+    )
+
+
+def test_commands_are_exported_with_what_is_known_of_the_rotation(run: RunFile, verified: VerifyResult) -> None:
+    out = run.folder / "commands.csv"
+    export_commands(run, read_stages(run), COMMAND_TABLE, out)
+    rows = list(csv.DictReader(line for line in out.read_text("utf-8").splitlines() if not line.startswith("#")))
+    assert [row["orientation_verdict"] for row in rows] == ["in"] * len(LEFT)
+    assert all(float(row["orientation_within_mrad"]) < 0.5 < float(row["nominal_mrad"]) for row in rows)
+
+
+def test_what_a_rigid_chain_loses_is_stated_of_the_rotation_too(run: RunFile, model: CellModel) -> None:
+    readings, arm = run.readings("left"), model.arms["left"]
+    space = workspace(readings.q, measurement_conditions(readings), 0)
+    lost = lost_by(arm.geometry, arm, space)
+    assert lost.rms_mrad is not None
+    assert lost.rms_mrad > 0.05
+    assert "mrad rms" in lost.words
+    assert lost_by(arm.of_positions().geometry, arm.of_positions(), space).rms_mrad is None
+
+
+def test_positions_alone_leave_every_result_without_a_key(run: RunFile, model: CellModel) -> None:
+    alone = CellModel({"left": model.arms["left"].of_positions()})
+    plain = LEFT[0].model_copy(update={"orientation_tolerance": None})
+    (command,) = compensate_result(compensate(run.profile, alone, [plain])).targets
+    assert command.orientation is None
+    assert not {"orientation", "orientation_tolerance_mrad"} & set(json.loads(command.model_dump_json()))
+    assert "orientation" not in json.loads(
+        MeasuredTarget(
+            **dict(target_record(plain, "left")), nominal_mm=None, compensated_mm=None, note=""
+        ).model_dump_json()
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("orientation_tolerance_mrad", 500, "at most 20 mrad, got 0.5 rad"),
+        ("orientation_tolerance_mm", 1, "orientation_tolerance"),
+        ("orientation_tolerance_mrad", 0.5, "give the target a rotation"),
+    ],
+)
+def test_bad_tolerances_are_refused(tmp_path: Path, name: str, value: float, words: str) -> None:
+    path = tmp_path / "list.csv"
+    path.write_text(f"name,arm,x_mm,y_mm,z_mm,{name}\na,left,-300,-400,700,{value}\n", "utf-8")
+    with pytest.raises(InputError, match=words):
+        load_targets(path, small_twin())
+
+
+def test_a_tolerance_is_typed_and_written_as_it_was(tmp_path: Path) -> None:
+    profile = small_twin()
+    texts = new_texts("left") | {"position": "-300 mm, -400 mm, 700 mm", "orientation_tolerance": "0.4 mrad"}
+    typed = typed_target(texts, None, (), profile)
+    assert typed.problems == {}
+    assert typed.target is not None
+    assert typed.target.orientation_tolerance == pytest.approx(4e-4)
+    assert typed_texts(typed.target)["orientation_tolerance"] == "0.4 mrad"
+    path = tmp_path / "list.yaml"
+    path.write_text(targets_text([typed.target]), "utf-8")
+    assert load_targets(path, profile) == (typed.target,)
+    wrong = typed_target(texts | {"orientation_tolerance": "0.4 mm"}, None, (), profile)
+    assert "orientation_tolerance" in wrong.problems
+
+
+def test_profiles_without_a_tolerance_of_orientation_keep_their_text() -> None:
+    assert "orientation" not in json.loads(Tolerances().model_dump_json())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -22,13 +22,17 @@ from cellapp.cell.targets.targets import Target, load_targets, same_target
 from cellapp.commands.compensate.tables import predicted_tables, verification_tables
 from cellapp.commands.push.run import judge_of, push_run
 from cellapp.commands.report.result import read_results
+from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.estimation.uncertainty.budget import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, Progress
 from cellapp.ground.results import ErrorSummary
 from cellapp.robot.model import CellModel
 from drivers.plant import Clearance
+from tests.cell.planning.planned_cells import one_arm, seven_joints, three_arms
+from tests.cell.targets.pairs import pair_targets
 from tests.twin import PROFILES, plant_of, small_twin
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
@@ -217,3 +221,39 @@ def test_results_of_earlier_versions_are_read(run: RunFile, commands: tuple[Comm
     assert [target.verdict for target in old.targets] == ["", ""]
     assert predicted_tables(old) == []
     assert not same_target(TARGETS[0], old.targets[0])
+
+
+# -- Pushing in cells that nobody tried: one arm, three arms, seven joints, each with a model that is exact ------------
+
+TARGETS_OF_PUSH_CELLS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
+
+
+def exact(profile: Profile) -> tuple[Profile, CellModel]:
+    """The profile's cell without any error of its geometry, and the nominal model of it."""
+    assert profile.plant is not None
+    assert profile.tracker.pose is not None
+    zero = profile.plant.geometry.model_copy(update=dict.fromkeys(type(profile.plant.geometry).model_fields, 0.0))
+    plant = profile.plant.model_copy(update={"geometry": zero, "effects": {}})
+    profile = profile.model_copy(update={"plant": plant})
+    return profile, CellModel({name: nominal_model(profile, name) for name in profile.arms})
+
+
+@pytest.mark.parametrize("cell", [one_arm, three_arms, seven_joints])
+def test_single_targets_are_driven_and_corrected_in_other_cells(cell: Callable[[], Profile]) -> None:
+    profile, model = exact(cell())
+    targets = [target for target in TARGETS_OF_PUSH_CELLS if target.arm == "left"][:3]
+    found = push(profile, model, compensate(profile, model, targets), verify=True, rounds=2)
+    assert [target.note for target in found.targets] == ["", "", ""]
+    assert found.pairs == ()
+    assert found.arms["left"].compensated_mm.mean < 40e-3
+    assert found.arms["left"].corrected_mm is not None
+
+
+def test_a_third_arm_waits_at_home_while_two_hold_a_target(run: RunFile) -> None:
+    profile, model = exact(three_arms())
+    pairs = pair_targets(run, model, [0, 5])
+    third = TARGETS_OF_PUSH_CELLS[20].model_copy(update={"arm": "third", "name": "third"})
+    found = push(profile, model, compensate(profile, model, (pairs[0], third, pairs[1])), verify=True)
+    assert [pair.arms for pair in found.pairs] == [("left", "right")] * 2
+    assert [pair.note for pair in found.pairs] == ["", ""]
+    assert max(pair.compensated_mm for pair in found.pairs if pair.compensated_mm is not None) < 0.1

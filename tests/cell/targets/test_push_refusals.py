@@ -3,30 +3,46 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.cell_checks import require_same_arms
 from cellapp.cell.driving.push import push
 from cellapp.cell.driving.verification import Agreement
+from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.compensate import compensate
+from cellapp.cell.targets.goals import UNPLACED, is_unplaced
+from cellapp.cell.targets.ranges import ConditionRanges, OpenElasticity, payload_covariance
 from cellapp.cell.targets.records import VerifyResult
-from cellapp.cell.targets.targets import WorkingConditions, load_targets
+from cellapp.cell.targets.targets import Target, WorkingConditions, load_targets
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.compensate.run import compensate_run
+from cellapp.commands.export.run import export_as_run
+from cellapp.commands.import_ import import_new_run
+from cellapp.commands.init.own_data import OwnData, write_own_data
 from cellapp.commands.push.run import push_run
 from cellapp.commands.report.result import read_results
+from cellapp.commands.show.overview import run_overview
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Cancelled
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.effects.joint_compliance import LINEAR
+from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
+from cellapp.robot.kinematics.transforms import rotation_from_vector, transform, zyx_angles
 from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmIdentity
 from drivers.arms.simulated import SimulatedArm
-from tests.twin import PROFILES, plant_of, small_twin
+from tests.arms import UR5
+from tests.twin import HIDDEN, PROFILES, plant_of, small_twin
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 TARGETS = (*ALL[:4], *ALL[20:22])
@@ -242,3 +258,154 @@ def test_results_without_the_new_keys_are_read() -> None:
     old = '{"schema": "cellapp-verify", "version": 1, "arms": {}, "targets": [], "notes": []}'
     found = VerifyResult.from_json(old, "old")
     assert (found.stopped, found.pairs, found.cooperative) == ("", (), None)
+
+
+# -- Commands for an arm of which only readings are known: they bring the true arm to its targets; nothing is driven ---
+
+RNG = np.random.default_rng(5)
+TRUE = nominal_geometry(
+    UR5 + RNG.normal(0.0, [1e-3, 5e-4, 5e-4, 1e-3], (6, 4)),
+    np.array([0.01, 0.02, 0.08]),
+    transform(rotation_from_vector(RNG.normal(size=3)), RNG.uniform(-2.0, 2.0, 3)),
+)
+"""Where the floor of a cell would be, nobody knows: the base stands anyhow."""
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("own")
+    q = np.random.default_rng(6).uniform(-2.0, 2.0, (120, 6))
+    p_M = smr_positions(TRUE, q) + np.random.default_rng(7).normal(0.0, 1e-5, (120, 3))
+    rows = [",".join(f"{v:.9f}" for v in (*a, *b)) for a, b in zip(q, p_M, strict=True)]
+    (folder / "mine.csv").write_text("\n".join(["q1,q2,q3,q4,q5,q6,x_m,y_m,z_m", *rows]))
+    written = write_own_data(OwnData(folder / "mine.csv", arm="ur5"), folder)
+    import_new_run(load_profile(written.profile), written.readings, folder / "run")
+    with RunFile.open(folder / "run", write=True) as run:
+        calibrate_run(run)
+    return folder / "run"
+
+
+def test_the_commands_bring_the_true_arm_to_its_targets(calibrated: Path) -> None:
+    q = np.array([[0.3, -1.1, 1.4, -0.6, 1.2, 0.4], [-0.8, -0.7, 1.1, 0.5, -1.3, 0.9]])
+    wanted = smr_positions(TRUE, q)
+    targets = [Target(name=f"t{i}", arm="robot", frame="tracker", position=tuple(p)) for i, p in enumerate(wanted)]
+    with RunFile.open(calibrated, write=True) as run:
+        assert is_unplaced(run.profile)
+        found = compensate_run(run, targets)
+        assert UNPLACED in found.notes
+        commands = np.array([one.q_compensated for one in found.targets])
+        errors_mm = 1e3 * np.linalg.norm(smr_positions(TRUE, commands) - wanted, axis=1)
+        assert errors_mm.max() < 0.1
+        assert not any("tracker" in one.note for one in found.targets)
+
+
+def test_the_next_step_is_never_one_that_moves(calibrated: Path) -> None:
+    with RunFile.open(calibrated) as run:
+        assert "push" not in run_overview(run).next_step
+
+
+def test_a_table_is_written_and_a_program_refused(calibrated: Path, tmp_path: Path) -> None:
+    target = Target(name="t", arm="robot", frame="robot", position=(-0.4, -0.3, 0.4))
+    with RunFile.open(calibrated, write=True) as run:
+        compensate_run(run, [target])
+        export_as_run(run, "commands", tmp_path / "commands.csv")
+        assert "\nt,robot," in (tmp_path / "commands.csv").read_text("utf-8")
+        with pytest.raises(InputError, match="no motion can be checked"):
+            export_as_run(run, "urscript", tmp_path / "program.script")
+    assert not (tmp_path / "program.script").exists()
+
+
+# -- Commands for a payload that no reading had: the bound covers what the arm really does, and says what it adds ------
+
+LOAD_KG = 2.0
+"""The readings of the twin have 0.3 kg."""
+
+
+def errors_and_parts(
+    run: RunFile, model: CellModel, ranges: dict[str, ConditionRanges], load_kg: float
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """True errors (n, 3) [mm] of the left arm, whose joints give way, where its planned stops were; the uncertainty
+    (n,) of its position, notes."""
+    plan = run.read_plan()
+    assert plan is not None
+    p_M = model.arms["left"].predict(plan["left"])
+    rotation_M, _ = model.arms["left"].flange(plan["left"])
+    loaded = WorkingConditions(payload=load_kg)
+    targets = [
+        Target(name=f"stop-{k}", arm="left", position=p, rpy=zyx_angles(R)[::-1], frame="tracker", conditions=loaded)
+        for k, (p, R) in enumerate(zip(p_M.tolist(), rotation_M, strict=True))
+    ]
+    commands = [one for one in compensate(run.profile, model, targets, ranges=ranges) if not one.refusal]
+    q = np.array([one.q_compensated for one in commands])
+    sides = np.array([one.side or (0,) * 6 for one in commands], dtype=float)
+    true_M = build_plant(run.profile).smr_positions("left", q, approach=sides, payload=np.full(len(q), load_kg))
+    errors = (true_M - np.array([one.expected_M for one in commands])) * 1e3
+    parts = [one.prediction.parts for one in commands if one.prediction is not None]
+    own = [np.hypot(np.hypot(one.parameters, one.effects), np.hypot(one.network, one.extrapolation)) for one in parts]
+    return errors, np.array(own), [one.note for one in commands]
+
+
+def normalised(errors: np.ndarray, own: np.ndarray) -> float:
+    """Root mean square of coordinates in units of their standard uncertainty, without noise of measuring: some 1."""
+    return float(np.sqrt(np.mean(errors**2 / own[:, None] ** 2)))
+
+
+def test_a_payload_that_was_never_measured_widens_the_bound_to_what_the_arm_does(
+    run: RunFile, model: CellModel
+) -> None:
+    ranges = {name: ConditionRanges.of(run.readings(name), arm) for name, arm in model.arms.items()}
+    silent = {name: replace(one, elasticity=None) for name, one in ranges.items()}
+    errors, own, notes = errors_and_parts(run, model, ranges, LOAD_KG)
+    _, narrow, _ = errors_and_parts(run, model, silent, LOAD_KG)
+    assert normalised(errors, own) < 1.2
+    assert np.mean(own) > 1.2 * np.mean(narrow)
+    assert np.mean(np.linalg.norm(errors, axis=1) <= 2.8 * own) >= 0.93, "95 % of three coordinates"
+    words = "payload 2 kg was never measured (the readings had 0.3 kg); this adds "
+    assert [note for note in notes if words not in note] == []
+    measured, as_measured, silent_notes = errors_and_parts(run, model, ranges, 0.3)
+    assert [note for note in silent_notes if "payload" in note] == []
+    assert np.mean(as_measured) < np.mean(own)
+    assert len(measured) == len(errors)
+
+
+def test_what_readings_leave_open(run: RunFile, model: CellModel) -> None:
+    """A joint that the arm's own weight loads is known, the last one is not; without draws nothing is."""
+    arm, readings = model.arms["left"], run.readings("left")
+    found = OpenElasticity.of(arm, readings)
+    assert found is not None
+    size = np.sqrt(np.diag(found.covariance))[:6]
+    assert size[1] < 5e-6 < 5e-5 < size[5]
+    assert found.values[1] == pytest.approx(1.0 / HIDDEN["left"]["joint_compliance"]["stiffness"][1], rel=0.2)
+    assert OpenElasticity.of(replace(arm, posterior=None), readings) is None
+    assert OpenElasticity.of(arm, readings.take(np.empty(0, dtype=np.intp))) is None
+
+
+def test_a_law_that_only_the_measured_load_makes_true_is_doubted_under_another_one(
+    run: RunFile, model: CellModel
+) -> None:
+    """A correction by the load stands for the joint's compliance where all readings have one load: it grows with it."""
+    arm, readings = model.arms["left"], run.readings("left")
+    rest = [term for term in arm.effects if term.slug != "joint_compliance"]
+    (term,) = [term for term in arm.effects if term.slug == "joint_compliance"]
+    wrong = replace(
+        term,
+        names=("load2", *term.names),
+        values=np.array([3e-4, *term.values]),
+        standard_errors=np.array([1e-6, *term.standard_errors]),
+        units=("rad/Nm", *term.units),
+        law=LINEAR.law(),
+        modulations=(),
+    )
+    q, load_kg = readings.q[:20], np.full(20, 5.0)
+    far_F = np.tile([0.0, 0.0, 0.4], (20, 1))
+    asked = MeasurementConditions(payload_kg=load_kg, payload_center_F=far_F)
+    sizes = {}
+    for name, its in {"right": arm, "wrong": replace(arm, effects=(*rest, wrong))}.items():
+        ranges = ConditionRanges.of(readings, its)
+        near = ranges.nearest_loaded(its, q, asked)
+        assert near.payload_center_F is not None
+        assert not (near.payload_center_F == far_F).any(), "the centre of what was measured, not of what is asked"
+        found = payload_covariance(its, q, asked, near, ranges.elasticity)
+        assert not payload_covariance(its, q, near, near, ranges.elasticity).any()
+        sizes[name] = np.sqrt(np.trace(found, axis1=1, axis2=2))
+    assert np.median(sizes["wrong"]) > 3.0 * np.median(sizes["right"])

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from cellapp.cell.targets.prediction import predicted_verdict
+from cellapp.cell.run import RunFile
+from cellapp.cell.targets.compensate import compensate
+from cellapp.cell.targets.prediction import _with_noise, length_bounds, predicted_verdict
 from cellapp.cell.targets.target_text import TypedTarget, targets_text, typed_target, typed_texts
 from cellapp.cell.targets.targets import Target, load_targets
+from cellapp.estimation.calibration.weights import readings_noise
 from cellapp.estimation.uncertainty.budget import target_verdict
 from cellapp.ground.errors import InputError
+from cellapp.robot.model import CellModel
+from cellapp.robot.model.model import PosteriorDraws, posterior_from_json, posterior_to_json
 from tests.twin import PROFILES, small_twin
-
-pytestmark = pytest.mark.fast
 
 PROFILE = small_twin()
 HEAD = "schema: cellapp-targets\nversion: 1\ntargets:\n"
@@ -179,3 +185,67 @@ def test_what_is_predicted_and_what_is_measured() -> None:
     assert target_verdict(0.1, None, 0.2, "guarded") == "cannot say"
     assert [target_verdict(0.1, None, size, "simple") for size in (0.1, 0.09)] == ["in", "out"]
     assert target_verdict(None, 0.02, 0.1, "guarded") == ""
+
+
+# -- The example lists of the twin: they load, keep what they say when they are written, and can be compensated --------
+
+EXAMPLES = ("twin-table.csv", "twin-fixture.yaml")
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_is_written_and_read_without_loss(name: str, tmp_path: Path) -> None:
+    profile = small_twin()
+    listed = load_targets(PROFILES / "targets" / name, profile)
+    copy = tmp_path / "copy.yaml"
+    copy.write_text(targets_text(listed), encoding="utf-8")
+    assert load_targets(copy, profile) == listed
+
+
+def test_the_examples_show_every_frame_and_both_arms() -> None:
+    listed = [target for name in EXAMPLES for target in load_targets(PROFILES / "targets" / name, small_twin())]
+    assert {target.frame for target in listed} == {"base", "tracker", "left", "right", "plate", "edge"}
+    assert sum(target.partner is not None for target in listed) == 2
+    assert sum(target.rpy is None for target in listed) == 1
+    assert all(target.conditions.payload == 0.3 for target in listed if target.name.startswith(("hole", "pair")))
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_is_compensated(run: RunFile, model: CellModel, name: str) -> None:
+    listed = load_targets(PROFILES / "targets" / name, run.profile)
+    commands = compensate(run.profile, model, listed)
+    assert [(command.target.name, command.arm) for command in commands] == [
+        (target.name, arm) for target in listed for arm in target.arms
+    ]
+    refused = {f"{command.target.name} {command.arm}": command.refusal for command in commands if command.refusal}
+    assert not refused
+
+
+# -- The bound of a measured rotation, where its noise differs by axis -------------------------------------------------
+
+AXES = np.array([5e-5, 6e-5, 2e-4])
+DRAWS = PosteriorDraws((0,), np.zeros((4, 1)), (), 1e-5, float(np.sqrt(np.mean(AXES**2))), AXES)
+
+
+def test_angles_of_several_smrs_keep_their_bound() -> None:
+    rng = np.random.default_rng(1)
+    turns = Rotation.random(4000, random_state=2)
+    angles = np.linalg.norm(turns.apply(AXES * rng.standard_normal((4000, 3))), axis=1)
+    true = 1e-12 * np.eye(3)[None]
+    by_axis = length_bounds(_with_noise(true, DRAWS))[1][0]
+    alike = length_bounds(_with_noise(true, replace(DRAWS, noise_axes_rad=None)))[1][0]
+    assert np.mean(angles <= by_axis) == pytest.approx(0.95, abs=0.012)
+    assert np.mean(angles <= alike) < 0.94
+
+
+def test_the_noise_by_axis_is_stored_and_stated_where_it_differs() -> None:
+    again = posterior_from_json(posterior_to_json(DRAWS)).noise_axes_rad
+    assert again is not None
+    np.testing.assert_array_equal(again, AXES)
+    assert "noise_axes_rad" not in posterior_to_json(replace(DRAWS, noise_axes_rad=None))
+    turned = np.array([False, True])
+    sigma = np.array([1e-10 * np.eye(3), np.diag(AXES**2)])
+    axes_rad = readings_noise(sigma, turned).axes_rad
+    assert axes_rad is not None
+    np.testing.assert_allclose(axes_rad, AXES)
+    assert readings_noise(np.array([1e-5, 4e-5]), turned).axes_rad is None
+    assert readings_noise(np.array([1e-10 * np.eye(3)] * 2), turned).axes_rad is None

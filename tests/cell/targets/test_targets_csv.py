@@ -14,8 +14,6 @@ from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import rotation_zyx
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 PROFILE = small_twin()
 HEADER = "name,arm,x_mm,y_mm,z_mm"
 PARTNER = ",partner_arm,partner_x_mm,partner_y_mm,partner_z_mm"

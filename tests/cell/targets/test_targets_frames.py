@@ -36,8 +36,6 @@ from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import rotation_zyx
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 PROFILE = small_twin()
 HEAD = "schema: cellapp-targets\nversion: 1\n"
 FRAME = "frames:\n  table: {in: tracker, origin: [1, 0, 0], x: [1, 500 mm, 0], xy: [0.5, 0, 0]}\n"
@@ -324,7 +322,6 @@ def targets(draw: st.DrawFn, name: str) -> Target:
     )
 
 
-@pytest.mark.slow
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(listed=st.integers(1, 3).flatmap(lambda n: st.tuples(*[targets(f"t{k}") for k in range(n)])))
 def test_every_list_is_written_and_read_bit_for_bit(path: Path, listed: tuple[Target, ...]) -> None:

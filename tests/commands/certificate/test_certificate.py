@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from datetime import date
 from typing import Any
 
 import pytest
 
 from cellapp.cell.targets.records import CompensateResult, TargetCommand, UnknownCondition
+from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
+from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.certificate.result import CertificateResult, CertifiedCharacteristic
-from cellapp.commands.certificate.statement import CertificateInput, certificate_of
+from cellapp.commands.certificate.statement import CertificateInput, certificate_of, used_instruments
 from cellapp.commands.report.result import RunResults
-from cellapp.ground.results import CERTIFICATE, ISO9283, VERIFY
-from tests.estimation.uncertainty.cases import measured, pose_test, profile_with, results, verification
-
-pytestmark = pytest.mark.fast
+from cellapp.estimation.discovery.records import DiscoverResult, Noise
+from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoValue, PoseCharacteristics
+from cellapp.estimation.monitoring.check.records import CheckResult, CheckVerdict
+from cellapp.estimation.uncertainty.budget import conformity
+from cellapp.estimation.uncertainty.records import Judgement, UncertaintyParts
+from cellapp.ground.profile.sections import Instrument, Tolerances
+from cellapp.ground.results import CERTIFICATE, COMPENSATE, ISO9283, VERIFY
+from tests.estimation.uncertainty.cases import measured, pair, pose_test, profile_with, results, verification
+from tests.interfaces.page.cases import calibration, nothing_missing
 
 LEFT = [measured("a", "left", 0.03), measured("b", "left", 0.05, 0.4)]
 
@@ -87,3 +95,274 @@ def test_limits_name_what_was_not_measured_corrected_or_may_be_otherwise() -> No
 
 def test_a_cell_with_one_simulated_device_is_marked() -> None:
     assert certified(results()).warnings[0].startswith("simulated cell")
+
+
+# -- Instruments whose calibration was not in force when they were used, and data that nobody gave ---------------------
+
+MEASURED = ("2026-03-02T23:59:59.000+00:00", "2026-03-04T08:00:00.000+00:00")
+
+
+@pytest.mark.parametrize(
+    ("calibrated", "due", "note"),
+    [
+        (date(2025, 3, 4), date(2026, 3, 4), ""),
+        (date(2025, 3, 4), date(2026, 3, 3), "its calibration was overdue: due on 2026-03-03, used on 2026-03-04"),
+        (date(2026, 3, 2), None, ""),
+        (date(2026, 3, 3), None, "it was calibrated on 2026-03-03, after it was used on 2026-03-02"),
+        (None, None, ""),
+    ],
+    ids=["last day", "overdue", "first day", "later", "not given"],
+)
+def test_a_calibration_must_be_in_force_on_every_day(calibrated: date | None, due: date | None, note: str) -> None:
+    profile = profile_with({}, {"tracker": Instrument(serial="7", calibrated=calibrated, due=due)})
+    tracker = used_instruments(profile, MEASURED)[0]
+    assert (tracker.role, tracker.note) == ("laser tracker", note)
+    assert tracker.due == ("" if due is None else due.isoformat())
+
+
+def test_without_a_time_of_measuring_nothing_is_overdue() -> None:
+    profile = profile_with({}, {"tracker": Instrument(due=date(2000, 1, 1))})
+    assert used_instruments(profile, ())[0].note == ""
+
+
+def test_every_smr_and_further_instrument_is_listed() -> None:
+    thermometer = Instrument(model="T", serial="9")
+    profile = profile_with({}, {"instruments": {"thermometer": thermometer}, "smr": {"left": Instrument(serial="L")}})
+    found = {one.role: one.serial for one in used_instruments(profile, MEASURED)}
+    assert found == {"laser tracker": "SIM-1", "SMR of arm left": "L", "SMR of arm right": "", "thermometer": "9"}
+
+
+# -- Characteristics of ISO 9283 are judged with their uncertainties as the rule says ----------------------------------
+
+
+def arm(accuracy_mm: float, expanded_mm: float | None, n: int) -> ArmIso9283:
+    value = IsoValue(value_mm=accuracy_mm, expanded_mm=expanded_mm, n=n)
+    small = IsoValue(value_mm=0.01, expanded_mm=0.001, n=n)
+    poses = tuple(
+        PoseCharacteristics(pose=name, error_mm=(0.0, 0.0, 0.0), accuracy=one, repeatability=small, deviations_mm=())
+        for name, one in (("P1", small), ("P2", value))
+    )
+    nominal = PoseCharacteristics(
+        pose="P1",
+        error_mm=(9.0, 0.0, 0.0),
+        accuracy=IsoValue(value_mm=9.0, expanded_mm=0.1, n=n),
+        repeatability=small,
+        deviations_mm=(),
+    )
+    return ArmIso9283(
+        payload_kg=0.3, tests={"nominal": CommandedTests(pose=(nominal,)), "calibrated": CommandedTests(pose=poses)}
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "expanded", "verdict"),
+    [
+        (0.05, 0.04, "conforms"),
+        (0.08, 0.04, "cannot say"),
+        (0.15, 0.04, "does not conform"),
+        (0.05, None, "cannot say"),
+    ],
+)
+def test_the_worst_pose_as_left_is_judged(value: float, expanded: float | None, verdict: str) -> None:
+    tolerances = Tolerances(pose_accuracy=0.1e-3)
+    (found,) = judge_characteristics(tolerances, {"left": arm(value, expanded, 30)}, (), 30)
+    assert (found.characteristic, found.where, found.value_mm) == ("pose_accuracy", "left", value)
+    assert found.conformity == verdict
+    assert found.source == "ISO 9283, P2, calibrated commands, 30 cycles"
+
+
+def test_too_few_cycles_are_not_judged_unless_fewer_were_asked_for() -> None:
+    tolerances = Tolerances(pose_accuracy=0.1e-3, pose_repeatability=0.1e-3)
+    of_27 = {"left": arm(0.05, 0.01, 27)}
+    for one in judge_characteristics(tolerances, of_27, (), 30):
+        assert (one.conformity, one.n) == ("cannot say", 27)
+        assert one.source.endswith("27 of 30 cycles, too few to judge")
+    for one in judge_characteristics(tolerances, of_27, (), 27):
+        assert one.conformity == "conforms"
+        assert one.source.endswith("27 of 30 cycles")
+
+
+# -- A run against its tolerances: what was measured and holds is judged, everything else is not -----------------------
+
+LEFT_OF_JUDGEMENTS = [measured("a", "left", 0.03, 0.0), measured("b", "left", 0.05, 0.4)]
+RIGHT = [measured("c", "right", 0.02), measured("d", "right", 0.04, 0.3)]
+
+
+def known_uncertainty() -> dict[str, object]:
+    """Discovery and commands from which repeatability (none) and the model's part (0.002 mm) follow."""
+    arms = {
+        name: nothing_missing(name).model_copy(update={"scatter": 1.0, "noise_mm": Noise(rms=0.03, source="stated")})
+        for name in ("left", "right")
+    }
+    parts = UncertaintyParts(parameters=0.002, effects=0.0, network=0.0, extrapolation=0.0, noise=0.01, conditions=0.0)
+    commands = tuple(
+        TargetCommand(name=one.name, arm=one.arm, refusal="", q_nominal=(0.0,), q_compensated=(0.0,), parts=parts)
+        for one in (*LEFT_OF_JUDGEMENTS, *RIGHT)
+    )
+    return {"discover": DiscoverResult(arms=arms), "compensate": CompensateResult(targets=commands)}
+
+
+def judged(found: RunResults, **tolerances: object) -> dict[tuple[str, str], Judgement]:
+    return {(one.characteristic, one.where): one for one in judge_run(profile_with(tolerances), found)}
+
+
+@pytest.mark.parametrize(
+    ("value", "expanded", "rule", "expected"),
+    [
+        (0.05, 0.05, "guarded", "conforms"),
+        (0.05, 0.0501, "guarded", "cannot say"),
+        (0.15, 0.0501, "guarded", "cannot say"),
+        (0.1501, 0.05, "guarded", "does not conform"),
+        (0.01, None, "guarded", "cannot say"),
+        (0.1, 0.5, "simple", "conforms"),
+        (0.1001, None, "simple", "does not conform"),
+        (None, 0.01, "simple", "cannot say"),
+        (None, 0.01, "guarded", "cannot say"),
+    ],
+)
+def test_decision_rules_at_a_tolerance_of_a_tenth(
+    value: float | None, expanded: float | None, rule: str, expected: str
+) -> None:
+    assert conformity(value, expanded, 0.1, rule) == expected  # type: ignore[arg-type]
+
+
+def test_nothing_is_judged_without_a_tolerance() -> None:
+    assert judged(results(verify=verification(LEFT_OF_JUDGEMENTS))) == {}
+
+
+def test_the_largest_verified_error_of_each_arm_is_judged_with_its_expanded_uncertainty() -> None:
+    """Tracker 39 um / 2 at 4 m (4.02 m for b), SMR 3 um, air 0.8 um, model 2 um, no excess: k = 2 gives 40 um."""
+    found = judged(results(verify=verification([*LEFT_OF_JUDGEMENTS, *RIGHT]), **known_uncertainty()), position=1e-4)
+    left, right = found["position", "left"], found["position", "right"]
+    assert (left.value_mm, left.n, left.source) == (0.05, 2, "verification, 2 targets")
+    assert left.expanded_mm == pytest.approx(
+        2.0 * ((0.03912 / 3**0.5) ** 2 + 0.003**2 + 0.0008**2 + 0.002**2) ** 0.5, abs=1e-4
+    )
+    assert left.conformity == "conforms"
+    assert right.value_mm == 0.04
+
+
+def test_an_uncertainty_with_a_gap_decides_nothing_and_names_the_gap() -> None:
+    found = results(verify=verification(LEFT_OF_JUDGEMENTS), **known_uncertainty())
+    profile = profile_with({"position": 1e-4}, {"smr_centering": None})
+    left = judge_run(profile, found)[0]
+    assert (left.conformity, left.value_mm, left.expanded_mm) == ("cannot say", 0.05, None)
+    assert left.source.endswith("uncertainty not known, as not given: SMR centering")
+
+
+def checked(verdict: CheckVerdict) -> CheckResult:
+    return CheckResult(verdict=verdict, planned=20, sure_after=6, p_value=1e-9, arms={})
+
+
+@pytest.mark.parametrize(
+    ("verdict", "conformity_after"),
+    [
+        ("valid", "conforms"),
+        ("tracker moved", "conforms"),
+        ("arm changed", "cannot say"),
+        ("base moved", "cannot say"),
+        ("smr moved", "cannot say"),
+        ("not explained", "cannot say"),
+    ],
+)
+def test_a_check_that_found_other_arms_leaves_nothing_decided(verdict: CheckVerdict, conformity_after: str) -> None:
+    known = known_uncertainty()
+    left = judged(results(verify=verification(LEFT_OF_JUDGEMENTS), check=checked(verdict), **known), position=1e-4)[
+        "position", "left"
+    ]
+    assert left.conformity == conformity_after
+    assert left.source.endswith(f"a later check found: {verdict}") is (conformity_after == "cannot say")
+    outdated = results(
+        verify=verification(LEFT_OF_JUDGEMENTS), check=checked(verdict), out_of_date={"check": "calibrated"}, **known
+    )
+    assert judged(outdated, position=1e-4)["position", "left"].conformity == "conforms"
+
+
+def test_the_simple_rule_needs_no_uncertainty() -> None:
+    found = judged(results(verify=verification(LEFT_OF_JUDGEMENTS)), position=4e-5, decision="simple")
+    assert found["position", "left"].conformity == "does not conform"
+    assert found["position", "right"].conformity == "cannot say"
+
+
+def test_targets_that_were_not_measured_and_a_stop_are_named() -> None:
+    missed = LEFT_OF_JUDGEMENTS[0].model_copy(update={"name": "m", "compensated_mm": None, "measured_M": None})
+    found = judged(
+        results(verify=verification([*LEFT_OF_JUDGEMENTS, missed], stopped="stopped by hand")), position=1e-4
+    )
+    assert found["position", "left"].source.startswith("verification, 2 of 3 targets (stopped by hand)")
+
+
+def test_distances_between_verified_targets() -> None:
+    """Points (4, 0), (4, 0.4), missed by 0.03 mm and 0.05 mm along x: the distance changes by 0.5 um at most."""
+    found = judged(results(verify=verification([*LEFT_OF_JUDGEMENTS, *RIGHT]), **known_uncertainty()), distance=1e-4)
+    left = found["distance", "left"]
+    assert left.n == 1
+    assert left.value_mm == pytest.approx(0.0, abs=1e-6)
+    beside = measured("e", "left", 0.02).model_copy(
+        update={"wanted_M": (4.5, 0.0, 0.0), "measured_M": (4.5 - 0.02e-3, 0.0, 0.0)}
+    )
+    further = judged(results(verify=verification([*LEFT_OF_JUDGEMENTS, beside])), distance=1e-4)["distance", "left"]
+    assert further.n == 3
+    assert further.value_mm == pytest.approx(0.03, abs=0.02)
+
+
+def test_pairs_are_judged_and_both_arms_count() -> None:
+    found = judged(
+        results(
+            verify=verification([*LEFT_OF_JUDGEMENTS, *RIGHT], [pair("p", 0.06), pair("q", 0.02)]),
+            **known_uncertainty(),
+        ),
+        cooperative=2e-4,
+        position=1e-3,
+    )
+    both = found["cooperative", "left and right"]
+    own = [found["position", arm].expanded_mm for arm in ("left", "right")]
+    assert (both.value_mm, both.n) == (0.06, 2)
+    assert both.expanded_mm == pytest.approx(sum((one or 0.0) ** 2 for one in own) ** 0.5)
+
+
+def test_without_a_verification_the_held_out_figure_is_named_and_nothing_is_decided() -> None:
+    left = judged(results(calibrate=calibration("left", "right")), position=1.0)["position", "left"]
+    assert (left.value_mm, left.conformity, left.n) == (None, "cannot say", 0)
+    assert left.source.startswith("not verified; predicted at")
+    assert "largest" in left.source
+
+
+def test_results_that_are_out_of_date_judge_nothing() -> None:
+    outdated = {VERIFY: "20 readings were added since", ISO9283: "the profile was changed since"}
+    found = judged(
+        results(
+            verify=verification([*LEFT_OF_JUDGEMENTS, *RIGHT]),
+            iso9283=pose_test(),
+            out_of_date=outdated,
+            **known_uncertainty(),
+        ),
+        position=1.0,
+        pose_accuracy=1.0,
+    )
+    assert {one.conformity for one in found.values()} == {"cannot say"}
+    assert found["position", "left"].source.startswith("the verification is out of date (20 readings were added since)")
+    assert found["pose_accuracy", "left"].source.startswith("the test by ISO 9283 is out of date")
+
+
+def test_commands_that_are_out_of_date_say_nothing_about_the_uncertainty() -> None:
+    found = results(
+        verify=verification(LEFT_OF_JUDGEMENTS),
+        out_of_date={COMPENSATE: "the profile was changed since"},
+        **known_uncertainty(),
+    )
+    assert "calibrated model" in judged(found, position=1e-4)["position", "left"].source
+
+
+def test_what_iso_9283_measured_is_judged_by_the_tolerances_of_now() -> None:
+    found = judged(results(iso9283=pose_test()), pose_accuracy=6e-5, drift=1e-4)
+    assert found["pose_accuracy", "left"].conformity == "does not conform"
+    assert found["pose_accuracy", "left"].tolerance_mm == pytest.approx(0.06)
+    assert found["pose_accuracy", "right"].source.startswith("not measured")
+    assert {found["drift", arm].conformity for arm in ("left", "right")} == {"cannot say"}
+
+
+def test_too_few_cycles_judge_nothing_by_any_tolerance() -> None:
+    found = judged(results(iso9283=pose_test(cycles=3)), pose_accuracy=0.1)
+    assert found["pose_accuracy", "left"].conformity == "cannot say"
+    assert "too few to judge" in found["pose_accuracy", "left"].source

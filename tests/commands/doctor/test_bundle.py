@@ -25,8 +25,6 @@ from tests.commands.quiet_work import quiet_work
 from tests.loopback import own_address
 from tests.twin import PROFILES, small_twin
 
-pytestmark = pytest.mark.fast
-
 TOKEN = "s3cret-token-of-sixteen"
 PASSWORD = "hunter2hunter2"
 FOUND = DoctorResult(findings=(Finding(subject="python", status="ok", text=f"the token is {TOKEN}"),))

@@ -30,8 +30,6 @@ from drivers.findings import Finding
 from drivers.plant import Plant
 from tests.commands.free_ports import on_free_ports
 
-pytestmark = pytest.mark.fast
-
 PROFILES = Path(__file__).parents[3] / "profiles"
 PATIENT_S = 10.0
 SAMPLE = UrSample(
@@ -305,7 +303,6 @@ def test_two_arms_at_one_address_are_refused(real: Profile) -> None:
     assert "arm right" in found["arm left: address"].text
 
 
-@pytest.mark.slow
 def test_looking_at_a_twin_loads_neither_torch_nor_a_device_library() -> None:
     code = (
         "import sys; from pathlib import Path; from cellapp.cell.driving.examination import examine;"

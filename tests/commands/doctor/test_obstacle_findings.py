@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from cellapp.cell.driving.examination import examine
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
@@ -13,8 +11,6 @@ from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, Placem
 from drivers.findings import Finding
 from tests.cell.safety.test_obstacles import with_obstacles
 from tests.twin import PROFILES, small_twin
-
-pytestmark = pytest.mark.fast
 
 
 def found(profile: Profile) -> dict[str, Finding]:

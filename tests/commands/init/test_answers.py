@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import re
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import SurveyPoint
+from cellapp.cell.run import import_csv
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.init.answers import surveyed_base, write_answers
+from cellapp.commands.init.own_data import OwnData, nobody, write_own_data
+from cellapp.commands.init.run import InitResult, view
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose
-from cellapp.robot.kinematics.chain import smr_positions
-from cellapp.robot.kinematics.transforms import apply, invert
+from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
+from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_from_vector, transform
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
+from tests.arms import UR5, UR10
 from tests.twin import PROFILES
-
-pytestmark = pytest.mark.fast
 
 ANSWERS = """\
 name: hall-3
@@ -130,3 +134,165 @@ def test_any_key_of_a_profile_is_an_answer_and_units_stay_as_written(tmp_path: P
     profile = load_profile(path)
     assert (profile.seed, profile.splits.identify, profile.calibration.robust) == (7, 3, "huber")
     assert "clearance: 80 mm" in path.read_text("utf-8")
+
+
+# -- From somebody's own table to a profile and a calibrated run: units, arm, messages; nothing is asked twice ---------
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+FIVE = np.array(
+    [[0.0, 0.15, 0.03, np.pi / 2], [np.pi / 2, 0.0, 0.16, 0.0], [0.0, 0.0, 0.14, 0.0], [np.pi / 2, 0.0, 0.0, np.pi / 2],
+     [0.0, 0.22, 0.0, 0.0]]
+)  # fmt: skip
+
+
+def simulated(rows: Array, n: int = 60, seed: int = 1) -> tuple[Array, Array]:
+    rng = np.random.default_rng(seed)
+    T_M_B = transform(rotation_from_vector(rng.normal(size=3)), rng.uniform(-2.0, 2.0, 3))
+    q = rng.uniform(-2.5, 2.5, (n, len(rows)))
+    return q, smr_positions(nominal_geometry(rows, np.array([0.01, 0.02, 0.08]), T_M_B), q)
+
+
+def table(path: Path, q: Array, p: Array, names: str = "", separator: str = ",", comma: str = ".") -> Path:
+    header = names or ",".join([*(f"q{i + 1}" for i in range(q.shape[1])), "x", "y", "z"])
+    lines = [separator.join(f"{v:.9f}".replace(".", comma) for v in (*a, *b)) for a, b in zip(q, p, strict=True)]
+    path.write_text("\n".join([header, *lines]), "utf-8")
+    return path
+
+
+def test_a_german_table_becomes_a_run(tmp_path: Path) -> None:
+    q, p_M = simulated(UR10)
+    names = ";".join([*(f"A{i} [°]" for i in range(1, 7)), "X [mm]", "Y [mm]", "Z [mm]"])
+    file = table(tmp_path / "Meine Messung.csv", np.degrees(q), 1e3 * p_M, names, ";", ",")
+    written = write_own_data(OwnData(file, arm="ur10"), tmp_path)
+    assert "decimal commas; joint positions in degrees, points in millimetres" in written.notes[0]
+    assert written.notes[-1].endswith("arm, units and signs fit")
+    profile = load_profile(written.profile)
+    assert (profile.name, list(profile.arms), profile.arms["robot"].driver.kind) == ("meine-messung", ["robot"], "none")
+    assert written.readings is not None
+    with import_csv(profile, written.readings, tmp_path / "run") as run:
+        np.testing.assert_allclose(run.readings("robot").q, q, atol=1e-9)
+        np.testing.assert_allclose(run.readings("robot").p_M, p_M, atol=1e-9)
+    shown = view(InitResult(profile=str(written.profile), readings=str(written.readings)))
+    assert str(shown.parts[-1]).startswith("next: cellapp import ")
+
+
+def test_the_kinematics_decide_what_values_leave_open(tmp_path: Path) -> None:
+    q, p_M = simulated(UR5)
+    file = table(tmp_path / "r.csv", q + 2.0 * np.pi * (np.arange(6) == 5), p_M)  # beyond a revolution
+    written = write_own_data(OwnData(file, arm="ur5"), tmp_path)
+    assert "joint positions in radians, points in metres" in written.notes[0]
+
+
+def test_an_arm_that_is_not_named_is_asked_for_with_what_fits(tmp_path: Path) -> None:
+    file = table(tmp_path / "r.csv", *simulated(UR5))
+    with pytest.raises(InputError, match=r"which arm\? .*: ur5 \(0\.0 mm\), "):
+        write_own_data(OwnData(file), tmp_path, nobody)
+    asked = []
+
+    def choose(question: str, answers: tuple[str, ...]) -> str:
+        asked.append((question, answers))
+        return answers[0]
+
+    written = write_own_data(OwnData(file), tmp_path, choose)
+    assert len(asked) == 1
+    assert asked[0][1][0] == "ur5"
+    assert load_profile(written.profile).arms["robot"].type.model == "UR5"
+
+
+def test_a_wrong_arm_and_wrong_signs_are_told(tmp_path: Path) -> None:
+    q, p_M = simulated(UR5)
+    wrong = write_own_data(OwnData(table(tmp_path / "r.csv", q, p_M), arm="ur10"), tmp_path)
+    assert wrong.notes[-1].startswith("WARNING: ")
+    assert wrong.notes[-1].endswith("the points fit ur5")
+    turned = table(tmp_path / "t.csv", q * [1, -1, 1, 1, 1, 1], p_M)
+    assert "with q2 with the opposite sign it leaves" in write_own_data(OwnData(turned, arm="ur5"), tmp_path).notes[-1]
+
+
+@pytest.mark.parametrize("modified", [False, True])
+def test_d_h_rows_of_a_table(tmp_path: Path, modified: bool) -> None:
+    rows = FIVE
+    if modified:  # a and alpha of a row lie before its joint
+        rows = np.column_stack([FIVE[:, :2], np.roll(FIVE[:, 2:], 1, axis=0)])
+        rows[0, 2:] = 0.0
+    cells = np.column_stack([np.degrees(rows[:, 0]), 1e3 * rows[:, 1], 1e3 * rows[:, 2], np.degrees(rows[:, 3])])
+    text = "theta_deg,d_mm,a_mm,alpha_deg\n" + "\n".join(",".join(f"{v:.9f}" for v in row) for row in cells)
+    (tmp_path / "my-arm.csv").write_text(text)
+    file = table(tmp_path / "r.csv", *simulated(FIVE))
+    written = write_own_data(OwnData(file, arm=str(tmp_path / "my-arm.csv"), modified=modified), tmp_path)
+    assert written.notes[-1].endswith("arm, units and signs fit")
+    assert len(load_profile(written.profile).arms["robot"].type.joints) == 5
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("theta,d,a,alpha\n0,0,0,0\n", "expected a column theta_UNIT with deg or rad"),
+        ("theta_deg,d_mm,a_mm,alpha_mm\n0,0,0,0\n", "the unit does not fit"),
+        ("theta_deg,d_mm,a_mm,alpha_deg\n0,0,zero,0\n", "rows.csv:2: a_mm: expected a number, got 'zero'"),
+        ("theta_deg,d_mm,a_mm,alpha_deg\n0,0,0,0\n", "at least 2 joints"),
+    ],
+)
+def test_wrong_rows(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "rows.csv").write_text(text)
+    file = table(tmp_path / "r.csv", *simulated(FIVE))
+    with pytest.raises(InputError, match=words):
+        write_own_data(OwnData(file, arm=str(tmp_path / "rows.csv")), tmp_path)
+    assert not (tmp_path / "profiles").exists()
+
+
+def test_wrong_arms_and_existing_files(tmp_path: Path) -> None:
+    file = table(tmp_path / "r.csv", *simulated(UR5))
+    for arm, words in (
+        ("ur99", "no arm that comes with cellapp"),
+        ("panda", "has 7 joints"),
+        ("x.yaml", "cannot be read"),
+    ):
+        with pytest.raises(InputError, match=words):
+            write_own_data(OwnData(file, arm=arm), tmp_path)
+    with pytest.raises(InputError, match="8 joints, and no arm"):
+        write_own_data(OwnData(table(tmp_path / "e.csv", *simulated(np.tile(UR5[:1], (8, 1))))), tmp_path)
+    write_own_data(OwnData(file, arm="ur5"), tmp_path)
+    (tmp_path / "profiles" / "r.yaml").write_text("mine: yes\n")
+    with pytest.raises(InputError, match="exists already"):
+        write_own_data(OwnData(file, arm="ur5"), tmp_path)
+    assert (tmp_path / "profiles" / "r.yaml").read_text() == "mine: yes\n"
+
+
+def test_real_readings_of_both_arms_keep_their_names_and_splits(tmp_path: Path) -> None:
+    written = write_own_data(OwnData(FIXTURES / "ur5-real" / "readings.csv", arm="ur5", name="real"), tmp_path)
+    assert list(load_profile(written.profile).arms) == ["left"]
+    content = yaml.safe_load(written.profile.read_text("utf-8"))
+    assert content["tracker"] == {"driver": {"kind": "none"}}
+    assert written.readings is not None
+    with import_csv(load_profile(written.profile), written.readings, tmp_path / "run") as run:
+        assert set(run.readings("left").split or ()) == {"identify", "validate"}
+
+
+def test_joint_positions_of_a_motion_give_a_profile_for_recordings(tmp_path: Path) -> None:
+    file = tmp_path / "joints.csv"
+    file.write_text("time_s,q1,q2,q3,q4,q5,q6\n0.0,0,0,0,0,0,0\n")
+    with pytest.raises(InputError, match="which arm"):
+        write_own_data(OwnData(file), tmp_path)
+    written = write_own_data(OwnData(file, arm="ur5"), tmp_path)
+    assert written.readings is None
+    assert load_profile(written.profile).arms["robot"].smr.offset == "unknown"
+    assert "--points" in written.profile.read_text("utf-8")
+
+
+def test_joints_and_points_of_a_motion_in_one_file_are_no_stops(tmp_path: Path) -> None:
+    """Rows that follow one another in milliseconds are samples of a motion; minutes apart they are stops."""
+    day = datetime(2026, 5, 3, 10)
+    stamps = {
+        "ms": (lambda n: f"{8.0 * n:g}", True),
+        "minutes in ms": (lambda n: f"{60_000.0 * n:g}", False),
+        "dates": (lambda n: (day + timedelta(milliseconds=8 * n)).isoformat(), True),
+        "dates of stops": (lambda n: (day + timedelta(seconds=8 * n)).isoformat(), False),
+    }
+    for name, (stamp, motion) in stamps.items():
+        rows = [f"{stamp(n)};0.{n:02d};1.2;0.4;2;1;0.{n:02d};1.{n:02d};2.5;0.1" for n in range(60)]
+        file = tmp_path / f"both {name}.csv"
+        file.write_text("\n".join(["t;J1;J2;J3;J4;J5;J6;X;Y;Z", *rows]) + "\n")
+        own = OwnData(file, arm="ur5", angles="rad", lengths="m")
+        written = write_own_data(own, tmp_path / name)
+        assert written.points_beside is motion
+        assert (written.readings is None) is motion

@@ -107,7 +107,6 @@ def test_splits_follow_the_number_of_stops() -> None:
         assert min(splits.identify, splits.train, int(splits.validate_)) >= 10
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -201,7 +200,6 @@ def judged(true: GroundTruth, arm: ArmFindings) -> ScoredRun:
     return score_run(true, {"left": arm})
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("terms", "description"),
     [
@@ -220,7 +218,6 @@ def test_a_field_is_described_by_position(terms: tuple[DescribedTerm, ...], desc
     assert judged(truth("outside", "workspace_field"), arm).description == description
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("hidden", "arm", "second"),
     [
@@ -241,7 +238,6 @@ def test_second_names(hidden: tuple[str, ...], arm: ArmFindings, second: list[tu
     assert [(one.name, one.same_cause) for one in run.second_names] == second
 
 
-@pytest.mark.fast
 def test_a_law_outside_the_library_needs_one_description() -> None:
     crosstalk = truth("outside", "crosstalk")
     one = found("unknown", described=(term("joint 4", "q5"),))
@@ -252,7 +248,6 @@ def test_a_law_outside_the_library_needs_one_description() -> None:
     ]
 
 
-@pytest.mark.fast
 def test_flipped_signs_must_be_said() -> None:
     flipped = truth("flipped", "backlash")
     said = "joint 2 behaves like backlash of the opposite sign: check the approach convention"
@@ -268,7 +263,6 @@ def test_flipped_signs_must_be_said() -> None:
     assert [miss.verdict for miss in result.misses] == ["unknown effect", "explained"]
 
 
-@pytest.mark.fast
 def test_brier_score_and_reliability() -> None:
     runs = [
         judged(truth("one", "backlash"), found("backlash", posteriors={"backlash": 0.9, "base_step": 0.3})),
@@ -292,7 +286,6 @@ def test_brier_score_and_reliability() -> None:
     assert {target.bar for target in targets} == {True}
 
 
-@pytest.mark.fast
 def test_a_bar_counts_from_enough_trials() -> None:
     def missed(n: int) -> list[str]:
         runs = [judged(truth("one", "backlash"), found("friction_windup")) for _ in range(n)]

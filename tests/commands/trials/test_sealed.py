@@ -199,7 +199,6 @@ def test_the_truth_names_kinds_and_arms_in_a_drawn_order(all_kinds: Path) -> Non
             assert trial.held_out_um[name] == pytest.approx(trial.noise_um[name], rel=0.6)
 
 
-@pytest.mark.fast
 def test_every_law_meets_both_arms() -> None:
     known = tuple(slug for slug in REALISTIC if library_name(slug) in EFFECTS)
     for kind, laws in (("one", known), ("outside", OUTSIDE)):
@@ -501,7 +500,6 @@ def judged(true: GroundTruth, left: ArmFindings, right: ArmFindings = NOTHING) -
     return score_run(true, {"left": left, "right": right})
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("hidden", "accepted", "outcome"),
     [
@@ -520,7 +518,6 @@ def test_outcomes(hidden: tuple[str, ...], accepted: tuple[str, ...], outcome: s
     assert judged(truth("one", *hidden), named(*accepted)).outcome == outcome
 
 
-@pytest.mark.fast
 def test_the_answer_set_counts_only_where_something_is_named() -> None:
     true = truth("one", "backlash")
     assert judged(true, named("friction_windup", answers=("backlash",))).in_answer_set
@@ -528,7 +525,6 @@ def test_the_answer_set_counts_only_where_something_is_named() -> None:
     assert not judged(true, NOTHING).in_answer_set
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("law", "channel", "variables", "description"),
     [
@@ -549,7 +545,6 @@ def test_descriptions(law: str, channel: str, variables: tuple[str, ...], descri
     assert judged(truth("outside", law), unknown(channel, *variables)).description == description
 
 
-@pytest.mark.fast
 def test_counts_targets_and_misses() -> None:
     trials = [
         judged(truth("one", "backlash"), named("backlash")),
@@ -603,7 +598,6 @@ def test_counts_targets_and_misses() -> None:
     ]
 
 
-@pytest.mark.fast
 def test_few_clean_arms_meet_no_target_and_many_do() -> None:
     def met(n: int) -> list[object]:
         targets = scores([judged(truth("none"), NOTHING) for _ in range(n)]).targets
@@ -613,7 +607,6 @@ def test_few_clean_arms_meet_no_target_and_many_do() -> None:
     assert met(150) == [True, True]
 
 
-@pytest.mark.fast
 def test_the_table_for_the_readme_ends_with_date_seed_and_program() -> None:
     sealed = SealHeader(
         written="2026-01-02T03:04:05", program="cellapp 0.0.9", profile="twin", seed=1234,

@@ -13,8 +13,6 @@ from drivers.plant.motion import braked, travel
 from drivers.sensors.protocol import SensorLinkLost
 from drivers.sensors.simulated import SimulatedAirSensor
 
-pytestmark = pytest.mark.fast
-
 SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 2.0)
 
 

@@ -22,8 +22,6 @@ from drivers.plant.servo import GAIN, LOOKAHEAD_S, ServoMotion, servo_rate
 from drivers.trackers.protocol import StreamingTracker, TargetLost, TrackerError
 from drivers.trackers.simulated import SimulatedTracker
 
-pytestmark = pytest.mark.fast
-
 WAY = np.array([0.2, 0.1, -0.1, 0.1, 0.1, -0.2])
 
 
@@ -66,7 +64,6 @@ def test_a_path_is_followed_late_and_to_its_end(plant, arm):
     assert np.abs(followed.q[: len(path)] - path).max() > 3e-3
 
 
-@pytest.mark.slow
 @given(
     away=st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array),
     speed=st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array),

@@ -6,28 +6,44 @@ import io
 import json
 import os
 import re
+import socket
 import sys
+import threading
+import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from drivers.arms import ur_worker
-from drivers.arms.protocol import ArmError, EmergencyStop, HostStalled, LinkLost, NotInRemoteControl, ProtectiveStop
-from drivers.arms.ur import UrArm
-from drivers.arms.ur_checks import checks
+from drivers.arms.protocol import (
+    ArmError,
+    EmergencyStop,
+    HostStalled,
+    JointLimits,
+    LimitExceeded,
+    LinkLost,
+    NotInRemoteControl,
+    ProtectiveStop,
+)
+from drivers.arms.ur import UrArm, checked_rows
+from drivers.arms.ur_checks import UrExpectation, checks, load_checks
 from drivers.arms.ur_control import Refusal, _open_refusal
-from drivers.arms.ur_guarded_link import REFUSALS, arm_error, arm_state
+from drivers.arms.ur_guarded_link import REFUSALS, FirstDoubt, StopLine, arm_error, arm_state
+from drivers.arms.ur_motion import Unrest
+from drivers.arms.ur_probe import UrProbe
+from drivers.arms.ur_rtde_reader import UrSample
 from drivers.arms.ur_settings import UrSettings
 from drivers.arms.ur_worker_process import last_words
+from drivers.patience import Patience
 from tests.drivers.arms.delayed_client import DelayedClient, Monitor
-from tests.drivers.arms.emulated_ur_cell import AWAY, expectation
-from tests.drivers.arms.test_ur_checks import EXPECTED, PROBE
+from tests.drivers.arms.emulated_ur_cell import AWAY, HOME, PATIENT_S, expectation, pause
 from tests.loopback import own_address
-
-pytestmark = pytest.mark.fast
+from tests.waiting import until
 
 Delayed = tuple[DelayedClient, Monitor]
 TO_DO = re.compile(
@@ -183,6 +199,39 @@ def test_each_kind_without_a_remedy_of_its_own_has_one_in_its_text(kind: str) ->
 
 # -- what the application finds ---------------------------------------------------------------------------------------
 
+EXPECTED = UrExpectation(
+    "UR10",
+    None,
+    JointLimits(np.tile([-6.0, 6.0], (6, 1)), np.full(6, 2.0), np.full(6, 8.0)),
+    payload_kg=0.35,
+    payload_center_m=np.array([0.0, 0.0, 0.03]),
+    tcp=np.array([0.0, 0.0, 0.06, 0.0, 0.0, 0.0]),
+)
+PROBE = UrProbe(
+    host="192.168.0.10",
+    greeting="",
+    software="3.15.8",
+    series="CB3",
+    model="UR10",
+    serial=None,
+    robot_mode="RUNNING",
+    safety_mode="NORMAL",
+    safety_status=None,
+    remote_control=None,
+    program_running=False,
+    ports={},
+    kinematics=None,
+    kinematics_note="",
+    tcp=(0.0, 0.0, 0.06, 0.0, 0.0, 0.0),
+    sample=UrSample(1.0, (0.0,) * 6, (0.0,) * 6, "RUNNING", "NORMAL", "STOPPED", 1.0, 0.35, (0.0, 0.0, 0.03)),
+)
+ANSWER: dict[str, Any] = {
+    "payload_kg": 0.35,
+    "payload_center_m": [0.0, 0.0, 0.03],
+    "tcp": [0.0, 0.0, 0.06, 0.0, 0.0, 0.0],
+    "speed_fraction": 1.0,
+}
+
 
 @pytest.fixture
 def lonely() -> UrArm:
@@ -307,3 +356,307 @@ def test_a_client_that_fails_ends_its_process_with_a_reason(monkeypatch: pytest.
     reason = "its RTDE client failed (unable to get state data for specified key: robot_status)"
     assert (doubt["text"], lost["lost"], lost["kind"]) == (reason, reason, "link")
     assert_well_said(str(arm_error("left", doubt["doubt"], doubt["text"])))
+
+
+# -- Doubts about a UR arm: none is lost before somebody listens, and a later one of another kind is reported too ------
+
+
+def test_a_doubt_that_came_before_anybody_listened_is_delivered() -> None:
+    doubt, heard = FirstDoubt(), list[ArmError]()
+    doubt.report()
+    doubt.note(LinkLost("silent"), "silent")
+    doubt.watch(heard.append)
+    assert [str(error) for error in heard] == ["silent"]
+    doubt.note(ProtectiveStop("stopped"), "stopped")
+    assert [str(error) for error in heard] == ["silent", "stopped"]
+
+
+def test_doubts_while_connecting_are_reported_when_connected() -> None:
+    doubt, heard = FirstDoubt(), list[ArmError]()
+    doubt.watch(heard.append)
+    doubt.note(HostStalled("stalled"), "stalled")
+    doubt.note(ProtectiveStop("stopped"), "stopped")
+    assert heard == []
+    doubt.report()
+    doubt.report()
+    assert [str(error) for error in heard] == ["stalled", "stopped"]
+    assert isinstance(doubt.error, HostStalled)
+
+
+def test_one_of_each_kind_until_it_is_cleared() -> None:
+    doubt, heard = FirstDoubt(), list[ArmError]()
+    doubt.report()
+    doubt.watch(heard.append)
+    for _ in range(3):
+        doubt.note(LinkLost("silent"), "silent")
+    assert len(heard) == 1
+    doubt.clear()
+    assert doubt.error is None
+    doubt.note(LinkLost("silent again"), "silent again")
+    assert [str(error) for error in heard] == ["silent", "silent again"]
+    doubt.mute()
+    doubt.note(ProtectiveStop("stopped"), "stopped")
+    assert len(heard) == 2
+
+
+# -- The dashboard connection for stops, against dashboards that behave badly: what is taken for a loss, and how soon --
+
+HOST = "127.0.0.1"
+GREETING = b"Connected: Universal Robots Dashboard Server\n"
+Answer = Callable[[socket.socket, str], bool]
+"""Answers one line; whether to serve on."""
+
+
+def well(link: socket.socket, line: str) -> bool:
+    link.sendall(b"Stopped\n" if line == "stop" else b"Program running: false\n")
+    return True
+
+
+def slow(link: socket.socket, line: str) -> bool:
+    pause(0.02)
+    return well(link, line)
+
+
+def hang_up(link: socket.socket, line: str) -> bool:
+    return False
+
+
+def chatter(link: socket.socket, line: str) -> bool:
+    link.sendall(b"Program running: false\nand nobody asked for this\n")
+    return True
+
+
+@contextmanager
+def dashboard(answer: Answer) -> Iterator[int]:
+    """A dashboard on a port of its own; ends with its clients."""
+    server = socket.create_server((HOST, 0))
+    links: list[socket.socket] = []
+
+    def serve(link: socket.socket) -> None:
+        with link, suppress(OSError):
+            link.sendall(GREETING)
+            for line in link.makefile(encoding="ascii"):
+                if not answer(link, line.strip()):
+                    link.shutdown(socket.SHUT_RDWR)
+                    return
+
+    def accept() -> None:
+        with suppress(OSError):
+            while True:
+                links.append(server.accept()[0])
+                threading.Thread(target=serve, args=(links[-1],), daemon=True).start()
+
+    thread = threading.Thread(target=accept, daemon=True)
+    thread.start()
+    try:
+        yield server.getsockname()[1]
+    finally:
+        server.shutdown(socket.SHUT_RDWR)
+        server.close()
+        thread.join(PATIENT_S)
+        for link in links:
+            with suppress(OSError):
+                link.shutdown(socket.SHUT_RDWR)
+            link.close()
+
+
+@contextmanager
+def opened(port: int) -> Iterator[tuple[StopLine, list[str]]]:
+    lost: list[str] = []
+    line = StopLine(HOST, lost.append, port=port)
+    line.open()
+    try:
+        yield line, lost
+    finally:
+        line.close()
+
+
+def test_a_dashboard_that_answers_is_no_loss_and_stops() -> None:
+    with dashboard(well) as port, opened(port) as (line, lost):
+        for _ in range(10):
+            line.confirm(Patience(0.3))
+            line.stop()
+            pause(0.03)
+        assert lost == []
+
+
+def test_answers_reach_those_who_asked_in_order() -> None:
+    """Stops of many threads among questions: none gets the answer to another line."""
+    with dashboard(slow) as port, opened(port) as (line, lost):
+        sent = line._line
+        assert sent is not None
+        waiting = [(text, sent.send(text)) for text in ("running", "stop", "running", "stop", "stop")]
+        for text, answer in waiting:
+            assert answer.get(timeout=PATIENT_S) == ("Stopped" if text == "stop" else "Program running: false")
+        assert lost == []
+
+
+@pytest.mark.parametrize("answer", [hang_up, chatter])
+def test_a_peer_that_ends_every_connection_is_lost_and_not_asked_without_pause(answer: Answer) -> None:
+    asked: list[float] = []
+
+    def counted(link: socket.socket, line: str) -> bool:
+        asked.append(time.monotonic())
+        return answer(link, line)
+
+    with dashboard(counted) as port, opened(port) as (_, lost):
+        until(lambda: answer is chatter or bool(lost), "it is lost")
+        pause(0.5)
+        assert len(asked) < 25
+
+
+def test_after_its_end_it_is_not_opened_again() -> None:
+    with dashboard(well) as port:
+        with opened(port) as (line, lost):
+            pass
+        assert not [thread for thread in threading.enumerate() if thread.name == f"dashboard of {HOST}"]
+        assert lost == []
+    with pytest.raises(LinkLost):
+        line.stop()
+    with pytest.raises(LinkLost):
+        line.open()
+
+
+# -- Nobody who asks a UR arm gets "at rest" from it while it moves or has accepted a motion, even if its client lags --
+
+STATE = {"do": "state"}
+LOOP = [list(HOME)] * 5
+PATH_OF_REST = {"do": "path", "q": LOOP, "period_s": 0.008, "lookahead_s": 0.1, "gain": 300}
+
+
+def moving(answers: list[dict[str, Any]]) -> bool:
+    return bool(answers[-1]["ok"]["moving"])
+
+
+def brake(client: DelayedClient, monitor: Monitor) -> None:
+    monitor(0.01, {"brake": True})
+
+
+def protective_stop(client: DelayedClient, monitor: Monitor) -> None:
+    client.safety = 3
+    monitor(0.01)
+
+
+def end(client: DelayedClient, monitor: Monitor) -> None:
+    client.running, client.q = False, list(AWAY)
+    monitor(0.01)
+
+
+@pytest.mark.parametrize("stop", [brake, protective_stop, end])
+def test_an_arm_whose_motion_has_just_ended_may_still_move(
+    delayed: Delayed, stop: Callable[[DelayedClient, Monitor], None]
+) -> None:
+    """Its states are older than what was done, and show the rest of before."""
+    client, monitor = delayed
+    client.running = True
+    assert moving(monitor(0.1, STATE))
+    stop(client, monitor)
+    assert moving(monitor(0.01, STATE))
+    monitor(0.2)
+    assert not moving(monitor(0.01, STATE))
+
+
+def test_an_arm_that_brakes_for_long_moves_until_it_rests(delayed: Delayed) -> None:
+    client, monitor = delayed
+    client.running, client.speed = True, 0.5
+    brake(client, monitor)
+    client.speed = 0.004  # below what counts as motion, for less than the dwell
+    monitor(0.03)
+    client.speed = 0.5
+    monitor(0.3)
+    client.speed = 0.0
+    assert moving(monitor(0.01, STATE))
+    monitor(0.2)
+    assert not moving(monitor(0.01, STATE))
+
+
+def test_another_motion_is_refused_until_the_arm_was_seen_at_rest(delayed: Delayed) -> None:
+    client, monitor = delayed
+    client.running = True
+    assert "still moving" in monitor(0.01, MOVE)[-1]["text"]
+    client.running, client.speed = False, 0.5  # its program reports the end, but it moves
+    monitor(0.3)
+    assert "still moving" in monitor(0.01, MOVE)[-1]["text"]
+    assert "still moving" in monitor(0.01, PATH_OF_REST)[-1]["text"]
+
+
+def test_old_positions_at_the_end_of_a_closed_path_do_not_end_it(
+    delayed: Delayed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ends where it began, and the states come late: those of before look like those of the end."""
+    client, monitor = delayed
+    end(client, monitor)
+    monitor(1.0)
+    client.q = list(HOME)
+    monitor(0.2)
+    monkeypatch.setattr(client, "tick", lambda seconds: setattr(client, "stamp", client.stamp + 1e-6))
+    monitor(0.01, PATH_OF_REST)
+    stood = client.stamp
+    monitor(0.2)
+    assert client.stamp - stood < 0.01
+    assert moving(monitor(0.01, STATE))
+
+
+def test_live_says_so_too(delayed: Delayed) -> None:
+    client, monitor = delayed
+    client.running = True
+    monitor(0.05)
+    assert client.supervisor.live.moving
+    assert client.supervisor.live.age_s < 0.05
+    brake(client, monitor)
+    assert client.supervisor.live.moving
+    monitor(0.3)
+    assert not client.supervisor.live.moving
+
+
+def sample(time_s: float, speed: float) -> UrSample:
+    zeros = (0.0,) * 6
+    return UrSample(time_s, zeros, (speed, *zeros[1:]), "RUNNING", "NORMAL", "PLAYING", 1.0, None, None, zeros)
+
+
+def test_rest_counts_only_from_states_after_the_end_and_for_a_while() -> None:
+    unrest = Unrest()
+    assert not unrest.may_move
+    unrest.begin()
+    for k in range(100):  # it stands, but a motion runs
+        unrest.look(sample(0.01 * k, 0.0), 0.01 * k, 0.005, running=True)
+    assert unrest.may_move
+    unrest.end(1.0)
+    for k in range(100, 105):  # states of these 0.05 s may be from before the end
+        unrest.look(sample(0.01 * k, 0.0), 0.01 * k, 0.005, running=False)
+    assert unrest.may_move
+    for k in range(105, 112):
+        unrest.look(sample(0.01 * k, 0.0), 0.01 * k, 0.005, running=False)
+    assert not unrest.may_move
+
+
+def test_a_refusal_that_says_what_to_do_is_an_error_of_the_arm() -> None:
+    error = arm_error("left", "advised", "it is still moving; wait until it rests, or stop it")
+    assert type(error) is ArmError
+    assert str(error) == "arm left: it is still moving; wait until it rests, or stop it"
+
+
+# -- Payload, TCP and speed slider, checked again once the control program runs; and requests that are refused unsent --
+
+
+@pytest.mark.parametrize(
+    ("change", "failed"),
+    [
+        ({}, []),
+        ({"payload_kg": 0.0}, ["payload"]),
+        ({"payload_center_m": [0.0, 0.0, 0.08]}, ["payload"]),
+        ({"tcp": [0.0] * 6}, ["TCP"]),
+        ({"tcp": None}, []),  # not reported by the program: the probe's is compared
+        ({"speed_fraction": 0.0}, ["speed slider"]),
+        ({"speed_fraction": 0.3}, []),
+    ],
+)
+def test_what_the_program_changes_is_found(change: dict[str, Any], failed: list[str]) -> None:
+    found = load_checks(EXPECTED, PROBE, ANSWER | change)
+    assert [check.subject for check in found if check.status == "failed"] == failed
+
+
+@pytest.mark.parametrize("rows", [np.zeros(6), np.zeros((2, 5)), np.array([[0.0] * 6, [np.nan] * 6])])
+def test_rows_that_are_no_joint_positions_are_not_asked(rows: np.ndarray) -> None:
+    with pytest.raises(LimitExceeded, match="arm left: "):
+        checked_rows("left", rows)

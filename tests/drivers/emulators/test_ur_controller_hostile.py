@@ -37,7 +37,7 @@ from drivers.plant import Plant
 from tests.drivers.emulators.test_ur_controller_state import control_text
 from tests.drivers.emulators.test_ur_controller_wire import Rtde, commanding, finish_move, send_move
 
-SEEDS = [*range(4), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(4, 12))]
+SEEDS = [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 12))]
 CONVERSATIONS = 250
 """Of each seed."""
 ARMS = [

@@ -14,8 +14,6 @@ from drivers.emulators.ur_controller.dashboard import answer
 from drivers.emulators.ur_controller.script import ForeignProgram
 from tests.drivers.emulators.test_ur_controller_state import MOVE, STOP_JOINTS, Bench, goal
 
-pytestmark = pytest.mark.fast
-
 UR10_SPEED = math.radians(120.0)
 
 

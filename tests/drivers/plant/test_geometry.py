@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from drivers.plant import CapsuleConfig, GeometryErrors
+from cellapp.robot.kinematics.chain import parameter_names, smr_positions
+from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant
+from drivers.plant.changes import lengthened, link_moved, zero_shifted
+from drivers.plant.clearance import segment_distances
 from drivers.plant.mechanism import nominal, with_errors
-from drivers.plant.transforms import across, inverse, rigid
-
-pytestmark = pytest.mark.fast
+from drivers.plant.plant import JOINT_RISE_K, JOINT_TIME_CONSTANT_S, joint_rise
+from drivers.plant.transforms import across, inverse, quaternion, rigid, transform_points
+from drivers.trackers.simulated import SimulatedTracker
+from tests.arms import OFF_AXIS, UR10, at_station, plant_of
 
 
 @settings(max_examples=40, deadline=None)
@@ -54,7 +63,6 @@ def test_each_axis_is_displaced_and_tilted_by_the_configured_sizes(make_arm):
     assert np.std([cell.smr - drawn.smr for cell in cells]) == pytest.approx(2e-3, rel=0.11)
 
 
-@pytest.mark.slow
 def test_base_errors_have_the_configured_sizes(make_arm, make_plant):
     errors = GeometryErrors(base_length=5e-3, base_angle=4e-3)
     arm = make_arm()
@@ -126,3 +134,314 @@ def test_a_configuration_of_the_wrong_shape_is_named(make_arm, make_config):
 def test_an_unknown_arm_is_named(make_plant):
     with pytest.raises(ValueError, match="no arm 'middle'; it has left"):
         make_plant().true_T_M_B("middle")
+
+
+# -- Optional arguments of ``Plant.smr_positions`` and their effect ----------------------------------------------------
+
+Q = np.random.default_rng(4).uniform(-2.5, 2.5, (6, 6))
+DRIFT = {"shift": [1e-3, 0.0, 0.0], "turn": [0.0, 0.0, 1e-3], "law": "linear", "time": 1000.0}
+SOFT = {"joint_compliance": {"stiffness": [4e4] * 6}}
+
+
+def test_explicit_defaults_change_nothing(make_arm, make_plant):
+    effects = SOFT | {"backlash": {"play": [1e-4] * 6}, "base_drift": DRIFT}
+    plant = make_plant(make_arm(payload_mass=3.0, payload_center=[0.1, 0.0, 0.05], effects=effects))
+    plant.advance(100.0)
+    aloud = plant.smr_positions(
+        "left",
+        Q,
+        approach=np.zeros((6, 6)),
+        time_s=np.full(6, 100.0),
+        last_step=np.zeros((6, 6)),
+        since_rest_s=np.full(6, np.inf),
+        payload=np.full(6, 3.0),
+        payload_center=np.array([0.1, 0.0, 0.05]),
+        joints_c=np.tile(plant.joint_temperatures_c("left"), (6, 1)),
+        air_c=np.full(6, plant.air_temperature_c),
+    )
+    assert np.array_equal(aloud, plant.smr_positions("left", Q))
+
+
+def test_each_stop_may_have_its_own_load(make_arm, make_plant):
+    masses = np.array([0.0, 0.5, 1.0, 5.0, 8.0, 10.0])
+    centers = np.random.default_rng(0).uniform(-0.1, 0.1, (6, 3))
+    found = make_plant(make_arm(effects=SOFT)).smr_positions("left", Q, payload=masses, payload_center=centers)
+    for k in range(6):
+        alone = make_plant(make_arm(effects=SOFT, payload_mass=masses[k], payload_center=centers[k]))
+        assert np.abs(alone.smr_positions("left", Q[[k]])[0] - found[k]).max() < 1e-11
+    lighter = make_plant(make_arm(effects=SOFT)).smr_positions("left", Q)
+    assert np.abs(found - lighter)[5].max() > 1e-4
+    # the load hung on the flange by the driver's call is the same thing
+    hung = make_plant(make_arm(effects=SOFT))
+    hung.set_payload("left", 5.0, centers[3])
+    assert np.abs(hung.smr_positions("left", Q[[3]])[0] - found[3]).max() < 1e-11
+
+
+def test_the_last_step_determines_the_approach(make_arm, make_plant):
+    plant = make_plant(make_arm(effects={"backlash": {"play": [1e-4] * 6}}))
+    step = np.random.default_rng(1).choice([-0.5, 0.5], (6, 6))
+    told = plant.smr_positions("left", Q, last_step=step)
+    assert np.array_equal(told, plant.smr_positions("left", Q, approach=np.sign(step)))
+    assert np.array_equal(
+        plant.smr_positions("left", Q, last_step=step, approach=np.zeros((6, 6))), plant.smr_positions("left", Q)
+    )
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"last_step": np.zeros((6, 5))}, r"last_step has shape \(6, 5\), expected \(6, 6\)"),
+        ({"approach": np.zeros((5, 6))}, r"approach has shape \(5, 6\), expected \(6, 6\)"),
+        ({"since_rest_s": np.zeros(5)}, r"since_rest_s has shape \(5,\), expected \(6,\)"),
+        ({"payload": np.zeros(5)}, r"payload has shape \(5,\), expected \(6,\)"),
+        ({"payload_center": np.zeros(4)}, r"payload_center has shape \(4,\), expected \(6, 3\)"),
+        ({"joints_c": np.zeros((6, 7))}, r"joints_c has shape \(6, 7\), expected \(6, 6\)"),
+        ({"air_c": np.zeros(2)}, r"air_c has shape \(2,\), expected \(6,\)"),
+        ({"time_s": np.zeros(2)}, r"time_s has shape \(2,\), expected \(6,\)"),
+        ({"payload": np.array([1, 1, 1, 1, 1, -2.0])}, "payload must be at least 0 kg, not -2"),
+    ],
+)
+def test_a_wrong_shape_is_one_clear_error(make_plant, wrong, message):
+    with pytest.raises(ValueError, match=message):
+        make_plant().smr_positions("left", Q, **wrong)
+
+
+def test_true_masses_differ_by_a_share_and_move_nothing_else(make_arm, make_plant):
+    length, angle = 3e-4, 1e-3
+    plain = make_plant(make_arm(), errors=GeometryErrors(length, angle, 5e-3, 5e-3, 1e-3))
+    heavy = make_plant(make_arm(), errors=GeometryErrors(length, angle, 5e-3, 5e-3, 1e-3, mass=0.1))
+    assert np.array_equal(plain.smr_positions("left", Q), heavy.smr_positions("left", Q))
+    assert np.array_equal(plain.true_T_C_B("left"), heavy.true_T_C_B("left"))
+    # under springs the masses show, by about as much as they differ
+    nominal, off = (
+        make_plant(make_arm(effects=SOFT), errors=GeometryErrors(mass=mass)).smr_positions("left", Q)
+        for mass in (0.0, 0.1)
+    )
+    sag = np.linalg.norm(nominal - make_plant().smr_positions("left", Q), axis=1).max()
+    assert 0.005 * sag < np.linalg.norm(off - nominal, axis=1).max() < 0.4 * sag
+
+
+def test_mass_errors_have_the_configured_size(make_arm, make_plant):
+    nominal = make_arm().masses
+    shares = np.array(
+        [
+            make_plant(seed=seed, errors=GeometryErrors(mass=0.08))._arm("left").mechanism.masses / nominal - 1.0
+            for seed in range(60)
+        ]
+    )
+    assert np.std(shares) == pytest.approx(0.08, rel=0.15)
+    assert np.abs(shares.mean()) < 0.02
+    double = make_plant(seed=0, errors=GeometryErrors(mass=0.16))._arm("left").mechanism.masses / nominal - 1.0
+    assert double == pytest.approx(2.0 * shares[0])
+    huge = make_plant(seed=0, errors=GeometryErrors(mass=50.0))._arm("left").mechanism.masses
+    assert (huge > 0.0).all()
+
+
+def test_a_joint_warms_up_while_it_turns_and_cools_down_at_rest():
+    keep = np.exp(-600.0 / JOINT_TIME_CONSTANT_S)
+    warm = joint_rise(np.zeros(1), np.array([0.1]), 600.0)
+    assert warm == pytest.approx(0.1 * JOINT_RISE_K * (1.0 - keep))
+    assert joint_rise(warm, np.zeros(1), 600.0) == pytest.approx(warm * keep)
+
+
+def test_joints_that_are_switched_on_become_warm_without_moving(make_plant):
+    held = make_plant(holding_k=8.0)
+    held.advance(JOINT_TIME_CONSTANT_S)
+    assert held.joint_temperatures_c("left") - held.air_temperature_c == pytest.approx(8.0 * (1.0 - np.exp(-1.0)))
+
+
+def test_a_moved_tracker_sees_the_same_cell_from_elsewhere(make_plant):
+    plant, moved = make_plant(), make_plant()
+    T_C_M = rigid(np.array([3.0, 0.7, 0.2, 0.1, -0.2, 2.5]))
+    moved.move_tracker(T_C_M)
+    in_cell = transform_points(plant.config.tracker.T_C_M, plant.smr_positions("left", Q))
+    np.testing.assert_allclose(transform_points(T_C_M, moved.smr_positions("left", Q)), in_cell, atol=1e-12)
+    (found,) = (target for target in moved.targets() if target.arm == "left")
+    np.testing.assert_allclose(found.p_M, moved.smr_positions("left", moved.q("left")[None])[0], atol=1e-9)
+
+
+# -- The collision monitor against distances from dense sampling -------------------------------------------------------
+
+SPEED, ACCELERATION = np.full(6, 2.0), np.full(6, 3.0)
+coordinates = arrays(np.float64, (4, 3), elements=st.integers(-4, 4).map(lambda k: k / 4))
+
+
+def _slow(a, b, c, d, count=201):
+    share = np.linspace(0, 1, count)[:, None]
+    p, q = a + share * (b - a), c + share * (d - c)
+    return np.linalg.norm(p[:, None] - q[None], axis=-1).min()
+
+
+@settings(max_examples=150, deadline=None)
+@given(points=coordinates)
+def test_segment_distances_are_those_of_their_nearest_points(points):
+    a, b, c, d = points
+    found = segment_distances(a, b, c, d)
+    slow = _slow(a, b, c, d)
+    # the samples lie within half a step of the nearest points, along both segments
+    step = 0.5 * (np.linalg.norm(b - a) + np.linalg.norm(d - c)) / 200
+    assert found <= slow + 1e-12
+    assert found >= slow - step - 1e-12
+
+
+def test_crossing_and_parallel_segments():
+    x, y, z = np.eye(3)
+    assert segment_distances(-x, x, z - y, z + y) == pytest.approx(1.0)
+    assert segment_distances(-x, x, -y, y) == pytest.approx(0.0)
+    assert segment_distances(-x, x, z - x, z + x) == pytest.approx(1.0)
+    assert segment_distances(-x, 0 * x, x + z, 2 * x + z) == pytest.approx(np.sqrt(2.0))
+    assert segment_distances(x, x, z, z) == pytest.approx(np.sqrt(2.0))
+
+
+def _capsules(arm, frames):
+    ends = [(c.frame, c.start, c.end, c.radius) for c in arm.capsules]
+    poses = [arm.T_C_B @ frame for frame in frames]
+    return [((poses[f] @ [*s, 1.0])[:3], (poses[f] @ [*e, 1.0])[:3], r, f) for f, s, e, r in ends]
+
+
+def test_the_collision_monitor_finds_the_smallest_distance_of_a_motion(make_arm, make_config, dh_frames):
+    left, right = make_arm(), make_arm("ur5", "right", 1.5)
+    plant = Plant(make_config(left, right), watch_clearance=True)
+    goals = {"left": np.array([0.9, -1.0, 1.2, 0.4, 0.3, 0.0]), "right": np.array([2.4, -0.7, 1.5, 0.0, 0.5, 0.0])}
+    for name, goal in goals.items():
+        plant.start_move(name, goal, SPEED, ACCELERATION)
+    motions = {name: motion for name in goals if (motion := plant._arm(name).motion) is not None}
+    assert plant.clearance is not None
+    while any(plant.moving(name) for name in goals):
+        plant.advance(0.13)
+    arms, floor = np.inf, np.inf
+    for time in np.arange(0.0, 2.0, 0.02):
+        both = []
+        for arm in (left, right):
+            q = motions[arm.name].position(np.array([time]))[0]
+            both.append(_capsules(arm, dh_frames(arm.rows, q)))
+        for a, b, r, _ in both[0]:
+            for c, d, s, _ in both[1]:
+                arms = min(arms, _slow(a, b, c, d, 41) - r - s)
+        floor = min([floor, *(min(a[2], b[2]) - r for body in both for a, b, r, frame in body if frame > 0)])
+    assert plant.clearance.arms_m == pytest.approx(arms, abs=0.02)
+    assert plant.clearance.floor_m == pytest.approx(floor, abs=0.02)
+    assert 0.0 <= plant.clearance.arms_time_s <= 2.0
+
+
+def test_a_collision_between_two_safe_end_points_is_detected(make_arm, make_config):
+    right = make_arm("ur5", "right", 1.5)  # at zero it reaches towards the left arm
+    here, there = np.zeros((2, 6))
+    here[0], there[0] = np.pi - 1.3, np.pi + 1.3
+    plant, at_the_end = (Plant(make_config(make_arm(home=home), right), watch_clearance=True) for home in (here, there))
+    assert plant.clearance is not None
+    assert at_the_end.clearance is not None
+    assert min(plant.clearance.arms_m, at_the_end.clearance.arms_m) > 0.1
+    plant.start_move("left", there, SPEED, ACCELERATION)
+    plant.advance(60.0)
+    assert plant.clearance.arms_m < 0.0
+    assert 0.2 < plant.clearance.arms_time_s < 2.0
+
+
+def test_the_floor_is_where_it_is_configured_and_a_fixed_base_is_not_counted(make_arm, make_config):
+    plant = Plant(make_config(make_arm(home=np.zeros(6)), floor=0.3), watch_clearance=True)
+    assert plant.clearance is not None
+    # stretched out flat the flange is lowest: d1 - d5 above the base at 0.5, its capsule's radius 0.05;
+    # the capsule of the base itself is lower still
+    assert plant.clearance.floor_m == pytest.approx(0.5 + 0.1273 - 0.1157 - 0.05 - 0.3)
+    assert plant.clearance.arms_m == np.inf
+
+
+def test_the_collision_monitor_is_off_by_default(make_plant):
+    assert make_plant().clearance is None
+
+
+# -- Changes of a true mechanism between two days are those of D-H parameters ------------------------------------------
+
+Q_OF_CHANGES = np.random.default_rng(4).uniform(-2.0, 2.0, (9, 6))
+SIZE = 1e-3
+
+
+@pytest.mark.parametrize("joint", range(6))
+@pytest.mark.parametrize("name", ["theta", "d", "a", "alpha", "beta"])
+def test_a_change_of_the_mechanism_is_that_of_a_parameter(name, joint):
+    twist = SIZE * np.eye(6)[{"a": 0, "alpha": 3, "beta": 4}.get(name, 0)]
+    change = {
+        "theta": partial(zero_shifted, joint=joint, angle=SIZE),
+        "d": partial(lengthened, joint=joint, length=SIZE),
+    }.get(name, partial(link_moved, joint=joint, twist=twist))
+    plant = plant_of(UR10, OFF_AXIS)
+    before = plant.smr_positions("arm", Q_OF_CHANGES)
+    plant.change_mechanism("arm", change)
+    geometry = at_station(UR10, OFF_AXIS)
+    vector = geometry.vector()
+    vector[parameter_names(6).index(f"{name}{joint + 1}")] += SIZE
+    np.testing.assert_allclose(
+        plant.smr_positions("arm", Q_OF_CHANGES), smr_positions(geometry.with_vector(vector), Q_OF_CHANGES), atol=1e-9
+    )
+    assert np.abs(plant.smr_positions("arm", Q_OF_CHANGES) - before).max() > 1e-5
+
+
+def test_bodies_move_with_their_link():
+    mechanism = plant_of(UR10, OFF_AXIS).true_mechanism("arm")
+    changed = lengthened(mechanism, 2, SIZE)
+    np.testing.assert_allclose(changed.centers[:2], mechanism.centers[:2])
+    shift = np.tile(SIZE * mechanism.directions[2], (4, 1))
+    np.testing.assert_allclose(changed.centers[2:] - mechanism.centers[2:], shift, atol=1e-15)
+    np.testing.assert_allclose(changed.frames[3:, :3, 3] - mechanism.frames[3:, :3, 3], shift, atol=1e-15)
+
+
+# -- A 6-D probe on a flange of the simulated cell ---------------------------------------------------------------------
+
+TURN = Rotation.from_euler("xyz", [0.3, -0.2, 2.0]).as_matrix()
+Q_OF_PROBE = np.array([[0.3, -1.2, 1.0, -0.5, 0.4, 0.7], [1.0, -0.7, 0.5, 0.2, -1.0, 2.0]])
+
+
+@pytest.fixture
+def plant(make_arm: Callable[..., ArmConfig], make_plant: Callable[..., Plant]) -> Plant:
+    return make_plant(make_arm(probe=TURN, probe_sigma=5e-5))
+
+
+def flange(dh_frames: Callable[..., Any], plant: Plant, q: np.ndarray) -> np.ndarray:
+    frames = dh_frames(plant.config.arms[0].rows, q)
+    return np.asarray(plant.true_T_M_B("left") @ frames[-1])
+
+
+def test_the_probe_is_carried_by_the_flange(plant: Plant, dh_frames: Callable[..., Any]) -> None:
+    for row, T_M_F in enumerate(flange(dh_frames, plant, q) for q in Q_OF_PROBE):
+        turned = plant.probe_rotations("left", Q_OF_PROBE)[row]
+        np.testing.assert_allclose(turned, T_M_F[:3, :3] @ TURN, atol=1e-12)
+
+
+def test_a_perfect_tracker_measures_the_orientation(plant: Plant) -> None:
+    tracker = SimulatedTracker(plant)
+    tracker.connect()
+    (target,) = plant.targets()
+    point = tracker.measure(target.p_M, 1.0)
+    assert point.sigma_rad == 5e-5
+    assert point.quaternion_M is not None
+    true = plant.probe_rotations("left", plant.q("left")[None])[0]
+    np.testing.assert_allclose(point.quaternion_M, quaternion(true), atol=1e-12)
+
+
+def test_noise_of_the_orientation_is_the_stated_one(
+    make_arm: Callable[..., ArmConfig], make_plant: Callable[..., Plant]
+) -> None:
+    plant = make_plant(make_arm(probe=TURN, probe_sigma=5e-5), noise=True)
+    tracker = SimulatedTracker(plant)
+    tracker.connect()
+    (target,) = plant.targets()
+    true = Rotation.from_matrix(plant.probe_rotations("left", plant.q("left")[None])[0])
+    found = np.array([tracker.measure(target.p_M, 1.0).quaternion_M for _ in range(400)])
+    off = (Rotation.from_quat(np.roll(found, -1, axis=1)) * true.inv()).as_rotvec()
+    assert off.std(axis=0) == pytest.approx([5e-5] * 3, rel=0.12)
+
+
+def test_a_true_probe_is_turned(make_arm: Callable[..., ArmConfig], make_plant: Callable[..., Plant]) -> None:
+    plant = make_plant(make_arm(probe=TURN), errors=GeometryErrors(smr=1e-3, probe=2e-3))
+    mechanism = plant.true_mechanism("left")
+    assert mechanism.probe is not None
+    turned = Rotation.from_matrix(mechanism.probe @ TURN.T).magnitude()
+    assert 1e-4 < turned < 1e-2
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.5, 3.1, np.pi])
+def test_quaternions_are_those_of_scipy(turn: float) -> None:
+    rotation = Rotation.from_rotvec(turn * np.array([2.0, -1.0, 2.0]) / 3.0)
+    expected = np.roll(rotation.as_quat(canonical=True), 1)
+    np.testing.assert_allclose(np.abs(quaternion(rotation.as_matrix()) @ expected), 1.0, atol=1e-14)

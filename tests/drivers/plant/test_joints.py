@@ -12,8 +12,6 @@ from drivers.plant.effect import Parameters
 from drivers.plant.effects import FACTORIES
 from drivers.plant.effects.joint_axis_wobble import tilt_of_two_lobes
 
-pytestmark = pytest.mark.fast
-
 FAST = {"speed": np.full(6, 2.0), "acceleration": np.full(6, 3.0)}
 Q = np.random.default_rng(3).uniform(-2.5, 2.5, (8, 6))
 

@@ -11,8 +11,6 @@ import pytest
 from drivers.plant.effect import Parameters
 from drivers.plant.effects import FACTORIES
 
-pytestmark = pytest.mark.fast
-
 P = np.random.default_rng(0).uniform(-1.0, 1.0, (30, 3)) * [2.0, 2.0, 1.0] + [0.0, 3.0, 0.2]
 NO_CIRCLE = [0.0, 0.0, 0.0, 0.0]
 

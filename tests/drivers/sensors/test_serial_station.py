@@ -25,8 +25,6 @@ from drivers.sensors.serial_station import LONGEST_LINE, PRESETS, LineFormat, Se
 from drivers.sensors.simulated import SimulatedAirSensor
 from tests.waiting import until
 
-pytestmark = pytest.mark.fast
-
 PTU = PRESETS["vaisala-ptu300"]
 STREAMED = LineFormat(PTU.pattern)
 LINE = b"P= 1013.2 hPa T= 21.4 'C RH= 38.3 %RH\r\n"

@@ -134,6 +134,7 @@ def is_garbled(raw):
     return False
 
 
+@pytest.mark.slow
 def test_ten_thousand_damaged_lines_leave_the_holder_where_it_was(bridge):
     rng = np.random.default_rng(0)
     with Raw(bridge) as raw:
@@ -155,6 +156,7 @@ def test_ten_thousand_damaged_lines_leave_the_holder_where_it_was(bridge):
         assert bridge.tracker.measured == done + 1
 
 
+@pytest.mark.slow
 def test_ten_thousand_damaged_answers_leave_the_client_alive(make_plant):
     """A relay damages answers for a while: the client recovers and no measurement is lost or doubled."""
     rng = np.random.default_rng(1)
@@ -281,6 +283,7 @@ def test_a_holder_that_does_not_finish_its_line_keeps_the_tracker(bridge):
         assert measures(raw, "measurement-1").word == "ok"
 
 
+@pytest.mark.slow
 def test_two_hundred_connections_do_not_disturb_the_holder(bridge):
     with holder(bridge) as tracker, ExitStack() as stack:
         crowd = [stack.enter_context(Raw(bridge)) for _ in range(200)]

@@ -32,8 +32,6 @@ from drivers.trackers.protocol import (
 from tests.drivers.trackers.fake_lmf import E, LmfException, Scene
 from tests.waiting import until
 
-pytestmark = pytest.mark.fast
-
 LEFT = np.array([3.0, 0.4, -0.2])
 RIGHT = np.array([3.0, -0.7, 0.1])
 LONG_S = 10.0

@@ -13,8 +13,6 @@ from drivers.trackers.lmf_stream import LmfStreamTracker
 from drivers.trackers.protocol import Packet, Preparation, TargetLost, TrackerError, stream_of
 from tests.drivers.trackers.fake_lmf import LmfException, Scene
 
-pytestmark = pytest.mark.fast
-
 LEFT = np.array([3.0, 0.4, -0.2])
 
 

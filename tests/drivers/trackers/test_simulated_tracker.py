@@ -27,8 +27,6 @@ from drivers.trackers.simulated import (
     SimulatedTracker,
 )
 
-pytestmark = pytest.mark.fast
-
 SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 2.0)
 
 
@@ -61,7 +59,6 @@ def test_the_noise_is_half_the_permissible_error_along_and_across_the_beam(make_
     assert covariance[7] == pytest.approx(expected, rel=1e-12, abs=1e-24)
 
 
-@pytest.mark.slow
 def test_longer_averaging_reduces_noise_and_covariance(make_plant):
     plant = make_plant(noise=True)
     p = np.tile([0.5, 3.0, 0.2], (5000, 1))

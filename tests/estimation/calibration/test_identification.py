@@ -2,40 +2,58 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from cellapp.cell.profile import load_profile
+from cellapp.cell.profile.starters import arm_type_files
 from cellapp.estimation.calibration import normal_equations
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.identification import (
+    Eliminated,
+    Estimate,
     TooFewReadings,
     identify,
     identify_with_excess,
     start_from_nominal,
 )
-from cellapp.estimation.calibration.normal_equations import EffectColumns, Observations, with_gradient
+from cellapp.estimation.calibration.least_squares import LeastSquares, Linearised, Minimum, minimise, shortened
+from cellapp.estimation.calibration.normal_equations import EffectColumns, NormalEquations, Observations, with_gradient
 from cellapp.estimation.calibration.parameters import ParameterSet, auto_set, candidate_columns, full_set, paper_set
 from cellapp.estimation.calibration.quantities import measurement_conditions
+from cellapp.estimation.calibration.registration import better_reading, explained
 from cellapp.estimation.calibration.weights import whitener
+from cellapp.estimation.discovery import joint_fit
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import fit_terms
 from cellapp.estimation.discovery.terms import ModelTerm
 from cellapp.estimation.readings import Readings
-from cellapp.ground.errors import NotConverged
+from cellapp.ground.errors import CheckFailed, InputError, NotConverged, tried, with_not_fitted
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.kinematics.chain import JointAngles, jacobian, nominal_geometry, smr_positions
+from cellapp.robot.kinematics.chain import (
+    JointAngles,
+    jacobian,
+    nominal_geometry,
+    parallel_rows,
+    parameter_names,
+    parameter_unit,
+    smr_positions,
+)
+from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, transform
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, up_in_tracker
 from drivers.plant import GeometryErrors
-from tests.arms import OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plant_of, true_geometry
+from tests.arms import HALF_TURN, OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plant_of, true_geometry
 from tests.series import series
 from tests.twin import PROFILES
-
-pytestmark = pytest.mark.fast
 
 SIGMA = 15e-6
 
@@ -372,7 +390,8 @@ def test_a_profile_that_allows_too_few_steps_ends_with_an_error_that_names_the_a
         calibrate_arm(few, "left", readings)
 
 
-def test_a_joint_fit_that_did_not_converge_is_no_model():
+def test_a_joint_fit_that_did_not_converge_is_no_model(monkeypatch):
+    monkeypatch.setattr(joint_fit, "_LEAST_STEPS", 1)
     profile = load_profile(PROFILES / "twin-small.yaml")
     arm = profile.arms["left"]
     one = series(1, 60)["left"]
@@ -387,3 +406,381 @@ def test_a_joint_fit_that_did_not_converge_is_no_model():
     terms = (ModelTerm("joint_compliance", law, tuple(one.name for one in data.columns("joint_compliance", law))),)
     with pytest.raises(NotConverged, match="the fit of geometry and effects did not converge: 1 steps"):
         fit_terms(replace(data, profile=few), terms)
+
+
+# -- The geometry uses all parameters with priors, as good as a plain reference; the table states what is determined ---
+
+# an elbow arm with offsets whose axes 2 and 3 are anti-parallel, as tables of some makers have it
+ELBOW = dh(
+    [0.0] * 6,
+    [0.4, 0.0, 0.0, 0.35, 0.0, 0.1],
+    [0.18, 0.6, 0.12, 0.0, 0.0, 0.0],
+    [-HALF_TURN, np.pi, -HALF_TURN, HALF_TURN, -HALF_TURN, 0.0],
+)
+ARMS = {"UR10": UR10, "UR5": UR5, "anti-parallel axes": ELBOW, "seven joints": SEVEN}
+LENGTH, ANGLE = 0.3e-3, 0.5e-3
+
+
+class Narrow:
+    """Readings of a true arm whose joints moved over 10 to 50 degrees; base and tool unknown."""
+
+    def __init__(self, rows, seed, n, sigma, length=LENGTH, angle=ANGLE):
+        rng = np.random.default_rng(seed)
+        nominal = at_station(rows, rng.normal(0.0, 0.06, 3) + np.array([0.0, 0.0, 0.05]))
+        truth = true_geometry(nominal, rng, length, angle)
+        width = np.radians(rng.uniform(10.0, 50.0, len(rows)))
+        q = rng.uniform(-1.5, 1.5, len(rows)) + rng.uniform(-0.5, 0.5, (n + 400, len(rows))) * width
+        self.q, self.new = q[:n], q[n:]
+        self.p_M = smr_positions(truth, self.q) + rng.normal(0.0, sigma, (n, 3))
+        self.true_M = smr_positions(truth, self.new)
+        self.start = start_from_nominal(nominal, self.q, self.p_M, tool_unknown=True)
+
+    def error(self, geometry):
+        """Rms distance from the true positions at configurations that were not measured [m]."""
+        return np.sqrt(np.mean(np.sum((smr_positions(geometry, self.new) - self.true_M) ** 2, axis=1)))
+
+
+def reference(data, sigma, length, angle):
+    """Plain maximum a posteriori estimate: dense, by differences, all parameters, the priors of the simulation."""
+    names = parameter_names(data.start.joints)
+    betas = {f"beta{i + 1}" for i in parallel_rows(data.start)}
+    free = [c for c, name in enumerate(names) if name in betas | {"beta0"} or not name.startswith("beta")]
+    nominal = data.start.vector()
+    of_arm = [6 <= c < len(names) - 3 for c in free]
+    sd = np.array([angle if parameter_unit(names[c]) == "rad" else length for c in free])
+
+    def rows(step):
+        vector = nominal.copy()
+        vector[free] += step
+        off = (smr_positions(data.start.with_vector(vector), data.q) - data.p_M) / sigma
+        return np.concatenate([off.ravel(), (step / sd)[of_arm]])
+
+    x_scale = np.where(of_arm, sd, 1e-3)
+    found = least_squares(rows, np.zeros(len(free)), x_scale=x_scale, xtol=1e-12, ftol=1e-12)
+    nominal[free] += found.x
+    return data.start.with_vector(nominal)
+
+
+@pytest.mark.parametrize("rows", ARMS.values(), ids=ARMS.keys())
+@pytest.mark.parametrize(("n", "sigma"), [(60, 30e-6), pytest.param(300, 15e-6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("length", "angle"), [(LENGTH, ANGLE), (1e-3, 10e-3)], ids=["usual errors", "large errors"])
+def test_on_narrow_ranges_it_is_as_good_as_a_reference_that_knows_noise_and_priors(rows, n, sigma, length, angle):
+    ratios = []
+    for seed in range(4):
+        data = Narrow(rows, seed, n, sigma, length, angle)
+        found = identify(data.start, data.q, data.p_M)
+        assert found.converged
+        ratios.append(data.error(found.geometry) / data.error(reference(data, sigma, length, angle)))
+    assert np.exp(np.mean(np.log(ratios))) < 1.05
+
+
+@settings(max_examples=15, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 10_000), make=st.sampled_from(sorted(ARMS)))
+def test_all_parameters_predict_no_worse_than_the_determined_ones(seed, make):
+    data = Narrow(ARMS[make], seed, 100, 20e-6)
+    found = identify(data.start, data.q, data.p_M)
+    fewer = identify(data.start, data.q, data.p_M, parameter_set=found.parameter_set)
+    assert data.error(found.geometry) < 1.05 * data.error(fewer.geometry)
+
+
+def test_anti_parallel_axes_have_a_hayati_angle_and_their_rank():
+    geometry = at_station(ELBOW, OFF_AXIS)
+    assert parallel_rows(geometry) == (1,)
+    q = np.random.default_rng(0).uniform(-3, 3, (200, 6))
+    assert len(auto_set(geometry, q).columns) == 27  # four numbers an axis and three of the point
+    assert "beta2" in auto_set(geometry, q).names
+
+
+def test_the_table_states_the_combination_that_the_data_determine():
+    # the same arm written in two ways: an offset in d3, or in d2; both shift axis 2's parallel neighbours alike
+    q = np.random.default_rng(1).uniform(-2, 2, (100, 6))
+    nominal = at_station(UR10, OFF_AXIS)
+    tables = []
+    for joint in (1, 2):
+        rows = nominal.rows.copy()
+        rows[joint, 1] += 1e-3
+        found = identify(nominal, q, smr_positions(replace(nominal, rows=rows), q))
+        assert "d3" not in found.names
+        np.testing.assert_allclose(found.geometry.rows[1:4, 1] - nominal.rows[1:4, 1], 1e-3 / 3, atol=1e-7)
+        tables.append(dict(zip(found.names, found.values, strict=True)))
+    assert tables[0]["d2"] == pytest.approx(1e-3, abs=1e-7)
+    assert tables[1] == pytest.approx(tables[0], abs=1e-7)
+
+
+def test_noise_decides_what_the_table_states():
+    rng = np.random.default_rng(2)
+    nominal = at_station(UR10, np.array([1e-3, 0.0, 0.06]))  # 1 mm off the last axis, which tells two of its angles
+    q = rng.uniform(-3, 3, (200, 6))
+    ranks = []
+    for noise in (5e-6, 1e-3):
+        p_M = smr_positions(nominal, q) + rng.normal(0.0, noise, (200, 3))
+        found = identify(nominal, q, p_M)
+        ranks.append(len(found.names))
+        assert set(found.parameter_set.merged) == set(found.estimated.names) - set(found.names)
+    assert ranks == [27, 25]
+
+
+def test_stated_priors_are_used_as_stated_and_others_take_the_spread_of_the_arm():
+    data = Narrow(UR10, 3, 60, 20e-6)
+    free = identify(data.start, data.q, data.p_M)
+    tight = identify(data.start, data.q, data.p_M, prior_sigma=dict.fromkeys(["a2", "a3"], 1e-9))
+    nominal = data.start.rows[1:3, 2]
+    np.testing.assert_allclose(tight.geometry.rows[1:3, 2], nominal, atol=1e-8)
+    assert np.abs(free.geometry.rows[1:3, 2] - nominal).max() > 1e-5
+    assert tight.prior_sigma["a2"] == pytest.approx(1e-9)
+    assert free.prior_sigma["a2"] == free.prior_sigma["d5"] == pytest.approx(LENGTH, rel=0.6)
+    assert free.prior_sigma["alpha1"] == pytest.approx(ANGLE, rel=0.6)
+    assert "x0" not in free.prior_sigma
+    again = identify(
+        data.start, data.q, data.p_M, parameter_set=free.estimated, prior_sigma=free.prior_sigma, prior_mean=data.start
+    )
+    np.testing.assert_allclose(again.geometry.vector(), free.geometry.vector(), atol=1e-6)
+
+
+def test_the_uncertainty_of_predictions_covers_what_the_table_does_not_state():
+    squares = []
+    for seed in range(12):
+        data = Narrow(UR5, seed, 60, 20e-6)
+        found = identify(data.start, data.q, data.p_M)
+        from_all = _prediction_covariance(found, data.new)
+        off = data.true_M - smr_positions(found.geometry, data.new)
+        squares.append(np.mean(np.einsum("na,nab,nb->n", off, np.linalg.inv(from_all), off)) / 3.0)
+    assert 0.6 < np.mean(squares) < 1.6
+
+
+def _prediction_covariance(found, q):
+    """Covariance (n, 3, 3) of computed positions by differences."""
+    vector, columns = found.geometry.vector(), found.estimated.columns
+    J = []
+    for column in columns:
+        step = np.zeros(len(vector))
+        step[column] = 1e-6
+        ahead, behind = (smr_positions(found.geometry.with_vector(vector + sign * step), q) for sign in (1, -1))
+        J.append((ahead - behind) / 2e-6)
+    return np.einsum("kna,kl,lnb->nab", J, found.estimated_covariance, J, optimize=True)
+
+
+def test_of_two_minima_on_either_side_of_the_wrist_the_better_one_is_returned():
+    # the last axis keeps its direction, and curves of the joints stand for unmodelled physics
+    rng = np.random.default_rng(2)
+    nominal = at_station(UR10, np.array([0.0, 0.0, 0.1]))
+    q = rng.uniform(-1.0, 1.0, (60, 6)) * [1.0, 0.6, 0.6, 0.0, 0.0, 0.0] + [0.9, -1.2, 1.4, 0.0, 0.0, -HALF_TURN]
+    q[:, 3], q[:, 4] = -q[:, 1] - q[:, 2], q[:, 0]
+    truth = true_geometry(nominal, rng, 0.5e-3, 1e-3)
+    p_M = smr_positions(truth, q + 0.5e-3 * np.sin(5.0 * q)) + rng.normal(0.0, 30e-6, (60, 3))
+    plain = [identify(at_station(UR10, np.array([0.0, 0.0, z])), q, p_M) for z in (0.1, -0.3)]
+    both, _ = identify_with_excess(nominal, q, p_M, sigma=None)
+    assert all(found.converged for found in (both, *plain))
+    assert abs(both.geometry.tool[2] - plain[0].geometry.tool[2]) > 0.05
+    rms = [np.sqrt(np.mean(found.residuals**2)) for found in (both, *plain)]
+    assert rms[0] <= min(rms[1:]) * 1.001
+
+
+def test_a_set_by_name_has_no_priors_of_its_own():
+    data = Narrow(UR10, 4, 60, 20e-6)
+    full = identify(data.start, data.q, data.p_M, parameter_set="full")
+    same = identify(data.start, data.q, data.p_M, parameter_set=full_set(data.start))
+    np.testing.assert_array_equal(full.values, same.values)
+    assert full.names == full.estimated.names
+
+
+# -- Whether an arm explains recorded readings, and which signs or units do: on simulated arms and on real readings ----
+
+ROOT = Path(__file__).parents[3]
+NOMINAL = nominal_geometry(UR10, np.zeros(3))
+
+
+def readings(seed: int, n: int = 150) -> tuple[Array, Array]:
+    """Joint positions and points of a UR10 whose rows are off by millimetres, with an unknown base and tool."""
+    rng = np.random.default_rng(seed)
+    rows = UR10 + rng.normal(0.0, [2e-3, 1e-3, 1e-3, 2e-3], (6, 4))
+    T_M_B = transform(rotation_from_vector(rng.normal(size=3)), rng.uniform(-3.0, 3.0, 3))
+    geometry = nominal_geometry(rows, rng.uniform(-0.2, 0.2, 3), T_M_B)
+    q = rng.uniform(-2.5, 2.5, (n, 6))
+    return q, smr_positions(geometry, q)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_right_arm_explains_and_a_wrong_unit_does_not(seed: int) -> None:
+    q, p_M = readings(seed)
+    found = explained(NOMINAL, q, p_M)
+    assert found.holds
+    assert found.rms_m < 0.02
+    assert not explained(NOMINAL, np.degrees(q), p_M).holds
+    assert not explained(NOMINAL, q, 1e3 * p_M).holds
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (lambda q: q * [1, -1, 1, 1, 1, 1], "q2 with the opposite sign"),
+        (lambda q: q * [1, -1, -1, 1, -1, 1], "q2, q3, q5 with the opposite sign"),
+        (lambda q: q - np.outer(q[:, 1], [0, 0, 1, 0, 0, 0]), "q3 + q2 in place of q3"),
+    ],
+)
+def test_the_convention_of_the_controller_is_named(wrong: Callable[[Array], Array], words: str) -> None:
+    q, p_M = readings(7)
+    assert not explained(NOMINAL, wrong(q), p_M).holds
+    found = better_reading(NOMINAL, wrong(q), p_M)
+    assert found is not None
+    assert found[0] == words
+    assert found[1].holds
+
+
+def test_points_at_random_fit_no_convention() -> None:
+    q, p_M = readings(9)
+    assert better_reading(NOMINAL, q, p_M[::-1]) is None
+
+
+@pytest.mark.parametrize(("series", "arm"), [("ur10-real", "ur10"), ("ur10-real-d", "ur10"), ("ur5-real", "ur5")])
+def test_real_readings_fit_their_arm_alone(series: str, arm: str) -> None:
+    table = np.genfromtxt(
+        ROOT / "tests" / "fixtures" / series / "readings.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"
+    )
+    q = np.column_stack([table[f"q{number}"] for number in range(1, 7)])
+    p_M = np.column_stack([table[name] for name in ("x_m", "y_m", "z_m")])
+    profile = load_profile(ROOT / "profiles" / "ur10-ur5.yaml")
+    arms = {"ur10": profile.arms["left"], "ur5": profile.arms["right"]}
+    fits = {name: explained(nominal_arm(one), q, p_M).holds for name, one in arms.items()}
+    assert fits == {name: name == arm for name in arms}
+    assert len(arm_type_files()) > len(arms)
+
+
+# -- The one least squares: it never ends above its start, and says whether it converged -------------------------------
+
+
+def valley(x: Array) -> tuple[Array, Array]:
+    """Residuals of a bent valley (Rosenbrock) and their derivatives; the minimum is at (1, 1)."""
+    return np.array([1.0 - x[0], 10.0 * (x[0] ** 2 - x[1])]), np.array([[1.0, 0.0], [-20.0 * x[0], 10.0]])
+
+
+def end(problem: LeastSquares[Array], start: list[float], steps: int = 50) -> Minimum[Linearised[Array]]:
+    first = problem.reweighted(linearised(problem, start))
+    return minimise(problem, first, tolerance=1e-10, max_iterations=steps)
+
+
+def linearised(problem: LeastSquares[Array], start: list[float]) -> Linearised[Array]:
+    return Linearised(np.array(start), *problem.linearised(np.array(start)))
+
+
+@pytest.mark.parametrize("start", [[-1.2, 1.0], [30.0, -400.0], [-10.0, 10.0], [1.0, 1.0]])
+@pytest.mark.parametrize("steps", [1, 2, 3, 500])
+def test_the_end_is_never_above_the_start_and_says_whether_it_converged(start: list[float], steps: int) -> None:
+    problem = LeastSquares(valley, np.add)
+    found = end(problem, start, steps)
+    assert problem.objective(found.point) <= problem.objective(linearised(problem, start))
+    assert np.allclose(found.point.state, 1.0, atol=1e-8) or not found.converged
+    assert found.converged or steps < 500
+    assert found.message
+
+
+def test_a_fit_that_did_not_converge_is_an_error_of_the_program_with_its_name() -> None:
+    problem = LeastSquares(valley, np.add)
+    with pytest.raises(
+        NotConverged, match=r"fit of a valley did not converge: 2 steps .* promises .* no finding"
+    ) as error:
+        problem.best("fit of a valley", np.array([-1.2, 1.0]), max_iterations=2)
+    assert not isinstance(error.value, InputError | CheckFailed)
+    assert error.value.exit_code == 1
+
+
+def test_a_step_that_is_short_by_damping_is_no_convergence() -> None:
+    # derivatives of the opposite sign: no step lowers the objective, and damping makes the steps as short as you like
+    problem = LeastSquares(lambda x: (x, np.eye(2)), lambda x, step: x + step)
+    first = linearised(problem, [1.0, 2.0])
+    found = minimise(problem, first, tolerance=1e-5, max_iterations=50)
+    assert not found.converged
+    assert problem.objective(found.point) <= problem.objective(first)
+    assert "no step lowers the objective" in found.message
+
+
+def test_a_value_that_is_no_number_is_no_progress() -> None:
+    def root(x: Array) -> tuple[Array, Array]:
+        inside = 1.0 - x[0]
+        value = np.sqrt(inside) if inside >= 0.0 else np.nan
+        return np.array([value + 0.1 * x[0] - 1.0]), np.array([[0.5 / max(value, 1e-3) - 0.1]])
+
+    problem = LeastSquares(root, np.add)
+    found = end(problem, [0.999], 50)
+    assert np.isfinite(found.point.state).all()
+    assert problem.objective(found.point) <= problem.objective(linearised(problem, [0.999]))
+
+
+def test_directions_that_are_hardly_determined_are_followed_to_their_end() -> None:
+    rng = np.random.default_rng(0)
+    weak = np.array([1.0, 1e-2, 1e-4])
+    rows = rng.normal(size=(40, 3)) * weak
+
+    def bent(x: Array) -> tuple[Array, Array]:
+        return rows @ (np.array([1.0, 2.0, 3.0]) - x - 0.2 * x**2), rows * (1.0 + 0.4 * x)
+
+    found = end(LeastSquares(bent, np.add), [0.0, 0.0, 0.0], 200)
+    assert found.converged
+    np.testing.assert_allclose(found.point.state + 0.2 * found.point.state**2, [1.0, 2.0, 3.0], rtol=1e-5)
+
+
+def test_a_covariance_that_depends_on_the_state_weighs_the_step_from_there() -> None:
+    problem = LeastSquares(
+        lambda x: (np.array([2.0 - x[0], 4.0 - x[0]]), np.ones((2, 1))),
+        lambda x, step: x + step,
+        lambda x: np.diag([1.0, 1.0 + x[0] ** 2]),
+    )
+    found = problem.best("mean", np.array([0.0])).point
+    weight = (1.0 + found.state[0] ** 2) ** -2.0
+    assert found.state[0] == pytest.approx((2.0 + 4.0 * weight) / (1.0 + weight), abs=1e-8)
+
+
+def test_a_step_is_halved_until_it_does_not_make_the_fit_worse() -> None:
+    step = shortened("fit", np.array([8.0]), lambda x: float((x[0] - 1.0) ** 2))
+    assert step == pytest.approx([2.0])
+    with pytest.raises(NotConverged, match="no step lowers"):
+        shortened("fit", np.array([1.0]), lambda x: float(abs(x[0])))
+    with pytest.raises(NotConverged):
+        shortened("fit", np.array([1.0]), lambda x: float("nan") if x.any() else 0.0)
+
+
+def test_a_candidate_whose_fit_fails_is_named_and_no_evidence() -> None:
+    def fails() -> int:
+        raise NotConverged.of("fit", "no reason")
+
+    missed: list[str] = []
+    assert tried("first", fails, missed) is None
+    assert tried("second", lambda: 2, missed) == 2
+    assert with_not_fitted("found nothing", missed) == "found nothing; not judged, as no fit of it converged: first"
+    assert with_not_fitted("found nothing", []) == "found nothing"
+
+
+# -- A geometry beside many effects: elimination of the effects solves the whole normal equations ----------------------
+
+SIZE, EFFECTS_OF_ESTIMATE = 5, 40
+
+
+def estimate(*, repeated: bool = False) -> Estimate:
+    """From random rows; a column of the effects that is ``repeated``, without priors, cannot be told apart."""
+    rng = np.random.default_rng(4)
+    J = rng.normal(size=(200, SIZE + EFFECTS_OF_ESTIMATE)) * rng.uniform(0.1, 10.0, SIZE + EFFECTS_OF_ESTIMATE)
+    if repeated:
+        J[:, -1] = J[:, -2]
+    normal = NormalEquations(J.T @ J, J.T @ rng.normal(size=200), np.eye(SIZE), 1.0, np.abs(J).mean(axis=0), np.eye(3))
+    precision = np.zeros(SIZE + EFFECTS_OF_ESTIMATE) if repeated else rng.uniform(0.0, 50.0, SIZE + EFFECTS_OF_ESTIMATE)
+    return Estimate(np.zeros(SIZE + EFFECTS_OF_ESTIMATE), normal, None, precision)
+
+
+def test_steps_and_variances_are_those_of_all_parameters_together_whatever_the_geometrys_priors_become() -> None:
+    point = estimate()
+    found = Eliminated.of(point.normal, point.precision, SIZE)
+    assert found is not None
+    rhs = point.normal.unit * point.normal.b
+    for factor in (1.0, 30.0):  # effects keep theirs
+        precision = np.concatenate([point.precision[:SIZE] * factor, point.precision[SIZE:]])
+        now = Estimate(point.values, point.normal, None, precision)
+        H = now.posterior_precision(1.0)
+        priors = now.geometric_priors(SIZE)
+        np.testing.assert_allclose(found.solve(rhs, priors), np.linalg.solve(H, rhs), rtol=1e-9)
+        np.testing.assert_allclose(found.variances(priors), np.diag(np.linalg.inv(H))[:SIZE], rtol=1e-9)
+        np.testing.assert_allclose(priors * found.variances(priors), now.by_priors[:SIZE], rtol=1e-9)
+
+
+def test_effects_that_nothing_tells_apart_are_not_eliminated() -> None:
+    point = estimate(repeated=True)
+    assert Eliminated.of(point.normal, point.precision, SIZE) is None

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.calibration.learning import Perceptron, Shape, candidate_shapes, train_network
-from cellapp.robot.model.model import network_from_json, network_inputs, network_to_json, rotate_about_z
+from cellapp.robot.model.model import network_from_json, network_to_json, rotate_about_z
 
 SMALL = (Shape("sincos", 6), Shape("sincos", 6, rotates_with_joint_1=True))
 
@@ -51,14 +51,6 @@ def test_pure_noise_gets_no_network():
     )
     assert training.network is None
     assert training.left_out_rms > 0.95 * training.without_rms
-
-
-def test_the_same_seed_gives_the_same_network(trained):
-    q, training = trained
-    noise = np.random.default_rng(1).normal(0.0, 15e-6, (200, 3))
-    again = train_network(q, bend(q) + noise, seed=3, shapes=SMALL, iterations=80)
-    assert again.network is not None
-    assert json.dumps(network_to_json(again.network)) == json.dumps(network_to_json(training.network))
 
 
 def test_beyond_the_trained_ranges_the_correction_fades_to_zero(trained):
@@ -112,14 +104,6 @@ def test_the_file_keeps_every_bit_and_needs_no_torch(trained):
     assert result.stdout.strip() == f"{training.network.correct(np.zeros((1, 6))).tolist()} False"
 
 
-def test_network_inputs():
-    q = np.array([[0.0, np.pi / 2.0], [1.0, -1.0]])
-    low, high = q.min(axis=0), q.max(axis=0)
-    np.testing.assert_allclose(network_inputs("sincos", low, high, q)[0], [1.0, 0.0, 0.0, 1.0], atol=1e-12)
-    scaled = network_inputs("angles", low, high, q)
-    np.testing.assert_allclose(np.abs(scaled), 1.0)
-
-
 def test_joints_that_do_not_matter_are_left_out(trained):
     """The fixture's residual depends on joints 1 to 3; the evidence removes the weights of the others."""
     _, training = trained
@@ -168,3 +152,6 @@ def test_normal_equations_are_those_of_automatic_derivatives():
     gram, slope = net.normal_equations(p, x, e)
     np.testing.assert_allclose(gram, J.T @ J, atol=1e-12)
     np.testing.assert_allclose(slope, J.T @ e.ravel(), atol=1e-12)
+
+
+# -- Perceptron: its normal equations against automatic derivatives, its layers against the network that uses them -----

@@ -188,7 +188,6 @@ def test_a_parameter_set_of_another_arm_is_refused_before_anything_moves():
         OnlineFit("iiwa", at_station(SEVEN, OFF_AXIS), np.zeros((3, 7)), parameter_set="paper")
 
 
-@pytest.mark.fast
 def test_steps_that_do_not_end_leave_no_model_and_nothing_is_said_about_a_reading(readings, monkeypatch):
     one = readings["left"]
     fit = online_fit(twin(), "left", one.q)

@@ -78,7 +78,6 @@ def identified(readings, nominal, **changes):
     return identify_with_excess(start, its.readings.q, its.readings.p_M, R_M_S=its.R_M_S, **arguments)
 
 
-@pytest.mark.fast
 def test_derivatives_of_positions_and_orientations_are_those_of_the_chain():
     _, geometry = truth()
     q = np.random.default_rng(1).uniform(-3.0, 3.0, (6, 6))
@@ -96,7 +95,6 @@ def test_derivatives_of_positions_and_orientations_are_those_of_the_chain():
         np.testing.assert_allclose(J[:, column], slope, atol=1e-8)
 
 
-@pytest.mark.fast
 def test_without_noise_the_probe_is_found_exactly():
     nominal, geometry = truth()
     readings = measured(geometry, 60, 0, noise=0.0)
@@ -125,7 +123,6 @@ def test_orientation_parameters_lie_within_their_stated_intervals():
     assert max(excess for _, excess in scatter) < 0.7 * SIGMA_M
 
 
-@pytest.mark.fast
 def test_positions_alone_are_the_readings_as_they_are():
     _, geometry = truth()
     readings = replace(measured(geometry, 12, 0), quaternion_M=None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partialmethod
 
@@ -10,8 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.estimation.calibration.identification import identify
+from cellapp.estimation.calibration import pair_calibration
+from cellapp.estimation.calibration.calibrate import station_change
+from cellapp.estimation.calibration.identification import TooFewReadings, identify
 from cellapp.estimation.calibration.least_squares import LeastSquares
+from cellapp.estimation.calibration.pair_calibration import distances, identify_pair
+from cellapp.estimation.calibration.registration import base_from_points
 from cellapp.estimation.calibration.station_location import (
     ArmPoints,
     RoughStation,
@@ -23,7 +28,14 @@ from cellapp.ground.errors import InputError, NotConverged
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import BASE_NAMES, JointAngles, base_twists, jacobian, smr_positions
 from cellapp.robot.kinematics.statics import Bodies
-from cellapp.robot.kinematics.transforms import apply, invert, rotation_from_vector, rotation_vectors, transform
+from cellapp.robot.kinematics.transforms import (
+    apply,
+    invert,
+    rotation_from_vector,
+    rotation_vectors,
+    rotation_zyx,
+    transform,
+)
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.model import PosteriorDraws, ReadingsNoise, relocated
 from tests.arms import OFF_AXIS, SEVEN, UR5_CENTERS, UR5_MASSES, UR10, at_station, true_geometry
@@ -89,7 +101,6 @@ def twist_of(T):
     return np.concatenate([T[:3, 3], rotation_vectors(T[None, :3, :3])[0]])
 
 
-@pytest.mark.fast
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), counts=st.sampled_from([{"left": 3}, {"left": 2, "right": 2}, {"right": 4}]))
 def test_exact_points_give_the_true_station(seed, counts):
@@ -134,7 +145,6 @@ def test_the_stated_uncertainty_of_station_and_of_predictions_holds():
     assert np.mean(without) < np.mean(within) - 0.05, "the station's own uncertainty is no small part"
 
 
-@pytest.mark.fast
 def test_the_draws_hold_the_covariance_of_the_station():
     rng = np.random.default_rng(3)
     nominals, truth = truths(rng)
@@ -146,7 +156,6 @@ def test_the_draws_hold_the_covariance_of_the_station():
     assert np.abs((drawn - fit.covariance) / np.outer(scale, scale)).max() < 5.0 * np.sqrt(2.0 / len(fit.twists))
 
 
-@pytest.mark.fast
 def test_a_moved_model_predicts_the_moved_points_with_the_same_spread():
     rng = np.random.default_rng(4)
     nominals, truth = truths(rng)
@@ -169,7 +178,6 @@ def test_a_moved_model_predicts_the_moved_points_with_the_same_spread():
         np.testing.assert_allclose(arm.in_base().predict(q), old.in_base().predict(q), atol=1e-12)
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("reference_axis", [0, 1, 2], ids=["x", "y", "z"])
 def test_the_twist_of_each_base_parameter_is_what_it_does_to_points(reference_axis):
     rng = np.random.default_rng(reference_axis)
@@ -181,7 +189,6 @@ def test_the_twist_of_each_base_parameter_is_what_it_does_to_points(reference_ax
     np.testing.assert_allclose(J, moved, atol=1e-12)
 
 
-@pytest.mark.fast
 def test_effects_of_the_tracker_act_in_its_new_frame():
     """A scale error lengthens what is far from the new station: the station comes out, not a mixture of both."""
     rng = np.random.default_rng(6)
@@ -195,7 +202,6 @@ def test_effects_of_the_tracker_act_in_its_new_frame():
     np.testing.assert_allclose(fit.T_new_old, MOVED, atol=1e-8)
 
 
-@pytest.mark.fast
 def test_a_rough_station_lets_one_point_improve_the_next_prediction():
     rng = np.random.default_rng(7)
     model = certain_cell()
@@ -226,8 +232,7 @@ def remounted(model, name, shift):
     return replace(model, arms={**model.arms, name: replace(arm, geometry=geometry)})
 
 
-@pytest.mark.fast
-@pytest.mark.parametrize("draw", [0, *(pytest.param(draw, marks=pytest.mark.long) for draw in (1, 2))])
+@pytest.mark.parametrize("draw", [0, *(pytest.param(draw, marks=pytest.mark.slow) for draw in (1, 2))])
 @pytest.mark.parametrize("name", ["left", "right"])
 @pytest.mark.parametrize("size_m", [0.5e-3, 0.05], ids=["half a millimetre", "five centimetres"])
 @pytest.mark.parametrize("tracker_moved", [True, False], ids=["tracker moved", "tracker still"])
@@ -249,7 +254,6 @@ def test_a_moved_base_is_told_from_a_moved_tracker(size_m, tracker_moved, name, 
         assert first.shift_m == pytest.approx(np.linalg.norm(apply(motion, base[None])[0] - base), abs=0.1e-3)
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("arms", [("left", "right"), ("left",)], ids=["two arms", "one arm"])
 def test_a_remounted_smr_is_told_from_a_moved_tracker(arms):
     rng = np.random.default_rng(9)
@@ -262,7 +266,6 @@ def test_a_remounted_smr_is_told_from_a_moved_tracker(arms):
     assert first.shift_m == pytest.approx(0.5e-3, abs=0.1e-3)
 
 
-@pytest.mark.fast
 def test_an_arm_that_bent_is_explained_by_nothing():
     rng = np.random.default_rng(10)
     model = certain_cell()
@@ -283,7 +286,6 @@ def on_a_line(model, count):
     return {"left": replace(points, measured_M=points.measured_M[:1] + along)}
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("points", "says"),
     [
@@ -300,7 +302,6 @@ def test_points_that_fix_no_station_are_refused(points, says):
         fit_station(model, points(model), MOVED, excess_m=EXCESS)
 
 
-@pytest.mark.fast
 def test_the_other_arm_is_where_it_was_while_a_point_was_measured():
     model = certain_cell()
     points = drawn_points(model, {"left": 2, "right": 2}, MOVED, np.random.default_rng(1))
@@ -309,7 +310,6 @@ def test_the_other_arm_is_where_it_was_while_a_point_was_measured():
     np.testing.assert_allclose(expected["left"], apply(MOVED, model.predict("left", points["left"].q)), atol=1e-12)
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("seed", range(5))
 def test_a_start_that_is_far_off_leads_to_the_same_station(seed):
     model, rng = certain_cell(), np.random.default_rng(seed)
@@ -319,7 +319,6 @@ def test_a_start_that_is_far_off_leads_to_the_same_station(seed):
     assert other.chi_squared <= one.chi_squared * (1.0 + 1e-6)
 
 
-@pytest.mark.fast
 def test_a_station_that_did_not_converge_is_an_error_and_a_cause_left_out(monkeypatch):
     model, rng = certain_cell(), np.random.default_rng(0)
     points = drawn_points(model, {"left": 4, "right": 4}, MOVED, rng)
@@ -331,3 +330,153 @@ def test_a_station_that_did_not_converge_is_an_error_and_a_cause_left_out(monkey
     assert possible_causes(model, points, far, excess_m=EXCESS, still_m=1e-4, told=said.append) == ()
     assert len(said) == 4
     assert "station and the smr of arm left did not converge" in said[1]
+
+
+# -- Detection of a moved station: found where it moved, no false alarm where it did not -------------------------------
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("at", [60, 200, 333])
+def test_a_moved_station_is_found_where_it_moved(seed, at):
+    rng = np.random.default_rng(seed)
+    nominal = at_station(UR10, OFF_AXIS, np.eye(4))
+    q = rng.uniform(-3, 3, (400, 6))
+    p_M = smr_positions(true_geometry(nominal, rng), q)
+    assert station_change(smr_positions(nominal, q), p_M) is None
+    moved = transform(rotation_from_vector(rng.normal(0.0, 0.05, 3)), rng.normal(0.0, 0.1, 3))
+    p_M[at:] = apply(moved, p_M[at:])
+    assert station_change(smr_positions(nominal, q), p_M) == pytest.approx(at, abs=2)
+
+
+def test_few_points_are_not_judged():
+    p = np.random.default_rng(0).normal(size=(8, 3))
+    assert station_change(p, p) is None
+
+
+# -- The inter-base transform from distances alone ---------------------------------------------------------------------
+
+
+def cell(seed, n=100, noise=0.0):
+    rng = np.random.default_rng(seed)
+    T_R_L = transform(rotation_from_vector(rng.normal(0, 1.0, 3)), [0.1, -1.7, 0.2])
+    p_L, p_R = rng.uniform(-1, 1, (n, 3)), rng.uniform(-0.8, 0.8, (n, 3))
+    return rng, T_R_L, p_L, p_R, distances(T_R_L, p_L, p_R) + rng.normal(0.0, noise, n)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_exact_distances_give_the_exact_transform(seed):
+    rng, T_R_L, p_L, p_R, measured = cell(seed)
+    start = transform(rotation_from_vector(rng.normal(0, 0.02, 3)) @ T_R_L[:3, :3], T_R_L[:3, 3] + 0.02)
+    found = identify_pair(start, p_L, p_R, measured)
+    np.testing.assert_allclose(found.T_R_L, T_R_L, atol=1e-9)
+    x, y, z, theta, beta, alpha = found.values
+    np.testing.assert_allclose(transform(rotation_zyx(theta, beta, alpha), [x, y, z]), T_R_L, atol=1e-8)
+
+
+def test_standard_errors_are_those_of_repetition():
+    errors, stated = [], []
+    for k in range(300):
+        _, T_R_L, p_L, p_R, _ = cell(0)
+        measured = distances(T_R_L, p_L, p_R) + np.random.default_rng(k).normal(0.0, 20e-6, 100)
+        found = identify_pair(T_R_L, p_L, p_R, measured)
+        errors.append(found.T_R_L[:3, 3] - T_R_L[:3, 3])
+        stated.append(found.standard_errors[:3])
+        assert found.scale == pytest.approx(20e-6, rel=0.35)
+    np.testing.assert_allclose(np.std(errors, axis=0), np.mean(stated, axis=0), rtol=0.15)
+
+
+def test_six_stops_are_refused():
+    _, T_R_L, p_L, p_R, measured = cell(0, n=6)
+    with pytest.raises(TooFewReadings, match="at least 7"):
+        identify_pair(T_R_L, p_L, p_R, measured)
+
+
+def square(T_R_L, p_L, p_R, measured):
+    return float(np.sum((measured**2 - distances(T_R_L, p_L, p_R) ** 2) ** 2))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_from_a_start_that_is_far_off_it_never_ends_above_it(seed, monkeypatch):
+    rng, T_R_L, p_L, p_R, measured = cell(seed, noise=2e-5)
+    start = transform(rotation_from_vector(rng.normal(0, 1.0, 3)) @ T_R_L[:3, :3], T_R_L[:3, 3] + rng.normal(0, 0.3, 3))
+    found = identify_pair(start, p_L, p_R, measured)
+    assert square(found.T_R_L, p_L, p_R, measured) <= square(start, p_L, p_R, measured)
+    monkeypatch.setattr(pair_calibration, "_MOST_ITERATIONS", 1)
+    with pytest.raises(NotConverged, match="inter-base transform from distances did not converge: 1 steps"):
+        identify_pair(start, p_L, p_R, measured)
+
+
+# -- A base from tracker points: the truth comes back, stated uncertainties hold, useless points are refused in words --
+
+CORNERS = np.array([[0.8, 0.1, 0.3], [-0.2, 0.7, 0.9], [-0.6, -0.5, 0.2], [0.1, -0.4, 1.1]])
+coordinate = st.floats(-10.0, 10.0)
+turn = st.floats(-1.8, 1.8)  # per axis: rotation vectors up to about pi
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    position=st.tuples(coordinate, coordinate, coordinate),
+    vector=st.tuples(turn, turn, turn),
+    count=st.sampled_from([3, 4]),
+)
+def test_exact_points_give_the_true_pose(position, vector, count) -> None:
+    T = transform(rotation_from_vector(np.array(vector)), position)
+    fit = base_from_points(CORNERS[:count], apply(T, CORNERS[:count]))
+    assert np.allclose(fit.T_M_B, T, atol=1e-9)
+    assert fit.rms < 1e-9
+    assert fit.sentence.endswith("; good")
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_base_does_not_depend_on_the_order_of_the_points(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    p_M = apply(transform(rotation_from_vector(rng.normal(size=3)), rng.normal(size=3)), CORNERS)
+    p_M += rng.normal(scale=1e-3, size=p_M.shape)
+    order = rng.permutation(4)
+    fit, other = base_from_points(CORNERS, p_M), base_from_points(CORNERS[order], p_M[order])
+    assert np.allclose(fit.T_M_B, other.T_M_B, atol=1e-9)
+    assert math.isclose(fit.position_error, other.position_error, rel_tol=1e-6)
+    assert order[other.worst] == fit.worst
+
+
+@pytest.mark.parametrize("noise_m", [20e-6, 1e-3, 5e-3])
+def test_errors_are_as_large_as_stated(noise_m: float) -> None:
+    """Over many surveys the mean square of the true error is that of the stated one, for position and angle."""
+    rng = np.random.default_rng(5)
+    T = transform(rotation_from_vector([0.4, -0.2, 2.0]), [3.0, -1.0, 0.6])
+    ratios = []
+    for _ in range(400):
+        p_M = apply(T, CORNERS) + rng.normal(scale=noise_m, size=CORNERS.shape)
+        fit = base_from_points(CORNERS, p_M)
+        off = invert(T) @ fit.T_M_B
+        true = (np.sum((fit.T_M_B[:3, 3] - T[:3, 3]) ** 2), np.sum(rotation_vectors(off[None, :3, :3]) ** 2))
+        ratios.append((*true, fit.position_error**2, fit.angle_error**2))
+    position, angle, stated_position, stated_angle = np.mean(ratios, axis=0)
+    assert position / stated_position == pytest.approx(1.0, abs=0.2)
+    assert angle / stated_angle == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_poor_point_is_named() -> None:
+    p_M = CORNERS.copy()
+    p_M[2, 1] += 0.05
+    fit = base_from_points(CORNERS, p_M)
+    assert "poor: check point 3, off by" in fit.sentence
+
+
+@pytest.mark.parametrize(
+    ("p_B", "p_M", "words"),
+    [
+        (CORNERS[:2], CORNERS[:2], "2 points do not fix a base; measure at least 3"),
+        (np.zeros((4, 3)), CORNERS, "lie within 0 mm of one place in the base frame"),
+        (CORNERS, np.ones((4, 3)), "of one place in the tracker frame"),
+        (np.outer([0.0, 0.3, 0.7, 1.0], [1.0, 2.0, 0.5]), CORNERS, "on one line in the base frame"),
+        (CORNERS, CORNERS[[1, 0, 2, 3]], "check units, the order of the points"),
+        (CORNERS, CORNERS * 1000.0, "check units"),
+        (CORNERS, CORNERS * [1, 1, -1], "check units"),
+    ],
+)
+def test_useless_points_are_refused(p_B, p_M, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        base_from_points(p_B, p_M)

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from cellapp.estimation.calibration.station_location import NestPoint, TooFewNests, tie_stations
 from cellapp.robot.kinematics.transforms import apply, invert, transform
 
-pytestmark = pytest.mark.fast
 SIGMA = 2e-5
 TRUE = {
     "north": np.eye(4),
@@ -38,7 +37,6 @@ def test_exact_points_give_the_true_poses() -> None:
     assert ties["west"].nests == ("F4", "F5", "F6")
 
 
-@pytest.mark.slow
 def test_the_uncertainty_at_a_point_is_the_stated_one() -> None:
     far = np.array([[1.0, 0.5, 0.2]])
     off, stated = [], []

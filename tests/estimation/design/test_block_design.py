@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,20 +14,33 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cellapp.estimation.design.block_design import (
+    GAP_OF_EVEN_STOPS,
     BlockDesign,
     Candidates,
     Criterion,
     Effort,
     Shares,
     choose_blocks,
+    close_gaps,
+    gap_limits,
     information_of,
+    largest_gaps,
     most_informative_first,
     reference_errors,
+    without_turns,
+)
+from cellapp.estimation.design.information import (
+    VISIBLE,
+    Discrimination,
+    NuisanceProjector,
+    SequentialDesign,
+    detectable_size,
+    joint_gains,
+    visible_root,
+    visible_squares,
 )
 from cellapp.ground.progress import Cancelled, CancelToken
 from tests.estimation.design.relaxation import least_errors
-
-pytestmark = pytest.mark.fast
 
 P, M, COUNT = 8, 300, 20
 ALL = Effort(subset=M)
@@ -84,7 +101,6 @@ def test_the_weights_are_the_derivative_of_the_criterion() -> None:
     assert np.trace(criterion.weights(C) @ direction) == pytest.approx(change / 2.0, rel=1e-5)
 
 
-@pytest.mark.slow
 @given(st.integers(0, 1000))
 @settings(max_examples=15, deadline=None)
 def test_exchange_never_makes_a_choice_worse(seed: int) -> None:
@@ -172,3 +188,248 @@ def test_a_choice_can_be_cancelled() -> None:
     token.cancel()
     with pytest.raises(Cancelled):
         choose_blocks(candidates, COUNT, criterion, np.random.default_rng(0), cancel=token)
+
+
+# -- T-optimality: stops added one by one give the non-centrality of the refit with all of them ------------------------
+
+
+def a_discrimination(seed: int, p: int = 6, d: int = 40, m: int = 15) -> Discrimination:
+    rng = np.random.default_rng(seed)
+    return Discrimination(
+        run_columns=rng.normal(size=(p, d)) * np.geomspace(1.0, 1e4, p)[:, None],
+        precision=np.array([0.0, 0.0, 0.0, 0.0, 2.0, 0.0]),
+        run_signals=rng.normal(size=(1, d)),
+        candidate_columns=rng.normal(size=(p, m, 3)) * np.geomspace(1.0, 1e4, p)[:, None, None],
+        candidate_signals=rng.normal(size=(1, m, 3)),
+    )
+
+
+def test_stops_added_one_by_one_are_the_refit_with_all_of_them() -> None:
+    one = a_discrimination(0)
+    design = one.start_design()
+    added: list[int] = []
+    for stop in (3, 7, 3, 14):
+        promised = design.noncentrality + design.gains()[stop]
+        design.add(stop)
+        added.append(stop)
+        columns = (one.candidate_columns[:, k] for k in added)
+        rows = np.hstack([one.run_columns, *columns, np.diag(np.sqrt(one.precision))])
+        signals = (one.candidate_signals[0, k] for k in added)
+        signal = np.concatenate([one.run_signals[0], *signals, np.zeros(len(rows))])
+        fitted = np.linalg.lstsq(rows.T, signal, rcond=None)[0]
+        truth = float(np.sum((signal - fitted @ rows) ** 2))
+        assert promised == pytest.approx(truth, rel=1e-8)
+        assert design.noncentrality == pytest.approx(truth, rel=1e-8)
+        assert one.noncentrality(np.array(added)) == pytest.approx(truth, rel=1e-8)
+
+
+def a_design(noncentrality: float, errors: list[float]) -> SequentialDesign:
+    m = len(errors)
+    error = np.zeros((1, m, 3))
+    error[0, :, 0] = errors
+    return SequentialDesign(np.zeros((m, 3, 1)), np.eye(1), np.zeros((m, 3, 3)), error, noncentrality)
+
+
+def test_the_comparison_that_is_furthest_from_its_need_leads() -> None:
+    ahead, behind = a_design(9.0, [1.0, 0.0]), a_design(1.0, [0.0, 0.8])
+    gains = joint_gains([ahead, behind], [10.0, 10.0], 5)
+    assert gains.max() == 1.0
+    assert int(np.argmax(gains)) == 1
+
+
+def test_a_hopeless_comparison_is_left_aside() -> None:
+    reachable, hopeless = a_design(5.0, [1.0, 0.0]), a_design(0.0, [0.0, 1e-3])
+    gains = joint_gains([reachable, hopeless], [10.0, 10.0], 5)
+    assert int(np.argmax(gains)) == 0
+    alone = joint_gains([hopeless], [10.0], 5)
+    assert int(np.argmax(alone)) == 1, "unless there is no other"
+
+
+# -- Information beside nuisance parameters: the projection is the joint regression, with priors generalised -----------
+
+N = 300
+
+
+def rows_of(seed: int, *sizes: int) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return [rng.normal(size=(size, N)) for size in sizes]
+
+
+def test_regression_in_the_complement_is_the_joint_regression() -> None:
+    nuisance, rows, (y,) = rows_of(0, 10, 3, 1)
+    projector = NuisanceProjector.of(nuisance)
+    joint = np.linalg.lstsq(np.concatenate([nuisance, rows]).T, y, rcond=None)[0][-3:]
+    alone = np.linalg.lstsq(projector.project(rows).T, projector.project(y), rcond=None)[0]
+    np.testing.assert_allclose(alone, joint, atol=1e-12)
+    assert projector.effective_parameters == pytest.approx(10.0)
+
+
+def test_with_priors_the_projection_is_generalised_least_squares() -> None:
+    nuisance, (y,) = rows_of(6, 10, 1)
+    sd = np.random.default_rng(6).uniform(0.1, 2.0, 10)
+    projector = NuisanceProjector.of(nuisance, 1.0 / sd**2)
+    covariance = np.eye(N) + (nuisance.T * sd**2) @ nuisance
+    np.testing.assert_allclose(projector.project(y), np.linalg.solve(covariance, y), atol=1e-10)
+    assert projector.effective_parameters < 10.0
+
+
+def test_the_root_makes_visible_directions_orthonormal_and_drops_the_others() -> None:
+    nuisance, rows = rows_of(1, 10, 3)
+    rows[1] = nuisance[0] + 0.1 * VISIBLE * rows[1]
+    projector = NuisanceProjector.of(nuisance)
+    projected = projector.project(rows)
+    root, count = visible_root(rows @ projected.T, np.linalg.norm(rows, axis=1))
+    assert count == 2
+    np.testing.assert_allclose(root.T @ (rows @ projected.T) @ root, np.diag([0.0, 1.0, 1.0]), atol=1e-9)
+
+
+def test_the_detectable_size_has_the_needed_noncentrality() -> None:
+    nuisance, rows = rows_of(2, 10, 1)
+    projector = NuisanceProjector.of(nuisance)
+    size = detectable_size(float(np.sqrt(projector.behind(rows).squares[0])), 25.0)
+    assert size**2 * float(rows[0] @ projector.project(rows[0])) == pytest.approx(25.0)
+
+
+@pytest.mark.parametrize("hidden", [0, 1])
+def test_squares_along_visible_directions_are_those_of_the_root(hidden: int) -> None:
+    """Whether all directions of a batch show, or one of its last member is hidden."""
+    nuisance, _ = rows_of(3, 10, 1)
+    rows = np.random.default_rng(4).normal(size=(5, 3, nuisance.shape[1]))
+    rows[-1, :hidden] = nuisance[0]
+    projected = NuisanceProjector.of(nuisance).project(rows)
+    gram, norms = rows @ projected.swapaxes(1, 2), np.linalg.norm(rows, axis=2)
+    moments = projected @ np.random.default_rng(5).normal(size=nuisance.shape[1])
+    root, count = visible_root(gram, norms)
+    squares, found = visible_squares(gram, norms, moments)
+    np.testing.assert_allclose(squares, np.sum(np.einsum("bkr,bk->br", root, moments) ** 2, axis=1), rtol=1e-9)
+    assert found.tolist() == count.tolist() == [3, 3, 3, 3, 3 - hidden]
+
+
+# -- The same seed chooses the same stops on any processor: OpenBLAS has kernels for each, which round differently -----
+
+KERNELS = ("Haswell", "Sandybridge", "Nehalem")
+"""Any x86 processor of the last ten years runs these; they are compared with its own. Without OpenBLAS, or on another
+architecture, the setting has no effect, and all are its own."""
+
+CHOICE = """
+import numpy as np
+from cellapp.estimation.design.block_choice import Candidates, choose_blocks, most_informative_first
+from cellapp.estimation.design.block_design import Criterion, reference_errors
+rng = np.random.default_rng(0)
+rows = np.repeat(rng.normal(size=(150, 3, 20)), 2, axis=0)
+rows *= 1.0 + 1e-7 * rng.normal(size=(300, 1, 1))  # each candidate has a rival that tells as much, nearly
+candidates = Candidates(rows, np.eye(20))
+reference = reference_errors(candidates.mean_information, 40, candidates.prior, 15)
+criterion = Criterion(reference, rng.normal(size=(50, 3, 20)))
+chosen = choose_blocks(candidates, 40, criterion, rng)
+print(most_informative_first(candidates, chosen, criterion).tolist())
+"""
+
+PLAN = """
+import hashlib
+import numpy as np
+from cellapp.cell.planning.designed import design_stops
+from tests.twin import small_twin
+planned = design_stops(small_twin(12), 12).stops
+print({name: hashlib.sha256(np.round(q, 9).tobytes()).hexdigest() for name, q in planned.q.items()})
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "kernels"),
+    [
+        pytest.param(CHOICE, KERNELS, id="choice"),
+        pytest.param(PLAN, ("Sandybridge",), marks=pytest.mark.slow, id="plan"),
+        pytest.param(PLAN, KERNELS, marks=pytest.mark.slow, id="plan, each kernel"),
+    ],
+)
+def test_all_kernels_give_the_same(what: str, kernels: tuple[str, ...]) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
+    given = {}
+    for kernel in ("", *kernels):
+        own = {name: value for name, value in environment.items() if name != "OPENBLAS_CORETYPE"}
+        of_kernel = {**own, "OPENBLAS_CORETYPE": kernel} if kernel else own
+        ended = subprocess.run(
+            [sys.executable, "-c", what], env=of_kernel, capture_output=True, text=True, timeout=120.0, check=True
+        )
+        given[kernel or "its own"] = ended.stdout
+    assert all(given.values())
+    assert len(set(given.values())) == 1, given
+
+
+# -- Phase coverage: gaps that candidates can close are closed, others are left, and little is lost --------------------
+
+COUNT_OF_GAPS, NONE = 30, np.empty((0, 2))
+
+
+def clustered() -> tuple[Candidates, np.ndarray, Criterion, np.ndarray]:
+    """Stops at the ends of the first joint tell most, so that a choice leaves its middle empty."""
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-2.0, 2.0, (800, 2))
+    rows = rng.normal(size=(800, 3, 4)) * np.abs(q[:, :1, None])
+    candidates = Candidates(rows, np.eye(4))
+    criterion = Criterion(
+        reference_errors(candidates.mean_information, COUNT_OF_GAPS, candidates.prior, 4), rng.normal(size=(40, 3, 4))
+    )
+    return candidates, q, criterion, choose_blocks(candidates, COUNT_OF_GAPS, criterion, rng)
+
+
+def closed(q: np.ndarray, limits: np.ndarray, kept: np.ndarray = NONE) -> tuple[np.ndarray, float]:
+    candidates, _, criterion, chosen = clustered()
+    rng = np.random.default_rng(1)
+    found = close_gaps(candidates, q, chosen, criterion, limits, kept, rng, CancelToken())
+    assert len(set(found.tolist())) == COUNT_OF_GAPS
+    lost = criterion.value(candidates.covariance(found)) - criterion.value(candidates.covariance(chosen))
+    return found, lost
+
+
+def test_gaps_are_closed_at_little_loss() -> None:
+    _, q, _, chosen = clustered()
+    limits = gap_limits(q, COUNT_OF_GAPS, None)
+    assert limits == pytest.approx(GAP_OF_EVEN_STOPS * 4.0 / COUNT_OF_GAPS, rel=0.05)
+    assert largest_gaps(q[chosen])[0] > 2.0 * limits[0]
+    found, lost = closed(q, limits)
+    assert np.all(largest_gaps(q[found]) <= limits)
+    assert lost < 0.1 * sum(Shares())
+    assert len(np.setdiff1d(found, chosen)) < COUNT_OF_GAPS / 2
+
+
+def test_a_limit_of_the_profile_holds() -> None:
+    _, q, _, _ = clustered()
+    np.testing.assert_array_equal(gap_limits(q, COUNT_OF_GAPS, 0.4), [0.4, 0.4])
+    found, _ = closed(q, np.array([0.4, 0.4]))
+    assert np.all(largest_gaps(q[found]) <= 0.4)
+
+
+def test_a_part_without_candidates_is_left_and_the_rest_is_covered() -> None:
+    _, q, _, _ = clustered()
+    q = q.copy()
+    q[:, 0] = np.where(q[:, 0] > 0.0, q[:, 0] + 1.0, q[:, 0])
+    limits = gap_limits(q, COUNT_OF_GAPS, None)
+    assert limits[0] == pytest.approx(GAP_OF_EVEN_STOPS * 4.0 / COUNT_OF_GAPS, rel=0.05), (
+        "the empty part counts for nothing"
+    )
+    found, _ = closed(q, limits)
+    gaps = np.sort(np.diff(np.sort(q[found, 0])))
+    assert gaps[-1] > 1.0
+    assert gaps[-2] <= limits[0]
+
+
+def test_kept_stops_cover_too() -> None:
+    _, q, _, chosen = clustered()
+    kept = np.column_stack([np.linspace(-2.0, 2.0, 40), np.linspace(-2.0, 2.0, 40)])
+    found, lost = closed(q, np.array([0.4, 0.4]), kept)
+    assert set(found) == set(chosen)
+    assert lost == pytest.approx(0.0)
+
+
+def test_whole_turns_do_not_count() -> None:
+    _, q, _, chosen = clustered()
+    turned = q[chosen] + 2.0 * np.pi * np.random.default_rng(0).integers(-1, 2, (COUNT_OF_GAPS, 2))
+    np.testing.assert_allclose(without_turns(turned, q), q[chosen], atol=1e-12)
+
+
+def test_too_strict_a_limit_keeps_the_number_of_stops() -> None:
+    _, q, _, _ = clustered()
+    found, _ = closed(q, np.array([1e-3, 1e-3]))
+    assert len(found) == COUNT_OF_GAPS

@@ -92,6 +92,7 @@ def test_no_step_of_the_fit_to_all_raises_its_objective(monkeypatch):
     assert after < before
 
 
+@pytest.mark.slow
 def test_where_the_fit_to_all_fails_the_model_of_the_search_is_in_force_and_said(monkeypatch):
     profile, name, model, readings, conditions = drawn()
     found = searched().search
@@ -129,6 +130,7 @@ def test_only_terms_that_predict_worse_are_removed():
     assert judge.rms_mm(left.model) < 0.6 * judge.rms_mm(left.found.geometry_only.model)
 
 
+@pytest.mark.slow
 def test_gross_errors_beyond_the_searched_rows_need_no_other_search(monkeypatch):
     profile, name, model, readings, conditions = drawn()
     monkeypatch.setattr(discover, "_MOST_SEARCHED", SEARCHED)

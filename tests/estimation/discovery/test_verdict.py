@@ -2,16 +2,32 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from cellapp.estimation.discovery.accepted import accepted_effect
-from cellapp.estimation.discovery.records import AcceptedEffect, BeforeAfter, Evidence, Place, RunnerUp
+from cellapp.cell.profile import load_profile
+from cellapp.estimation.discovery.accepted import accepted_effect, formulas
+from cellapp.estimation.discovery.discover import discover_arm
+from cellapp.estimation.discovery.records import (
+    AcceptedEffect,
+    ArmDiscoveryResult,
+    BeforeAfter,
+    Evidence,
+    Place,
+    RunnerUp,
+)
 from cellapp.estimation.discovery.search.state import Scatter
+from cellapp.estimation.discovery.terms import whitened_displacements
 from cellapp.estimation.discovery.verdict import CHANCE, remaining_structure, verdict
-from cellapp.robot.effects import EFFECTS, EffectTerm
-
-pytestmark = pytest.mark.fast
+from cellapp.estimation.readings import Readings
+from cellapp.robot.effects import EFFECTS, Channel, EffectColumn, EffectTerm
+from cellapp.robot.effects.data_driven import Quantity, Variable
+from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import bodies_of, nominal_arm
+from tests.arms import STATION
 
 NOISE = Scatter(1.0, 0.5)
 FAR_ABOVE = Scatter(3.0, 0.0)
@@ -67,3 +83,109 @@ def test_readings_that_are_too_few_for_a_search_do_not_say_that_nothing_is_missi
     found, sentence = verdict([], 0.1, 1.3, 10, Scatter(50.0, 0.0), UNTESTED)
     assert found == "unknown effect"
     assert "scatter 50 times as stated and are too few to look for effects" in sentence
+
+
+# -- Candidate laws: columns of either kind are whitened alike ---------------------------------------------------------
+
+
+def test_joint_offsets_and_smr_shifts_are_whitened_alike() -> None:
+    rng = np.random.default_rng(8)
+    n = 20
+    white = rng.normal(size=(3, 3, n))
+    by_joint = rng.normal(size=(3, 6, n))
+    offset, shift = rng.normal(size=n), rng.normal(size=(n, 3))
+    columns = (
+        EffectColumn("shift", "m", "base", -1, 1, Channel.BASE, shift_M=shift),
+        EffectColumn("offset", "rad", "joint 3", -1, 1, Channel.JOINT, 2, offset=offset),
+    )
+    rows = whitened_displacements(columns, np.einsum("acn,cjn->ajn", white, by_joint), white)
+    np.testing.assert_allclose(rows[0].reshape(3, n), np.einsum("acn,nc->an", white, shift), atol=1e-12)
+    wanted = np.einsum("acn,cn->an", white, by_joint[:, 2] * offset)
+    np.testing.assert_allclose(rows[1].reshape(3, n), wanted, atol=1e-12)
+
+
+# -- Readings with the approach signs of another convention: said, counted as unknown, with what to check --------------
+
+TWIN = Path(__file__).parents[3] / "profiles" / "twin.yaml"
+STOPS, HELD_OUT = 240, 60
+SIGMA_M = 10e-6
+HALF_PLAY = np.array([1.5e-4, 1e-4, 0.0, 0.0, 0.0, 0.0])
+
+
+def discovered(sign: int) -> ArmDiscoveryResult:
+    """Discovery in readings with backlash whose approach signs are multiplied by ``sign``."""
+    profile = load_profile(TWIN)
+    few = profile.discovery.model_copy(update={"null_simulations": 60, "false_alarm": 0.02})
+    profile = profile.model_copy(update={"discovery": few})
+    arm = profile.arms["left"]
+    geometry = nominal_arm(arm).with_T_M_B(STATION)
+    up_M = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
+    model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(arm), up_M=up_M)
+    rng = np.random.default_rng(5)
+    q, approach = rng.uniform(-2.5, 2.5, (STOPS, 6)), rng.choice([-1, 1], (STOPS, 6))
+    readings = Readings(
+        configuration=np.arange(STOPS, dtype=np.int64),
+        time_s=np.full(STOPS, np.nan),
+        q=q,
+        approach=(sign * approach).astype(np.int8),
+        p_M=smr_positions(geometry, q - HALF_PLAY * approach) + rng.normal(0.0, SIGMA_M, (STOPS, 3)),
+        sigma_m=np.full(STOPS, SIGMA_M),
+        split=("identify",) * (STOPS - HELD_OUT) + ("validate",) * HELD_OUT,
+    )
+    return discover_arm(profile, "left", model, readings).result
+
+
+def test_backlash_of_the_opposite_sign_is_said_and_unknown() -> None:
+    arm = discovered(sign=-1)
+    assert arm.verdict == "unknown effect"
+    (found,) = arm.contradictions
+    assert (found.effect, found.joints) == ("backlash", (1, 2))
+    assert "of the opposite sign at joints 1, 2: check the approach convention" in found.sentence
+    assert 100.0 < found.size_um < 200.0
+    (accepted,) = arm.accepted
+    assert accepted.effect == "unknown"
+    assert accepted.meaning is not None
+    assert accepted.meaning.check[0] == "Check the approach convention of the readings."
+
+
+def test_backlash_of_the_right_sign_is_named() -> None:
+    arm = discovered(sign=1)
+    assert [found.effect for found in arm.accepted] == ["backlash"]
+    assert arm.verdict != "unknown effect"
+    assert arm.contradictions == ()
+
+
+# -- Short formulas: the one that a curve was made from is among them, and those that do not vary are left out ---------
+
+Q1, Q2, Q3 = (Variable(Quantity.JOINT_ANGLE, joint) for joint in range(3))
+
+
+def explained(values: np.ndarray, y: np.ndarray) -> float:
+    fitted = values @ np.linalg.lstsq(values, y, rcond=None)[0]
+    return 1.0 - float(np.sum((y - fitted) ** 2) / np.sum(y**2))
+
+
+@pytest.mark.parametrize(
+    ("variables", "shape", "text"),
+    [
+        ((Q2,), lambda x, y: 3.0 * np.sin(2.0 * x + 0.4), "c sin(2 q2 + phase)"),
+        ((Variable(Quantity.TORQUE, 2),), lambda x, y: 0.2 * np.abs(x), "c |torque3|"),
+        ((Q1, Q3), lambda x, y: np.sin(x - y), "c sin(q1 - q3 + phase)"),
+        ((Q1, Q3), lambda x, y: np.sin(x) * np.cos(y), "c sin(q1) cos(q3)"),
+    ],
+)
+def test_the_formula_that_made_a_curve_explains_all_of_it(variables, shape, text) -> None:
+    x, y = np.random.default_rng(1).uniform(-2.0, 2.0, (2, 200))
+    found = formulas(variables, [x, y][: len(variables)])
+    best = max(found, key=lambda one: explained(one.values, shape(x, y)))
+    assert best.text == text
+    assert explained(best.values, shape(x, y)) == pytest.approx(1.0)
+
+
+# -- Structure tests in words ------------------------------------------------------------------------------------------
+
+
+# -- Layout of parameters: geometry first, then one term after the other; priors of free curves ------------------------
+
+
+# -- Products of columns that keep joint offsets as functions of the reading are those of whole columns ----------------

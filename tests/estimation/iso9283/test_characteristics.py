@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -9,11 +10,39 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
 
 from cellapp.estimation.iso9283 import characteristics as iso
+from cellapp.estimation.iso9283.characteristics import (
+    Cycles,
+    accuracy_value,
+    directional_value,
+    distance_values,
+    drift_values,
+    path_values,
+    repeatability_value,
+)
+from cellapp.estimation.iso9283.coverage import NOT_ASKED, NOT_OFFERED, ONE_SMR, coverage, not_done
+from cellapp.estimation.iso9283.norm import (
+    CORNERS,
+    CYCLE,
+    PLANES,
+    POSES,
+    IsoTest,
+    circle_positions,
+    lattice_cube,
+    pose_positions,
+)
+from cellapp.estimation.iso9283.records import (
+    ArmIso9283,
+    CommandedTests,
+    DriftCharacteristics,
+    IsoConditions,
+    IsoLine,
+    IsoValue,
+    PoseCharacteristics,
+)
 from cellapp.robot.kinematics.transforms import Array, apply, rotation_from_vector, transform
-
-pytestmark = pytest.mark.fast
 
 CLOUDS = arrays(np.float64, (6, 3), elements=st.floats(-2.0, 2.0))
 MOTIONS = arrays(np.float64, (6,), elements=st.floats(-3.0, 3.0))
@@ -128,3 +157,231 @@ def test_velocity_of_two_cycles_worked_by_hand() -> None:
 def test_a_repeatability_of_the_velocity_of_one_cycle_is_refused() -> None:
     with pytest.raises(ValueError, match="at least 2 cycles, not 1"):
         iso.velocity_repeatability(np.array([[0.2, 0.2]]), 0.2)
+
+
+# -- The norm's cube: planes, poses, and the largest cube of a lattice -------------------------------------------------
+
+CENTRE, EDGE = np.array([0.3, -0.4, 0.5]), 0.6
+
+
+@pytest.mark.parametrize("plane", PLANES, ids="-".join)
+def test_poses_are_on_the_diagonals_of_an_inclined_plane(plane: tuple[str, str, str, str]) -> None:
+    poses = pose_positions(CENTRE, EDGE, plane)
+    assert tuple(poses) == POSES
+    np.testing.assert_allclose(poses["P1"], CENTRE)
+    diagonal = math.sqrt(3.0) * EDGE
+    for first, opposite in (("P2", "P4"), ("P3", "P5")):
+        assert np.linalg.norm(poses[first] - poses[opposite]) == pytest.approx(0.8 * diagonal)
+        np.testing.assert_allclose(0.5 * (poses[first] + poses[opposite]), CENTRE)
+    sides = np.array([poses[name] - CENTRE for name in POSES[1:]])
+    assert np.linalg.matrix_rank(sides, tol=1e-9) == 2
+    corners = CENTRE + 0.5 * EDGE * np.array([CORNERS[name] for name in plane])
+    gaps = [float(np.linalg.norm(corner - poses[name])) for corner, name in zip(corners, POSES[1:], strict=True)]
+    np.testing.assert_allclose(gaps, 0.1 * diagonal)
+
+
+def test_planes_are_the_four_that_hold_an_upper_edge_and_the_opposite_lower_one() -> None:
+    assert sorted(CYCLE) == sorted(POSES)
+    assert len({frozenset(plane) for plane in PLANES}) == len(PLANES)
+    for plane in PLANES:
+        first, second, third, fourth = (np.array(CORNERS[name]) for name in plane)
+        np.testing.assert_array_equal(first, -third)
+        np.testing.assert_array_equal(second, -fourth)
+        assert first[2] == second[2] == 1
+
+
+def test_the_circle_is_in_the_plane_and_inside_the_cube() -> None:
+    poses = pose_positions(CENTRE, EDGE, PLANES[0])
+    points = circle_positions(poses, EDGE) - CENTRE
+    np.testing.assert_allclose(np.linalg.norm(points, axis=1), 0.4 * EDGE)
+    np.testing.assert_allclose(points[0], points[-1], atol=1e-12)
+    normal = np.cross(poses["P2"] - CENTRE, poses["P3"] - CENTRE)
+    np.testing.assert_allclose(points @ normal, 0.0, atol=1e-12)
+    assert np.abs(points).max() <= 0.5 * EDGE
+
+
+@given(arrays(np.bool_, (4, 5, 4)))
+def test_the_lattice_cube_is_the_largest(held: NDArray[np.bool_]) -> None:
+    found = lattice_cube(held)
+
+    def fits(edge: int, corner: tuple[int, ...]) -> bool:
+        part = held[tuple(slice(c, c + edge + 1) for c in corner)]
+        return part.shape == (edge + 1,) * 3 and bool(part.all())
+
+    places = list(itertools.product(*(range(n) for n in held.shape)))
+    assert (found is None) == (not held.any())
+    if found is not None:
+        edge, corner = found
+        assert fits(edge, corner)
+        assert not any(fits(edge + 1, place) for place in places)
+
+
+# -- What the norm asks for, done and not done, with the reason --------------------------------------------------------
+
+CONDITIONS = IsoConditions(cycles=30, speed_share=0.5, dwell_s=1.0, averaging_s=1.0, commands=("nominal",))
+
+
+def value(n: int) -> IsoValue:
+    return IsoValue(value_mm=0.1, expanded_mm=0.02, n=n)
+
+
+def posed(n: int, **more: object) -> ArmIso9283:
+    pose = PoseCharacteristics(
+        pose="P1", error_mm=(0.1, 0.0, 0.0), accuracy=value(n), repeatability=value(n), deviations_mm=()
+    )
+    tests = {"nominal": CommandedTests(pose=(pose,))}
+    return ArmIso9283.model_validate({"payload_kg": 0.3, "tests": tests, **more})
+
+
+def line(lines: tuple[IsoLine, ...], words: str) -> IsoLine:
+    (found,) = (one for one in lines if one.characteristic.startswith(words))
+    return found
+
+
+def test_every_characteristic_of_the_norm_has_a_line_and_a_reason() -> None:
+    lines = coverage(["pose"], {"left": posed(30)}, CONDITIONS)
+    assert [one.clause for one in lines if one.words == NOT_OFFERED] == [
+        "7.4",
+        "7.5",
+        "7.7",
+        "8.4",
+        "8.5",
+        "9",
+        "10",
+        "11",
+    ]
+    assert all(one.words for one in lines)
+    assert line(lines, "pose accuracy") == IsoLine(
+        clause="7.2",
+        characteristic="pose accuracy AP, repeatability RP",
+        arms=("left",),
+        status="done",
+        words="30 cycles, nominal commands",
+    )
+    assert line(lines, "distance accuracy").words == NOT_ASKED
+    assert line(lines, "AP, RP of the orientation").words == ONE_SMR
+    assert "AP, RP of the orientation" in not_done(lines)[ONE_SMR]
+    assert "distance accuracy AD, repeatability RD" in not_done(lines)[NOT_ASKED]
+
+
+@pytest.mark.parametrize(
+    ("n", "stopped", "status", "words"),
+    [(5, "", "in part", "5 of 30 cycles"), (30, "", "done", "30 cycles")],
+)
+def test_fewer_cycles_than_the_norms_are_a_part(n: int, stopped: str, status: str, words: str) -> None:
+    found = line(coverage(["pose"], {"left": posed(n)}, CONDITIONS, stopped), "pose accuracy")
+    assert found.status == status
+    assert found.words.startswith(words)
+
+
+def test_arms_that_differ_have_lines_of_their_own() -> None:
+    reason = "this tracker's driver cannot measure a moving SMR"
+    tests: list[IsoTest] = ["pose", "path"]
+    arms = {"left": posed(30), "right": posed(30, refused={"path": reason})}
+    lines = [one for one in coverage(tests, arms, CONDITIONS) if one.characteristic.startswith("path accuracy AT")]
+    assert [(one.arms, one.status) for one in lines] == [(("left",), "not done"), (("right",), "not done")]
+    assert lines[1].words == reason
+    assert len([one for one in coverage(tests, arms, CONDITIONS) if one.clause == "7.2.3"]) == 1
+
+
+def test_what_stopped_the_job_is_the_reason() -> None:
+    arm = ArmIso9283(payload_kg=0.3)
+    found = line(coverage(["pose"], {"left": arm}, CONDITIONS, "stopped: arm left: protective stop"), "pose accuracy")
+    assert (found.status, found.words) == ("not done", "stopped: arm left: protective stop")
+
+
+def test_a_short_drift_test_is_a_part() -> None:
+    drift = DriftCharacteristics(
+        pose="P1", minutes=60.0, accuracy=value(10), repeatability=value(10), shift_mm=0.0, groups=()
+    )
+    arm = ArmIso9283(payload_kg=0.3, tests={"nominal": CommandedTests(drift=drift)})
+    found = line(coverage(["drift"], {"left": arm}, CONDITIONS), "drift")
+    assert (found.status, found.words) == ("in part", "10 cycles a group, over 60 of 480 min, nominal commands")
+
+
+def test_speeds_and_loads_that_were_not_tested_are_named() -> None:
+    lines = coverage(["pose"], {"left": posed(30)}, CONDITIONS)
+    assert line(lines, "speeds").words == "50% of the profile's speed; 100%, 10%: not asked for"
+    assert "profiles state no rated load" in line(lines, "rated load").words
+
+
+# -- Expanded uncertainties of the characteristics hold what they state ------------------------------------------------
+
+SIGMA = 20e-6
+"""Of a coordinate [m]."""
+TRACKER = np.diag([4e-6, 15e-6, 15e-6]) ** 2
+NOTHING = np.zeros((3, 3))
+OFF = np.array([80e-6, -50e-6, 20e-6])
+
+
+def cycles(rng: np.random.Generator, n: int, off: NDArray[np.float64] = OFF, sigma: float = SIGMA) -> Cycles:
+    """Cycles at ``off`` from the commanded position, with one error of the tracker that all of them share."""
+    shared = rng.multivariate_normal(np.zeros(3), TRACKER)
+    return Cycles(off + shared + sigma * rng.standard_normal((n, 3)), np.zeros(3), TRACKER, NOTHING)
+
+
+def covered(values: list[IsoValue], true_m: float) -> float:
+    """Share of the values whose uncertainty holds the true one."""
+    off = [abs(one.value_mm - true_m * 1e3) <= (one.expanded_mm or 0.0) for one in values]
+    return float(np.mean(off))
+
+
+@pytest.mark.parametrize("n", [5, 30])
+def test_accuracy_holds_the_truth_in_95_of_100_tests(n: int) -> None:
+    rng = np.random.default_rng(n)
+    values = [accuracy_value(cycles(rng, n), rng) for _ in range(60)]
+    assert covered(values, float(np.linalg.norm(OFF))) >= 0.88
+
+
+def test_repeatability_and_distance_hold_the_truth() -> None:
+    rng = np.random.default_rng(7)
+    many = np.linalg.norm(SIGMA * rng.standard_normal((100_000, 3)), axis=1)
+    repeatabilities = [repeatability_value(cycles(rng, 30), rng)[0] for _ in range(40)]
+    assert covered(repeatabilities, float(many.mean() + 3.0 * many.std())) >= 0.88
+    away = np.array([0.0, 0.5, 0.0])
+    pairs = [(cycles(rng, 30, np.zeros(3)), cycles(rng, 30, away)) for _ in range(40)]
+    pairs = [(one, Cycles(two.attained, away, TRACKER, NOTHING)) for one, two in pairs]
+    found = [distance_values(one, two, rng) for one, two in pairs]
+    assert covered([one[0] for one in found], 0.0) >= 0.88
+    assert covered([one[1] for one in found], 3.0 * np.sqrt(2.0) * SIGMA) >= 0.88
+
+
+def test_a_repeatability_says_how_much_of_it_may_be_the_trackers() -> None:
+    rng = np.random.default_rng(2)
+    still = Cycles(rng.multivariate_normal(np.zeros(3), TRACKER, size=30), np.zeros(3), TRACKER, NOTHING)
+    value, tracker = repeatability_value(still, rng)
+    assert tracker * 1e3 == pytest.approx(value.value_mm, rel=0.3)
+    assert value.expanded_mm is not None
+    assert value.expanded_mm > 0.5 * value.value_mm
+    coarse = Cycles(50.0 * still.attained, np.zeros(3), TRACKER, NOTHING)
+    value, tracker = repeatability_value(coarse, rng)
+    assert value.expanded_mm is not None
+    assert value.expanded_mm < 0.4 * value.value_mm
+
+
+def test_an_uncertain_base_makes_accuracy_uncertain_and_repeatability_not() -> None:
+    rng = np.random.default_rng(3)
+    known = cycles(rng, 30)
+    unknown = Cycles(known.attained, known.commanded, TRACKER, 0.3e-3**2 * np.eye(3))
+    first, second = (accuracy_value(one, np.random.default_rng(1)) for one in (known, unknown))
+    assert (first.expanded_mm or 0.0) < 0.05
+    assert 0.3 < (second.expanded_mm or 0.0) < 1.0
+    assert repeatability_value(known, np.random.default_rng(1)) == repeatability_value(
+        unknown, np.random.default_rng(1)
+    )
+
+
+def test_variation_drift_and_path_of_an_arm_without_either_are_within_their_uncertainty() -> None:
+    rng = np.random.default_rng(4)
+    shared = rng.multivariate_normal(np.zeros(3), TRACKER)
+    same = [
+        Cycles(OFF + shared + SIGMA * rng.standard_normal((30, 3)), np.zeros(3), TRACKER, NOTHING) for _ in range(3)
+    ]
+    values = [directional_value(same, rng), *drift_values(same, rng)]
+    assert all(one.value_mm <= 2.0 * (one.expanded_mm or 0.0) for one in values)
+    places = np.linspace(0.0, 0.5, 20)[:, None] * np.array([1.0, 0.0, 0.0])
+    attained = places[:, None] + SIGMA * rng.standard_normal((20, 10, 3))
+    accuracy, repeatability = path_values(attained, places, TRACKER, NOTHING, rng)
+    assert 0.0 < accuracy.value_mm < 0.05
+    assert 0.06 < repeatability.value_mm < 0.15
+    assert accuracy.n == repeatability.n == 10

@@ -229,6 +229,7 @@ def test_a_cycle_on_which_the_beam_broke_is_driven_again_and_counted(monkeypatch
     assert path.points == 50, "no point is one of the cycle that was not ended"
 
 
+@pytest.mark.slow
 def test_poses_and_paths_are_repeated_at_other_speeds(monkeypatch: pytest.MonkeyPatch) -> None:
     only_paths(monkeypatch, "line")
     task = task_of(cell_of(one_arm(), noise=False), "pose", "path", also_speeds=(0.5,))
@@ -372,7 +373,6 @@ def test_an_event_in_mid_path_stops_all_arms(event: str, cells: list[Cell], monk
     assert not any(plant.moving(name) for name in ("left", "right"))
 
 
-@pytest.mark.fast
 def test_an_smr_that_is_lost_for_a_moment_leaves_a_cycle_missing(cells: list[Cell]) -> None:
     task = task_of(cell_of(one_arm()), "pose", cycles=3)
     findings = IsoFindings()
@@ -389,7 +389,6 @@ def test_an_smr_that_is_lost_for_a_moment_leaves_a_cycle_missing(cells: list[Cel
     assert sorted(counts) == [2, 3, 3, 3, 3]
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("verb", ["stop", "abort"])
 def test_a_person_stops_the_test(verb: str, cells: list[Cell]) -> None:
     control, findings = JobControl(), IsoFindings()
@@ -400,7 +399,6 @@ def test_a_person_stops_the_test(verb: str, cells: list[Cell]) -> None:
     assert not plant_of(cells[0]).moving("left")
 
 
-@pytest.mark.fast
 def test_a_pause_holds_between_visits(cells: list[Cell]) -> None:
     control, findings = JobControl(), IsoFindings()
     held: list[int] = []
@@ -431,7 +429,6 @@ class RestingTracker:
         return getattr(self._tracker, name)
 
 
-@pytest.mark.fast
 def test_paths_are_refused_by_name_where_the_tracker_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     task = task_of(cell_of(one_arm()), "path")
     opened: list[Cell] = []

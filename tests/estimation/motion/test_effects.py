@@ -3,21 +3,44 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cellapp.estimation.motion.effects import _Search, effects_in_motion
+from cellapp.cell.profile import load_profile
+from cellapp.commands.discover.charts import picture_chart
+from cellapp.commands.discover.view import view
+from cellapp.commands.discover.words import picture_words
+from cellapp.estimation.discovery.discover import discover_cell
+from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult, Picture
+from cellapp.estimation.motion.calibrate import calibrate_with_motion
+from cellapp.estimation.motion.discovery import SearchWithRecordings, loop_picture
+from cellapp.estimation.motion.effects import _Search, effects_in_motion, refining_terms
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
-from cellapp.estimation.motion.joint_path import joint_path, play
-from cellapp.estimation.motion.steps import State, Step, effects_of, vibration
-from cellapp.estimation.motion.terms import JointTerm, Law, Masses, of_all_joints, torques_in_motion
-from cellapp.robot.effects import EFFECTS, EffectContext, MeasurementConditions
-from cellapp.robot.effects.effect import displacement
-from cellapp.robot.kinematics.chain import nominal_geometry
+from cellapp.estimation.motion.joint_path import Fading, joint_path, play
+from cellapp.estimation.motion.steps import State, Step, effects_of, loops, vibration
+from cellapp.estimation.motion.streams import JointStream
+from cellapp.estimation.motion.terms import (
+    JointLaws,
+    JointTerm,
+    Law,
+    Masses,
+    of_all_joints,
+    state_at_rest,
+    state_in_motion,
+    torques_in_motion,
+)
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Discovery
+from cellapp.ground.progress import ignore_words
+from cellapp.ground.threads import one_blas_thread
+from cellapp.robot.effects import EFFECTS, EffectContext, EffectTerm, MeasurementConditions
+from cellapp.robot.effects.effect import displacement, term_from_json, term_to_json
+from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.statics import Bodies
-from tests.estimation.motion.simulated import UR10, Arm, corners, lost_motion, record, sweep, true_arm
+from tests.estimation.motion.simulated import UR10, Arm, corners, gradual, lost_motion, record, sweep, true_arm
 
 NOMINAL = nominal_geometry(UR10, np.zeros(3))
 BODIES = Bodies(
@@ -77,6 +100,7 @@ def found_in(*recordings, **options):
     return discovery, {effect.slug: effect for effect in discovery.effects}
 
 
+@pytest.mark.slow
 def test_dense_lines_play_and_lag_are_named_with_their_sizes():
     rng = np.random.default_rng(1)
     amplitude, phase = np.array([30e-6, 25e-6, 35e-6, 0, 0, 0, 0]), rng.uniform(0.0, 6.0, 7)
@@ -114,7 +138,6 @@ def test_dense_lines_play_and_lag_are_named_with_their_sizes():
     assert discovery.heldout_after_mm < discovery.heldout_before_mm
 
 
-@pytest.mark.slow
 def test_time_constants_and_vibration_are_named_with_their_sizes_and_stay_out_of_commands():
     rng = np.random.default_rng(7)
     late = np.array([0.018, 0.015, 0.022, 0.025, 0.027, 0.012, 0.0])
@@ -265,3 +288,242 @@ def test_torques_in_motion_are_those_of_virtual_work():
     t = np.linspace(1.0, 9.0, 15)
     computed = torques_in_motion(path, t, Masses(geometry, BODIES, up_M))
     np.testing.assert_allclose(computed, torques_of(arm, motion, t, up_M), atol=0.1)
+
+
+# -- Lost motion that joints take up gradually: its history along a path, its reach from a fit, and the same at rest ---
+
+REACH = 0.15
+
+
+def path_of(rng):
+    motion, t = sweep(rng, 6, base_hz=0.1, harmonics=3), np.arange(0.0, 30.0, 0.008)
+    return motion, joint_path(JointStream(time_s=t, q=motion.at(t), qd=motion.speed(t)))
+
+
+def test_what_is_kept_is_that_of_plays_in_parallel():
+    motion, path = path_of(np.random.default_rng(1))
+    t = np.arange(0.5, 29.5, 0.0037)
+    fine = np.arange(0.0, 29.5, 0.001)
+    q, direction = motion.at(t), path.direction_at(t)
+    behind = motion.at(fine) - gradual(motion.at(fine), np.ones(6), REACH)
+    truth = np.column_stack([np.interp(t, fine, column) for column in behind.T])
+    for joint in range(6):
+        left = path.fading_at(path.samples_at(t), q[:, joint], joint, Fading(REACH, kept=True))
+        surely = np.abs(direction[:, joint]) == 1.0
+        np.testing.assert_allclose((direction[:, joint] - left)[surely], truth[surely, joint], atol=0.05)
+
+
+@pytest.mark.parametrize("bell", [False, True])
+def test_what_begins_anew_fades_with_the_travel_since_the_turn(bell):
+    motion, path = path_of(np.random.default_rng(2))
+    t = np.arange(0.0, 29.9, 0.008)
+    q = motion.at(t)
+    for joint in range(6):
+        turn, side = q[0, joint], 0.0
+        left = path.fading_at(path.samples_at(t), q[:, joint], joint, Fading(REACH, kept=False, bell=bell))
+        for i in range(1, len(t)):
+            now = np.sign(q[i, joint] - q[i - 1, joint])
+            if now != side:
+                turn, side = q[i - 1, joint], now
+            travel = abs(q[i, joint] - turn)
+            if travel > 0.01:
+                share = np.exp(-((travel / REACH) ** (2 if bell else 1)))
+                assert left[i] == pytest.approx(side * share, abs=0.02)
+
+
+def test_the_travel_of_a_joint_begins_anew_where_it_turns_round():
+    motion, path = path_of(np.random.default_rng(5))
+    t = np.arange(0.5, 29.9, 0.008)
+    q, direction = motion.at(t), path.direction_at(t)
+    travel = path.travel_at(t, q)
+    surely, side = np.abs(direction) > 0.999, np.sign(direction)
+    assert (np.sign(travel)[surely] == side[surely]).all()
+    goes_on = surely[1:] & surely[:-1] & (side[1:] == side[:-1])
+    np.testing.assert_allclose(np.diff(travel, axis=0)[goes_on], np.diff(q, axis=0)[goes_on], atol=1e-12)
+    turned = surely & (np.abs(travel) < 2e-3)
+    assert turned.sum() > 12, "each joint has turned round"
+
+
+def test_a_fit_shows_the_reach_and_the_kind_of_memory():
+    rng = np.random.default_rng(3)
+    arm = replace(true_arm(rng, half_play=[120e-6] * 6), reach=REACH)
+    recording = record(rng, arm, sweep(rng, 6, base_hz=0.02, harmonics=10), seconds=60.0, point_hz=40.0, slow=0.0)
+    problem, rows = motion_problem(RecordedArm(NOMINAL, (recording,), tool_unknown=True), lambda words: None)
+    terms = refining_terms(problem, solve(problem, rows, to_its_end=True), Law.PLAY)
+    assert [term.joint for term in terms] == list(range(6))
+    assert all(term.fading is not None and term.fading.kept for term in terms)
+    for term in terms[:3]:
+        assert term.fading is not None
+        assert term.fading.reach == pytest.approx(REACH, rel=0.35)
+
+
+@pytest.mark.parametrize(("constant", "bell"), [("reach2", False), ("bell_reach2", True)])
+def test_at_rest_the_law_is_that_of_the_fit_and_survives_its_file(constant, bell):
+    rng = np.random.default_rng(4)
+    q, step = rng.uniform(-1.0, 1.0, (50, 6)), rng.uniform(-0.8, 0.8, (50, 6))
+    step[0], step[1] = 0.0, np.nan
+    approach = np.sign(np.nan_to_num(step, nan=1.0))
+    law = EFFECTS["backlash"].law("gradual", {constant: REACH})
+    names, values = ("half_play1", "half_play2", "fresh_half_play2"), np.array([30e-6, 80e-6, -60e-6])
+    term = EffectTerm("backlash", names, values, np.zeros(3), ("rad",) * 3, law)
+    term = term_from_json(term_to_json(term), EFFECTS)
+    bodies = Bodies(np.ones(6), np.zeros((6, 3)), 0.0, np.zeros(3))
+    conditions = MeasurementConditions(approach=approach, step=step)
+    context = EffectContext(q, conditions, NOMINAL, bodies, np.array([0.0, 0.0, 1.0]))
+    moved = displacement([term], EFFECTS, context).joints
+    state = state_at_rest(q, approach, None, step)
+    left = state.left(1, Fading(REACH, kept=not bell, bell=bell))
+    assert (left[:2] == 0.0).all()
+    np.testing.assert_allclose(moved[:, 0], -30e-6 * approach[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(moved[:, 1], -80e-6 * approach[:, 1] + 60e-6 * left, rtol=1e-12)
+    assert "deg by joint 2" in law.words([1])
+
+
+def test_an_arm_that_rests_after_a_gap_shows_no_side_until_it_moves():
+    """Joints that came to rest out of sight may lie on the side that their position does not tell."""
+    rng = np.random.default_rng(7)
+    t = np.arange(0.0, 20.0, 0.008)
+    phases = np.select([t < 1.0, t < 8.0, t < 9.0, t < 15.0], [0.0, t - 1.0, 7.0, t - 2.0], 13.0)
+    kept = (t < 8.5) | (t > 8.8)
+    kept &= (t < 16.0) | (t > 16.5)  # what comes then rests to its end
+    motion = sweep(rng, 6, base_hz=0.1, harmonics=3)
+    path = joint_path(JointStream(time_s=t[kept], q=motion.at(phases[kept])))
+    begun = path.begun(t[kept])
+    rests = (t[kept] < 1.0) | ((t[kept] > 8.8) & (t[kept] < 9.0))
+    assert not begun[rests].any()
+    just_begun = (np.abs(t[kept] - 1.05) < 0.06) | (np.abs(t[kept] - 9.05) < 0.06)
+    assert begun[~rests & ~just_begun].all()
+
+
+def test_samples_with_their_history_have_the_points_of_the_motion_by_laws_at_rest():
+    rng = np.random.default_rng(8)
+    _, path = path_of(rng)
+    t = np.linspace(2.0, 29.0, 400)
+    masses = Masses(NOMINAL, Bodies(np.full(6, 4.0), np.zeros((6, 3)), 1.0, np.zeros(3)), np.array([0.0, 0.0, 1.0]))
+    play = [(JointTerm(Law.PLAY, joint), 80e-6) for joint in range(6)]
+    remembered = [(JointTerm(Law.PLAY, joint, fading=Fading(REACH, kept=True)), 60e-6) for joint in range(6)]
+    elastic = [(JointTerm(law, 1), size) for law, size in ((Law.COMPLIANCE, 2e-6), (Law.WINDUP, 5e-7))]
+    line = [(JointTerm(Law.LINE, 2, 40), 50e-6)]
+    lag = ((JointTerm(Law.LAG, 3), 2e-3),)
+    laws = JointLaws((*play, *remembered, *elastic, *line), lag, masses)
+    moves = state_in_motion(path, t, masses, torques=True)
+    of_motion = moves.q + sum(moves.offsets((term,), np.array([size])) for term, size in (*laws.at_rest, *lag))
+
+    q = laws.joints_with_history(path, t)
+    at_rest = state_at_rest(q, np.sign(np.rint(moves.direction)), masses, path.travel_at(t, moves.q))
+    terms, sizes = (tuple(one) for one in zip(*laws.at_rest, strict=True))
+    np.testing.assert_allclose(q + at_rest.offsets(terms, np.array(sizes)), of_motion, rtol=0.0, atol=1e-6)
+    history = q - laws.joints_at_rest(path, t)
+    assert np.sqrt(np.mean(history**2, axis=0)).min() > 5e-6, (
+        "older turns and accelerations are no part of laws at rest"
+    )
+    plain = JointLaws((*play[1:], *line), lag, masses)
+    turned = np.abs(moves.direction) == 1.0
+    same = np.where(turned, plain.joints_with_history(path, t) - plain.joints_at_rest(path, t), 0.0)
+    np.testing.assert_allclose(same, 0.0, atol=1e-6)
+
+
+# -- Loops of lost motion: what a joint lies behind its motor after upward and after downward motion -------------------
+
+PLAY = 50e-6
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """Loops of joint 1, which has play, of joint 2 and of joint 6, of which the latter has none."""
+    rng = np.random.default_rng(4)
+    arm = true_arm(rng, half_play=[PLAY, PLAY, 0.0, 0.0, 0.0, 0.0])
+    recording = record(rng, arm, sweep(rng, 6), seconds=90.0, slow=15e-6)
+    problem, rows = motion_problem(
+        RecordedArm(nominal_geometry(UR10, np.zeros(3)), [recording], tool_unknown=True), ignore_words
+    )
+    found = loops(problem, solve(problem, rows), [1, 2, 6])
+    bare = problem.without_terms()
+    return found, loops(bare, solve(bare, rows), [1])
+
+
+def widths(loop):
+    return [
+        float(values[loop.direction < 0.0].mean() - values[loop.direction > 0.0].mean())
+        for values in (loop.measured, loop.computed)
+    ]
+
+
+def test_the_loop_of_a_joint_is_as_wide_as_its_play(drawn):
+    for loop in drawn[0][:2]:
+        measured, computed = widths(loop)
+        assert measured == pytest.approx(2 * PLAY, rel=0.1)
+        assert computed == pytest.approx(2 * PLAY, rel=0.1)
+    assert {loop.joint for loop in drawn[0]} == {1, 2, 6}
+    assert widths(drawn[0][2])[1] < 0.4 * PLAY
+
+
+def test_a_loop_is_measured_where_the_model_has_none(drawn):
+    measured, computed = widths(drawn[1][0])
+    assert computed == 0.0
+    assert measured > 0.4 * PLAY, "a fit without play takes a part of it for geometry and for a delay, not all"
+
+
+def test_a_picture_of_a_loop_draws_both_directions_and_says_its_width(drawn):
+    picture = loop_picture(drawn[0][0])
+    assert Picture.model_validate_json(picture.model_dump_json()) == picture
+    chart = picture_chart("left", picture)
+    assert [one.name for one in chart.series] == [
+        f"{words}, {what}" for words in ("upward", "downward") for what in ("measured", "computed")
+    ]
+    upward, downward = chart.series[0], chart.series[2]
+    assert upward.y.mean() < downward.y.mean(), "after upward motion a joint lies below its motor"
+    assert "wide as measured" in picture_words(picture)
+    assert chart.y.unit == "µrad"
+
+
+# -- Discovery of an arm that was recorded in motion: its model where it predicts better, and its words ----------------
+
+PROFILE = load_profile(Path(__file__).parents[3] / "profiles" / "ur10-real.yaml")
+QUICK = PROFILE.model_copy(
+    update={"discovery": Discovery(null_simulations=20, folds=2, false_alarm=0.05, network="never")}
+)
+"""With a short search of the samples: what recordings show is searched as ever."""
+
+
+def test_dense_lines_and_play_enter_the_model_and_a_lag_does_not():
+    rng = np.random.default_rng(1)
+    arm = replace(
+        true_arm(rng, half_play=[40e-6] * 6),
+        cycles=40.0,
+        amplitude=np.array([60e-6, 50e-6, 0, 0, 0, 0, 0]),
+        phase=rng.uniform(0.0, 6.0, 7),
+        lag_s=np.array([0.0, 0.0, 0.0, 0.0, 0.003, 0.0, 0.0]),
+    )
+    motion = sweep(rng, 6)
+    recordings = {"left": (record(rng, arm, motion, seconds=100.0, point_hz=50.0, slow=10e-6),)}
+    none = Readings(
+        configuration=np.zeros(0, dtype=np.int64),
+        time_s=np.zeros(0),
+        q=np.zeros((0, 6)),
+        approach=np.zeros((0, 6), dtype=np.int8),
+        p_M=np.zeros((0, 3)),
+    )
+    with one_blas_thread():
+        moved = calibrate_with_motion(QUICK, {"left": none}, recordings)
+        model = moved.calibration.model
+        samples = moved.samples["left"]
+        search = SearchWithRecordings(model.arms, {"left": none}, recordings)
+        found = discover_cell(QUICK, model, {"left": samples}, search_arm=search)
+    discovery = found.arms["left"]
+    assert discovery.result.motion is not None
+    assert discovery.result.motion.used
+    assert {term.slug for term in discovery.terms} == {"backlash", "transmission_error"}
+    assert {one.effect for one in discovery.result.motion.effects} == {"backlash", "transmission_error", "tracking_lag"}
+    model_arm = found.model.arms["left"]
+    assert model_arm.covariance is not None
+    assert model_arm.covariance.shape == (len(model_arm.identified),) * 2
+    q, side = motion.at(np.linspace(0.0, 50.0, 200)), np.sign(motion.speed(np.linspace(0.0, 50.0, 200)))
+    true = arm.points(q - arm.half_play * side + arm.amplitude[:6] * np.sin(40.0 * q + arm.phase[:6]))
+    with_effects = np.linalg.norm(model_arm.predict(q, side) - true, axis=1)
+    without = np.linalg.norm(smr_positions(model.arms["left"].geometry, q) - true, axis=1)
+    assert np.sqrt(np.mean(with_effects**2)) < 0.5 * np.sqrt(np.mean(without**2))
+    assert ArmDiscoveryResult.model_validate_json(discovery.result.model_dump_json(by_alias=True)) is not None
+    text = str(view(DiscoverResult(arms={"left": discovery.result})))
+    assert "a delay moves nothing at rest" in text
+    assert "stays out of commands" in text

@@ -49,17 +49,16 @@ def test_it_is_found_in_recordings_with_its_size(plugin):
     assert discovery.terms == ()
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is(plugin):
     assert found_in(recording(12))[0].effects == ()
 
 
-@pytest.mark.fast
 def test_readings_at_rest_cannot_show_it(plugin):
     assert len(motion_laws(EFFECTS.values())) == 3
     assert "no speeds" in EFFECTS[GREASE].missing_data(context_of())
 
 
-@pytest.mark.fast
 def test_a_law_of_speeds_takes_what_motion_has():
     def warm(qd, air_c, drag):
         return -drag * qd * air_c[:, None]
@@ -68,7 +67,6 @@ def test_a_law_of_speeds_takes_what_motion_has():
         own_law("warm", drag=Linear("s", 1e-2))(warm)
 
 
-@pytest.mark.fast
 def test_accelerations_and_torques_reach_the_function():
     def swing(q, qd, qdd, tau, approach, sag):
         return sag * (qdd + tau * approach + q * qd)
@@ -81,7 +79,6 @@ def test_accelerations_and_torques_reach_the_function():
     assert law.offset("sag", 2, state.__getitem__) == pytest.approx(np.full(4, 1.0))
 
 
-@pytest.mark.fast
 def test_accelerations_are_those_of_the_path():
     t = np.arange(0.0, 4.0, 0.008)
     q = np.stack([0.5 * np.sin(2.0 * t), 0.2 * np.cos(3.0 * t)], axis=1)

@@ -28,8 +28,6 @@ from cellapp.ground.errors import InputError
 from tests.cell.run.older_files import older_reading_table
 from tests.cell.run.two_arm_cell import two_arms
 
-pytestmark = pytest.mark.fast
-
 
 def above_zero(matrix: np.ndarray) -> Fault | None:
     wrong = np.argwhere(matrix < 0.0)

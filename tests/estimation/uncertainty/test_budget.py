@@ -32,8 +32,6 @@ from cellapp.estimation.uncertainty.records import UncertaintyContribution
 from tests.estimation.uncertainty.cases import measured, profile_with, results, verification
 from tests.interfaces.page.cases import calibration, nothing_missing
 
-pytestmark = pytest.mark.fast
-
 CALIPER = (0.7, 1.2, 3.4)
 """Three standard uncertainties whose root of the sum of squares is known: sqrt(0.49 + 1.44 + 11.56) = 3.6729."""
 

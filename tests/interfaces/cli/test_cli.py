@@ -288,7 +288,6 @@ SHOWN = {
 }
 
 
-@pytest.mark.fast
 def test_all_about_one_target_is_shown(work: Path, call: Any) -> None:
     ended = call("show", "done", "targets", "--target", "left-01", "--json", "one.json")
     assert ended.code == 0, ended.err
@@ -317,7 +316,6 @@ def test_looking_changes_no_byte(work: Path, call: Any) -> None:
     assert [line["level"] for line in lines] == ["info"]
 
 
-@pytest.mark.fast
 def test_runs_are_listed_and_compared(work: Path, call: Any) -> None:
     listed = call("runs", ".")
     assert listed.code == 0, listed.err
@@ -567,7 +565,6 @@ BAD = [
 ]
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(("spoil", "command", "says"), BAD, ids=[f"{n}: {case[1]}" for n, case in enumerate(BAD)])
 def test_bad_input_gets_one_sentence_and_nothing_is_touched(
     work: Path, call: Any, spoil: Any, command: str, says: list[str]
@@ -685,7 +682,6 @@ def test_real_arms_move_only_where_it_is_allowed_and_the_doctor_is_green_now(
     assert bytes_below(work) == before
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

@@ -2,23 +2,51 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
+import sqlite3
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import jsonschema
+import numpy as np
 import pytest
+import yaml
+from typer.testing import CliRunner
 
 import cellapp
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile, import_csv
+from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.doctor.result import DoctorResult, Finding
+from cellapp.commands.export.run import export_run
+from cellapp.commands.record import Asked, Request, Verb, View, Work
+from cellapp.commands.registry import records
 from cellapp.commands.run.run import WholeRunResult
+from cellapp.commands.runs.history import summarise
 from cellapp.commands.schema import json_schema
-from cellapp.ground.results import ErrorResult
+from cellapp.commands.show.overview import run_history, run_overview
+from cellapp.commands.show.view import overview_sentences, overview_tables
+from cellapp.commands.stages import append_stage, basis_of
+from cellapp.estimation.readings import Reading
+from cellapp.ground import removed
+from cellapp.ground.errors import InputError
+from cellapp.ground.results import ErrorResult, Result
+from cellapp.interfaces.cli.command_outputs import Commands
+from cellapp.interfaces.cli.derived import command_of
 from cellapp.interfaces.cli.program import wants_json
+from cellapp.interfaces.page.page import page_text
+from cellapp.interfaces.tui.workspace import load_workspace
 from tests.interfaces.cli.test_cli import call, exit_code  # noqa: F401 - a fixture
-from tests.twin import write_profile
+from tests.interfaces.page.cases import calibration
+from tests.interfaces.page.parsed_page import NOON
+from tests.program import app
+from tests.twin import PROFILES, small_twin, write_profile
 
 
 def test_version(call: Any) -> None:  # noqa: F811
@@ -117,6 +145,7 @@ def test_when_json_is_wanted(arguments: str, expected: bool) -> None:
     assert wants_json(arguments.split()) is expected
 
 
+@pytest.mark.slow
 def test_the_demonstration(call: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
     """Profile and run go below the folder; a profile that is there is used as it is. The run itself is tested apart."""
     started: list[tuple[Path, Path]] = []
@@ -144,3 +173,224 @@ def test_the_demonstration(call: Any, monkeypatch: pytest.MonkeyPatch) -> None: 
     ]
     assert started[0][1].parent == Path("here/logs")
     assert all(profile.is_file() for profile, _ in started)
+
+
+# -- What a command that is made from a record shows: announced results, refusals, results that are JSON themselves ----
+
+
+class ToyRequest(Request):
+    """Say what kind of result it is."""
+
+    kind: Annotated[Literal["served", "refused", "json"], Asked("Which.", argument=True)]
+
+
+class ToyResult(Result, schema="cellapp-toy"):
+    """What was asked for."""
+
+    kind: str
+
+
+class Toy(Verb):
+    """A verb without a folder of its own."""
+
+    def run(self, request: Request, work: Work) -> ToyResult:
+        assert isinstance(request, ToyRequest)
+        result = ToyResult(kind=request.kind)
+        if request.kind == "served":
+            work.announce(result)
+            work.say("serving")
+        return result
+
+    def view(self, result: Result, request: Request | None = None) -> View:
+        assert isinstance(result, ToyResult)
+        refused = "not done" if result.kind == "refused" else ""
+        return View((f"kind {result.kind}",), refused=refused, is_json=result.kind == "json")
+
+
+def called(*arguments: str) -> tuple[str, BaseException | None]:
+    app = Commands()
+    app.command("toy")(command_of(Toy("toy", ToyRequest, chapter="")))
+    ended = CliRunner().invoke(app, arguments)
+    return ended.output, ended.exception
+
+
+def test_a_result_that_was_announced_is_not_shown_again(tmp_path: Path) -> None:
+    file = tmp_path / "served.json"
+    assert called("served", "--json", str(file)) == ("kind served\nserving\n", None)
+    assert json.loads(file.read_text("utf-8"))["kind"] == "served"
+
+
+def test_a_refusal_that_the_work_showed_comes_after_the_result(tmp_path: Path) -> None:
+    file = tmp_path / "refused.json"
+    output, error = called("refused", "--json", str(file))
+    assert (output, type(error), str(error)) == ("kind refused\n", InputError, "not done")
+    assert file.is_file()
+
+
+def test_a_result_that_is_json_is_shown_or_written(tmp_path: Path) -> None:
+    assert called("json") == ("kind json\n", None)
+    assert called("json", "--json", str(tmp_path / "new.json")) == ("", None)
+
+
+# -- What a finished run says, on the terminal and on the page: no double stop, one spelling of units, words for keys --
+
+FAULTS = {
+    "a double full stop": re.compile(r"[\w)]\.\.(?![./\w])"),
+    "one of several": re.compile(
+        r"(?<![\w.,-])1 (arms|checks|cycles|effects|errors|iterations|parameters|points|readings|rows|stops|targets)\b"
+    ),
+    "micro without its sign": re.compile(r"\d u(m|rad)\b"),
+    "a key for people": re.compile(r"\bmethod_\d\b"),
+    "two spaces in a sentence": re.compile(r"(?m)^(?!.*  .*  )\w[\w ,]*[a-z]  [a-z][\w ,]*\.$"),
+}
+
+
+def faults_of(text: str) -> Iterator[str]:
+    for name, pattern in FAULTS.items():
+        for found in pattern.finditer(text):
+            yield f"{name}: ...{text[max(found.start() - 50, 0) : found.end() + 30]}..."
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        ("that is it.. U is", "a double full stop"),
+        ("of 1 targets", "one of several"),
+        ("27 um rms", "micro without its sign"),
+        ("method_1 0.39", "a key for people"),
+    ],
+)
+def test_the_faults_are_found(text: str, name: str) -> None:
+    (found,) = faults_of(text)
+    assert found.startswith(name)
+
+
+def test_a_finished_run_is_shown_without_them(finished_run: Path) -> None:
+    parts = [stored.part for verb in records() for stored in verb.stored]
+    assert len(parts) > 5
+    shown = []
+    for part in ("", *parts):
+        ended = CliRunner().invoke(app, ["show", str(finished_run), *filter(None, [part])])
+        assert ended.exit_code == 0 or isinstance(ended.exception, InputError), part  # this run has none
+        shown.append(ended.output)
+    assert sum("mm" in text for text in shown) > 4
+    assert list(faults_of("\n".join(shown))) == []
+
+
+def test_its_page_has_none(finished_run: Path) -> None:
+    with RunFile.open(finished_run) as run:
+        page = page_text(run, NOON)
+    page = re.sub(r"(?s)<(script|style|svg).*?</\1>", " ", page)
+    text = html.unescape(re.sub(r"<[^>]+>", " ", page))
+    assert "Errors against" in text or "errors" in text
+    assert list(faults_of(re.sub(r"\s+", " ", text))) == []
+
+
+# -- What earlier versions had is answered by what to do instead; what they stored opens -------------------------------
+
+KEYS = {"arms.*.teleport": "drive it", "magic": "nothing takes its place"}
+
+
+@pytest.fixture
+def some_removed(monkeypatch):
+    monkeypatch.setattr(
+        removed,
+        "COMMANDS",
+        {"dance": "use 'cellapp run'", "trials dance": "use 'cellapp run'", "iso9283 dance": "use 'cellapp run'"},
+    )
+    monkeypatch.setattr(removed, "PROFILE_KEYS", KEYS)
+
+
+@pytest.mark.parametrize("command", ["dance", "trials dance", "iso9283 dance"])
+def test_a_removed_command_says_what_to_do_instead(some_removed, command):
+    with pytest.raises(InputError, match=rf"^'cellapp {command}' was removed in [\d.]+: use 'cellapp run'$") as error:
+        app([*command.split(), "--option"], prog_name="cellapp", standalone_mode=False)
+    assert error.value.exit_code == 2
+
+
+def test_every_removed_command_says_something_else_that_is_there():
+    for name, instead in removed.COMMANDS.items():
+        assert instead.strip().rstrip(".") == instead, name
+
+
+def test_a_removed_key_of_a_users_profile_is_refused_by_name(some_removed, tmp_path):
+    content = yaml.safe_load((PROFILES / "twin.yaml").read_text("utf-8"))
+    content["magic"] = 1
+    for arm in content["arms"].values():
+        arm["type"] = str(PROFILES / arm["type"])
+    path = tmp_path / "cell.yaml"
+    path.write_text(yaml.safe_dump(content), "utf-8")
+    with pytest.raises(InputError, match=r"cell\.yaml:\d+: magic: was removed in [\d.]+: nothing takes its place"):
+        load_profile(path)
+
+
+def test_a_run_of_an_earlier_version_opens_and_says_what_is_ignored(some_removed, tmp_path):
+    profile = load_profile(PROFILES / "twin.yaml")
+    with RunFile.create(tmp_path / "run", profile) as run:
+        path = run.path
+        run.append_stage("dance", None, "{}", None)
+    with closing(sqlite3.connect(path)) as connection, connection:
+        ((text,),) = connection.execute("SELECT value FROM meta WHERE key = 'profile'")
+        content = json.loads(text)
+        content["magic"] = 1
+        content["arms"]["left"]["teleport"] = {"far": True}
+        connection.execute("UPDATE meta SET value = ? WHERE key = 'profile'", (json.dumps(content),))
+    with RunFile.open(path.parent) as run:
+        assert run.profile == profile
+        state, history = run_overview(run), run_history(run)
+    assert set(state.ignored_keys) == {
+        "magic",
+        "arms.left.teleport",
+    }
+    assert [one.out_of_date for one in (*state.stages, *history.stages)] == [
+        "an earlier version made it; this one has no such step"
+    ] * 2
+    assert any("arms.left.teleport" in sentence for sentence in overview_sentences(state))
+    assert any("dance" in str(table) for table in overview_tables(state))
+
+
+def old_rows(path, columns, rows):
+    """Add rows of a kind that no version stores any more; they are of the left arm, at three stops."""
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.executemany(
+            f"INSERT INTO reading (arm, configuration, q, approach, {columns}) VALUES ('left', ?, ?, ?, ?, ?)",
+            [(stop, json.dumps([0.1 * stop] * 6), "[0, 0, 0, 0, 0, 0]", *row) for stop in range(3) for row in rows],
+        )
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "what", "last"),
+    [
+        ([("[null, null, null]", "cup")], "p_m, point", "a ball in sockets", ",,,,cup"),
+        ([("[3.0, 0.1, 0.2]", "A"), ("[3.0, 0.2, 0.2]", "B")], "p_m, smr", "several SMRs at a stop", "3.0,0.1,0.2,A"),
+    ],
+)
+def test_a_run_of_removed_readings_opens_for_show_and_export_and_calibrate_says_why_not(
+    tmp_path, rows, columns, what, last
+):
+    profile = load_profile(PROFILES / "twin.yaml")
+    with RunFile.create(tmp_path / "run", profile) as run:
+        path = run.path
+        run.add_stop(0, {"right": Reading(q=np.zeros(6), p_M=np.array([3.0, 0.5, 0.1]))})
+    old_rows(path, columns, rows)
+    with RunFile.open(path.parent, write=True) as run:
+        state = run_overview(run)
+        assert (state.arms["left"].measured, state.next_step) == (3, "")
+        assert state.complaints[0].startswith(f"arm 'left': readings of {what} were removed in ")
+        exported = export_run(run, tmp_path / "out.csv", None)
+        assert exported.readings == {"left": 3, "right": 1}
+        assert (tmp_path / "out.csv").read_text("utf-8").splitlines()[1].endswith(last)
+        with pytest.raises(InputError, match=rf"arm 'left': readings of {what}.*'cellapp show'"):
+            calibrate_run(run)
+        append_stage(run, "calibrate", calibration("left", "right"), basis_of(run))
+        (stage,) = run_overview(run).stages
+        assert stage.out_of_date == "an earlier version made it, from readings of a kind that was removed"
+    opened = load_workspace(None, path.parent)
+    assert (opened.problem, opened.folder, opened.conformity) == ("", path.parent, "cannot say")
+    assert summarise(path.parent).problem == ""
+
+
+def test_an_import_of_what_was_exported_of_sockets_is_refused(tmp_path):
+    (tmp_path / "out.csv").write_text("configuration,arm,q1,x_m,y_m,z_m,point\n0,left,0.1,,,,cup\n", "utf-8")
+    with pytest.raises(InputError, match=r"out\.csv:1: point: readings of a ball in sockets were removed"):
+        import_csv(small_twin(), tmp_path / "out.csv", tmp_path / "again")

@@ -109,6 +109,7 @@ def stroke(figure: Locator) -> str:
     return str(figure.locator(".live .xtick text").first.evaluate("e => getComputedStyle(e).fill"))
 
 
+@pytest.mark.slow
 def test_logarithmic_axes_are_labelled_by_whole_numbers_that_ascend(opened: Open) -> None:
     """Not 2, 1, 5, 2, the first digits alone."""
     figure = alive(opened(), "accuracy-1")
@@ -119,6 +120,7 @@ def test_logarithmic_axes_are_labelled_by_whole_numbers_that_ascend(opened: Open
     assert values == sorted(values)
 
 
+@pytest.mark.slow
 def test_values_are_under_the_pointer_and_the_legend_hides_series(opened: Open) -> None:
     page = opened()
     figure = alive(page, "accuracy-1")
@@ -138,6 +140,7 @@ def test_values_are_under_the_pointer_and_the_legend_hides_series(opened: Open) 
     )
 
 
+@pytest.mark.slow
 def test_the_cell_turns(opened: Open) -> None:
     page = opened()
     figure = alive(page, "cell-1")
@@ -157,6 +160,7 @@ def test_the_cell_turns(opened: Open) -> None:
     assert figure.locator("output").text_content() == "1000"
 
 
+@pytest.mark.slow
 def test_figures_follow_the_theme_and_print_as_still_pictures(opened: Open) -> None:
     page = opened(color_scheme="light")
     figure = alive(page, "accuracy-1")
@@ -170,6 +174,7 @@ def test_figures_follow_the_theme_and_print_as_still_pictures(opened: Open) -> N
     assert not figure.locator(".live").is_visible()
 
 
+@pytest.mark.slow
 def test_without_a_script_every_figure_is_a_still_picture_with_a_message(opened: Open) -> None:
     page = opened(java_script_enabled=False)
     figures = page.locator("figure[id]")
@@ -179,6 +184,7 @@ def test_without_a_script_every_figure_is_a_still_picture_with_a_message(opened:
         assert figure.locator(".message").count() == 1
 
 
+@pytest.mark.slow
 def test_without_webgl_the_cell_stays_a_still_picture(opened: Open) -> None:
     page = opened(before=NO_WEBGL)
     figure = shown(page, "cell-1")

@@ -12,8 +12,6 @@ import pytest
 from cellapp.ground.chromium import find_chromium, print_pdf
 from cellapp.ground.errors import InputError
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.fixture
 def page(tmp_path: Path) -> Path:

@@ -29,8 +29,6 @@ from tests.cell.run.small_runs import add_stop, planned_run
 from tests.interfaces.page.parsed_page import NOON
 from tests.twin import small_twin
 
-pytestmark = pytest.mark.fast
-
 HOSTILE = "<script>alert(1)</script>"
 
 
@@ -57,7 +55,6 @@ def run(folder: Path) -> Iterator[RunFile]:
         yield opened
 
 
-@pytest.mark.slow
 def test_sessions_requests_missing_readings_drift_and_errors_are_tables(run: RunFile) -> None:
     state = collection_state(run)
     assert state is not None
@@ -134,11 +131,6 @@ def test_the_chosen_stop_is_marked_in_the_chart_of_residuals() -> None:
     assert (chart.series[-1].x.tolist(), chart.series[-1].y.tolist()) == ([2.0], [0.2])
     assert chart.message.startswith("Chosen: stop 2, arm right, 0.200 mm.")
     assert len(stored_residual_chart(stops, (), stops[-1]).series) == 2
-
-
-def test_a_run_without_sessions_shows_nothing(single: RunFile) -> None:
-    assert collection_state(single) is None
-    assert "<h2>Collecting</h2>" not in page_text(single, NOON)
 
 
 def test_the_page_has_a_section_and_escapes_what_devices_said(double: RunFile) -> None:

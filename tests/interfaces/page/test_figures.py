@@ -14,19 +14,17 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from cellapp.commands.calibrate.charts_accuracy import certainty_chart
 from cellapp.commands.calibrate.charts_vectors import scale_length_mm, vector_chart
 from cellapp.commands.discover.charts import is_line
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, bar_chart, series
 from cellapp.commands.view.parts import Capsules, CellScene, ErrorVectors, SceneArm
 from cellapp.estimation.discovery.records import Picture
-from cellapp.interfaces.page import page
-from cellapp.interfaces.page.drawn import chart_figure, chart_svg, scene_figure
+from cellapp.interfaces.page.drawn import chart_svg, scene_figure
 from cellapp.interfaces.page.page import plotly_base64, plotly_notice
-from cellapp.interfaces.render.chart import chart_data, equal_scales, rounded, scale_of
+from cellapp.interfaces.render.chart import chart_data, scale_of
 from tests.interfaces.page.cases import picture
+from tests.interfaces.page.test_chromium import page
 
-pytestmark = pytest.mark.fast
 HOSTILE = "</script><b onclick='x'>%{y} & 'it'</b>\u2028"
 
 
@@ -91,25 +89,6 @@ def test_every_axis_has_some_ticks_inside_of_it_and_not_too_many(low: float, spa
     assert scale.place(ends)[0] < scale.place(ends)[1]
 
 
-def test_ticks_are_those_that_a_person_would_choose() -> None:
-    degrees = scale_of(Axis("joint 1", "deg"), np.array([-180.0, 180.0]), 0.0, 100.0)
-    assert [label for _, label in degrees.labels(6)] == ["-180", "-90", "0", "90", "180"]
-    counts = scale_of(Axis("stops"), np.array([0.0, 3.0]), 0.0, 100.0)
-    assert [label for _, label in counts.labels(6)] == ["0", "1", "2", "3"]
-    errors = scale_of(Axis("error", "mm", logarithmic=True), np.array([0.02, 8.0]), 0.0, 100.0)
-    assert [label for _, label in errors.labels(6)] == ["0.1", "1", "10"]
-
-
-def test_a_map_has_the_same_scale_along_both_axes() -> None:
-    x, y = (
-        scale_of(Axis("x"), np.array([0.0, 8.0]), 0.0, 400.0),
-        scale_of(Axis("y"), np.array([0.0, 1.0]), 200.0, 0.0),
-    )
-    x, y = equal_scales(x, y)
-    steps = [scale.place(np.array([1.0, 2.0])) for scale in (x, y)]
-    assert abs(np.diff(steps[0])[0]) == pytest.approx(abs(np.diff(steps[1])[0]))
-
-
 # -- data for the script ----------------------------------------------------------------------------------------------
 
 
@@ -122,18 +101,6 @@ def test_names_that_a_person_wrote_end_no_script_and_are_no_markup() -> None:
     assert json.loads(data)["series"][0]["hints"] == [HOSTILE]
     assert "<b" not in chart_svg(chart)
     assert "<b" not in chart_svg(bar_chart("t", {HOSTILE: (1.0, HOSTILE)}, Axis("y"), "m"))
-
-
-def test_values_are_rounded_to_what_the_eye_needs() -> None:
-    assert rounded(np.array([1.23456789, 101.0, np.nan])) == [1.235, 101, None]
-    assert rounded(np.array([0.0123456, 12.3456]), logarithmic=True) == [0.01235, 12.35]
-    assert rounded(np.array([3.0, 3.0])) == [3, 3]
-    assert rounded(np.array([np.nan, np.inf])) == [None, None]
-
-
-def test_an_empty_chart_says_why_and_draws_nothing() -> None:
-    figure = chart_figure("a", Chart("t", Axis("x"), Axis("y"), (), "Measure first."))
-    assert (figure.svg, figure.data, figure.legend, figure.note) == ("", "", (), "Measure first.")
 
 
 def test_the_script_of_the_page_is_that_of_the_package_and_always_the_same_text() -> None:
@@ -167,11 +134,6 @@ def test_arrows_have_a_round_scale_and_their_lengths_under_the_pointer() -> None
     assert points.hints[1] == "stop 5: 0.300 mm"
     assert arrows.x[1] - arrows.x[0] == pytest.approx(1.5 * (scale.x[1] - scale.x[0]))
     assert "most point the same way" in chart.message
-
-
-def test_errors_are_compared_with_what_was_predicted() -> None:
-    chart = certainty_chart("left", np.array([0.1, 0.2]), np.sqrt(12.0) * np.array([0.3, 0.3]), np.sqrt(0.065))
-    assert chart.message.startswith("Errors are 2.00 times as large as expected")
 
 
 def scene(base: list[float]) -> CellScene:

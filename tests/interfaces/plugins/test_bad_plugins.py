@@ -113,7 +113,6 @@ def registry_of(group: str) -> Registry[Any]:
     return next(registry for registry in REGISTRIES if registry.group == group)
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("case", CASES)
 def test_a_bad_entry_is_refused_in_one_sentence_and_the_rest_works(tmp_path: Path, case: str) -> None:
     group, name, target, problem = CASES[case]
@@ -131,7 +130,6 @@ def test_a_bad_entry_is_refused_in_one_sentence_and_the_rest_works(tmp_path: Pat
     assert list(registry) == before
 
 
-@pytest.mark.fast
 def test_of_two_plugins_with_one_name_neither_is_used(tmp_path: Path) -> None:
     second = add_distribution(tmp_path / "second", "second", {EFFECT: {"hose_pull": "second:Hose"}}, version="2.0")
     with installed(add_example(tmp_path / "first"), second):
@@ -144,7 +142,6 @@ def test_of_two_plugins_with_one_name_neither_is_used(tmp_path: Path) -> None:
     assert discover_result(CellDiscovery({}, CellModel({}, None, None), None)).notes is None
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("text", [b"", b"Metadata-Version: 2.1\nName: bad-one\n", b"Name: bad-one\nVersion: \xff\n"])
 def test_a_distribution_without_name_or_version_is_refused(tmp_path: Path, text: bytes) -> None:
     folder = bad_distribution(tmp_path, {ARM: {"half": "settings:Whole"}})
@@ -156,7 +153,6 @@ def test_a_distribution_without_name_or_version_is_refused(tmp_path: Path, text:
         assert "half" not in ARMS
 
 
-@pytest.mark.fast
 def test_a_list_of_entry_points_that_cannot_be_read_is_told_for_any_unknown_name(tmp_path: Path) -> None:
     folder = bad_distribution(tmp_path, {ARM: {"half": "settings:Whole"}})
     (folder / "bad_one-1.0.dist-info" / "entry_points.txt").write_text(f"[{ARM}]\nhalf\n", "utf-8")
@@ -165,14 +161,12 @@ def test_a_list_of_entry_points_that_cannot_be_read_is_told_for_any_unknown_name
         assert ARMS.refusal("ur") == ""
 
 
-@pytest.mark.fast
 def test_the_first_of_two_installations_counts(tmp_path: Path) -> None:
     old = add_distribution(tmp_path / "old", "cellapp_example", {EFFECT: {"old_pull": "old:Pull"}}, version="0.9")
     with installed(add_example(tmp_path / "new"), old):
         assert [(one.name, one.version) for one in EFFECTS.plugins] == [("hose_pull", "1.0")]
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("turned", [False, True])
 def test_the_order_is_that_of_distributions_and_names(tmp_path: Path, turned: bool) -> None:
     text = "from cellapp.cell.exports.export_format import CellFormat as F\n" + "".join(
@@ -186,7 +180,6 @@ def test_the_order_is_that_of_distributions_and_names(tmp_path: Path, turned: bo
         assert in_words(installed_plugins()) == {"Zeta 1.0": "export p, export q", "alpha 1.0": "export r, export s"}
 
 
-@pytest.mark.fast
 def test_who_names_a_bad_plugin_is_told_why(tmp_path: Path) -> None:
     bad = bad_distribution(tmp_path, {ARM: {"far": "raises:Far"}, EXPORT: {"far": "raises:Far"}})
     with installed(bad):
@@ -198,7 +191,6 @@ def test_who_names_a_bad_plugin_is_told_why(tmp_path: Path) -> None:
             format_named("far")
 
 
-@pytest.mark.fast
 def test_schemas_have_the_kinds_of_plugins(tmp_path: Path) -> None:
     with installed(add_example(tmp_path)):
         schema = TypeAdapter[ArmSettings](Annotated[ArmSettings, OneOf(ARMS)]).json_schema()

@@ -85,7 +85,6 @@ def test_built_and_installed_it_adds_to_every_registry_and_costs_nothing_before(
     assert not loaded & {"cellapp_example", "drivers.plugins", "cellapp.robot.effects"}
 
 
-@pytest.mark.fast
 def test_who_took_part_is_in_the_provenance(profile: Profile) -> None:
     took_part = f"cellapp {__version__} with cellapp-example 1.0 (kind of arm line, effect hose_pull)"
     assert provenance_of(profile).program == took_part
@@ -93,7 +92,6 @@ def test_who_took_part_is_in_the_provenance(profile: Profile) -> None:
     assert program_of(twin) == f"cellapp {__version__} with cellapp-example 1.0 (effect hose_pull)"
 
 
-@pytest.mark.fast
 def test_the_arm_moves_keeps_its_limits_and_stays_when_braked(arm: Arm, controller: LineController) -> None:
     goal = HOME + 0.1
     arm.start_move(goal, SPEED, ACCELERATION)
@@ -112,7 +110,6 @@ def test_the_arm_moves_keeps_its_limits_and_stays_when_braked(arm: Arm, controll
     assert [line.split()[0] for line in controller.commands] == ["move", "stop", "stop", "move"]
 
 
-@pytest.mark.fast
 def test_a_link_that_is_cut_is_pushed_once_and_then_said_by_every_call(arm: Arm, controller: LineController) -> None:
     doubts: queue.Queue[ArmError] = queue.Queue()
     arm.watch(doubts.put)
@@ -128,7 +125,6 @@ def test_a_link_that_is_cut_is_pushed_once_and_then_said_by_every_call(arm: Arm,
     assert doubts.empty()
 
 
-@pytest.mark.fast
 def test_a_controller_of_another_arm_is_not_taken(settings: ArmSettings) -> None:
     twin = load_profile(PROFILES / "twin.yaml")
     with line_controllers(HOME[:5].tolist()) as (other,):
@@ -137,7 +133,6 @@ def test_a_controller_of_another_arm_is_not_taken(settings: ArmSettings) -> None
             wrong.open(arm_context("left", twin.arms["left"])).connect()
 
 
-@pytest.mark.fast
 def test_disconnecting_is_no_doubt(arm: Arm) -> None:
     doubts: queue.Queue[ArmError] = queue.Queue()
     arm.watch(doubts.put)
@@ -149,7 +144,6 @@ def test_disconnecting_is_no_doubt(arm: Arm) -> None:
     assert doubts.empty()
 
 
-@pytest.mark.fast
 def test_the_safety_gate_keeps_it_from_colliding(profile: Profile, controller: LineController) -> None:
     assert profile.moves_hardware, "no motion without consent"
     down = np.array([0.0, math.pi / 2.0, 0.0, 0.0, 0.0, 0.0])

@@ -11,12 +11,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import cellapp
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.python import dataframes
 from cellapp.interfaces.python.api import Run, open_run
 from cellapp.robot.kinematics.chain import parameter_names
 from cellapp.robot.model.arguments import configurations, require_radians
+from tests.twin import small_twin
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +76,6 @@ def test_the_model_of_an_arm_explains_a_mistaken_shape(run: Run, method: str) ->
             ask(q)
 
 
-@pytest.mark.fast
 def test_a_single_wide_row_is_not_taken_for_degrees() -> None:
     q = np.zeros((3, 6))
     q[1, 2] = 90.0
@@ -145,3 +146,168 @@ def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
         monkeypatch.delitem(sys.modules, f"cellapp.interfaces.python.{module}", raising=False)
     with pytest.raises(ImportError, match=r"need pandas; install it with: pip install 'cellapp\[pandas\]'"):
         importlib.import_module("cellapp.interfaces.python.dataframes")
+
+
+# -- What a caller mistook is one sentence: where, what was expected, what to do ---------------------------------------
+
+N = 6
+RNG = np.random.default_rng(1)
+
+
+def arm(**changes: Any) -> dict[str, Any]:
+    """Plausible readings of one arm."""
+    return {"q": RNG.uniform(-1.0, 1.0, (N, 6)), "p_M": RNG.uniform(1.0, 2.0, (N, 3)), **changes}
+
+
+def both(**changes: Any) -> dict[str, dict[str, Any]]:
+    return {"left": arm(**changes), "right": arm()}
+
+
+def with_cell(row: int, place: int, value: float, name: str = "q") -> dict[str, dict[str, Any]]:
+    readings = both()
+    readings["left"][name][row, place] = value
+    return readings
+
+
+def frame(**changes: Any) -> pd.DataFrame:
+    """The same as a data frame, with columns changed; None takes a column out."""
+    parts = [
+        pd.DataFrame(
+            {
+                "configuration": np.arange(N),
+                "arm": name,
+                **{f"q{joint + 1}": one["q"][:, joint] for joint in range(6)},
+                **{f"{axis}_m": one["p_M"][:, place] for place, axis in enumerate("xyz")},
+            }
+        )
+        for name, one in both().items()
+    ]
+    made = pd.concat(parts, ignore_index=True)
+    for column, values in changes.items():
+        made = made.drop(columns=column) if values is None else made.assign(**{column: values})
+    return made
+
+
+def rows(*changed: tuple[int, Any], of: Any = 1.0) -> list[Any]:
+    values = [of] * (2 * N)
+    for row, value in changed:
+        values[row] = value
+    return values
+
+
+DEGREES = np.full((N, 6), 90.0)
+CASES: dict[str, tuple[Any, str]] = {
+    "nothing": ({}, "readings: no arm is given; expected arrays of left, right"),
+    "a number": (3.0, "readings: expected the path of a CSV file, a data frame, or arrays by arm .*, got float"),
+    "no file": ("nowhere.csv", "nowhere.csv: file not found; give a CSV file of readings"),
+    "misspelt arm": (
+        {"lefft": arm(), "right": arm()},
+        "no arm 'lefft'; arms of profile twin: left, right; did you mean 'left'\\?",
+    ),
+    "one arm": ({"left": arm()}, "readings: arm: no reading of arm right of the profile; add its readings, or remove"),
+    "no mapping": ({"left": np.zeros((N, 6)), "right": arm()}, "arm left: expected names with arrays"),
+    "no points": ({"left": {"q": np.zeros((N, 6))}}, r"arm left: p_M is missing; expected an array \(n, 3\) \[m\]"),
+    "unknown quantity": (both(p_m=1.0), "arm left: no quantity is called 'p_m'; did you mean 'p_M'\\?"),
+    "five joints": (
+        both(q=np.zeros((N, 5))),
+        r"arm left: q has shape \(6, 5\), expected \(n, 6\) \[rad\] with n = 6",
+    ),
+    "one row": (both(q=np.zeros(6)), r"arm left: q has shape \(6,\), .*; a single row is array\[np.newaxis\]"),
+    "columns of points": (both(p_M=np.zeros((3, N))), r"arm left: p_M has shape \(3, 6\), expected \(n, 3\) \[m\]"),
+    "fewer points": (both(p_M=np.ones((4, 3))), r"arm left: p_M has shape \(4, 3\), .* with n = 6, the rows of q"),
+    "words": (both(q=[["a"] * 6] * N), r"arm left: q is no array of numbers; expected shape \(n, 6\) \[rad\]"),
+    "rows differ": (
+        {"left": arm(), "right": {name: values[:4] for name, values in arm().items()}},
+        r"readings: 6 of arm left, 4 of arm right; give 'configuration' \(n,\)",
+    ),
+    "NaN in q": (with_cell(2, 3, np.nan), "arm left, row 2: q4: the value is missing"),
+    "infinite point": (
+        with_cell(1, 0, np.inf, "p_M"),
+        "arm left, row 1: x_m: expected a finite number such as 0.25, got 'inf'",
+    ),
+    "degrees": (both(q=DEGREES), "arm left, row 0: q1: expected radians, got 90, and most rows are beyond two turns"),
+    "one in degrees": (with_cell(4, 1, 120.0), "arm left, row 4: q2: expected -6.283 to 6.283 rad .*; degrees\\?"),
+    "millimetres": (both(p_M=np.full((N, 3), 1500.0)), "arm left, row 0: x_m: expected metres, got 1500"),
+    "approach": (both(approach=np.full((N, 6), 2)), r"arm left, row 0: approach1: expected -1, 0 \(unknown\) or 1"),
+    "twice": (
+        both(configuration=[0, 1, 2, 3, 4, 4]),
+        "configuration: 4 .* in arm left, row 4 already",
+    ),
+    "half a stop": (both(configuration=np.arange(N) + 0.5), "configuration: expected a whole number, got '0.5'"),
+    "sigma": (both(sigma_m=-1e-6), "arm left, row 0: sigma_m: expected an uncertainty above 0 m"),
+    "split": (both(split=["test"] * N), "arm left, row 0: split: expected identify, train, validate or nothing"),
+    "no column": (frame(x_m=None), "^data frame: x_m: the column is missing$"),
+    "column in mm": (
+        frame(x_m=None).assign(x_mm=1.0),
+        "^data frame: x_m: the column is missing; is 'x_mm' meant\\? Its name and unit must be as written here",
+    ),
+    "no joint": (frame(q6=None), "data frame: q6: the column is missing; arm left has 6 joints"),
+    "NaN in a frame": (frame(y_m=rows((7, None))), "data frame, row 7: y_m: the value is missing"),
+    "arm in a frame": (frame(arm=rows((3, "middle"), of="left")), "data frame, row 3: arm: arm 'middle' is not in the"),
+    "empty frame": (frame().iloc[:0], "data frame: there is a header row but no reading"),
+}
+
+
+@pytest.fixture(scope="module")
+def cell() -> cellapp.Cell:
+    return cellapp.Cell(small_twin())
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_mistaken_readings_are_explained(cell: cellapp.Cell, case: str) -> None:
+    source, message = CASES[case]
+    with pytest.raises(cellapp.InputError, match=message):
+        cell.calibrate(source)
+
+
+def test_rows_of_a_frame_are_named_by_its_index(cell: cellapp.Cell) -> None:
+    named = frame(z_m=rows((2, 4000.0))).set_axis([f"stop {row}" for row in range(2 * N)])
+    with pytest.raises(cellapp.InputError, match="data frame, row stop 2: z_m: expected metres, got 4000"):
+        cell.readings(named)
+
+
+def test_unknown_columns_are_kept_and_reported(cell: cellapp.Cell) -> None:
+    readings = cell.readings(frame(operator="A. N."))
+    assert readings.notes == ("data frame: column 'operator' is unknown; it is kept and not used",)
+    assert readings["left"].extras == {"operator": ("A. N.",) * N}
+    assert readings.notes[0] in readings.report()
+
+
+def test_too_few_readings_are_refused_with_their_number(cell: cellapp.Cell) -> None:
+    few = {name: {key: values[:3] for key, values in arm().items()} for name in ("left", "right")}
+    with pytest.raises(cellapp.InputError, match=r"arm 'left': 3 readings leave .* measure more configurations"):
+        cell.calibrate(few)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"payload": 2.0}, "arm left: no condition is called 'payload'; known are .*; did you mean 'payload_kg'\\?"),
+        ({"payload_kg": [1.0, 2.0]}, r"arm left: payload_kg: expected shape \(4,\) or one number for all"),
+        ({"approach": np.ones(3)}, r"arm left: approach: expected shape \(4, 6\) or one number for all"),
+        ({"other_q": np.zeros(5)}, r"arm beside left: q has shape \(1, 5\), expected \(n, 6\)"),
+    ],
+)
+def test_mistaken_conditions_are_explained(finished_run: Path, given: dict[str, Any], message: str) -> None:
+    fit = cellapp.open_run(finished_run).calibration
+    with pytest.raises(cellapp.InputError, match=message):
+        fit.predict("left", np.zeros((4, 6)), **given)
+
+
+@pytest.mark.parametrize(
+    ("targets", "message"),
+    [
+        ([], "targets: .*at least 1"),
+        ([{"name": "A", "arm": "left"}], "target 'A': position: missing"),
+        ([{"name": "A", "arm": "lefft", "position": [0.5, 0.0, 0.5]}], "target 'A': no arm 'lefft'; arms are left,"),
+        ([{"name": "A", "arm": "left", "position": [500, 0, 500]}], "position"),
+        ([{"name": "A", "arm": "left", "positon": [0.5, 0.0, 0.5]}], "did you mean 'position'\\?"),
+        (pd.DataFrame({"name": ["A"], "arm": ["left"], "x": [1.0]}), "data frame: x: has no unit; name it x_mm or x_m"),
+        (7, "targets: expected a path, a list, keys with values or a data frame, got 7"),
+        ("nowhere.yaml", "nowhere.yaml: .*not found"),
+    ],
+)
+def test_mistaken_targets_are_explained(finished_run: Path, targets: Any, message: str) -> None:
+    fit = cellapp.open_run(finished_run).calibration
+    with pytest.raises(cellapp.InputError, match=message):
+        fit.compensate(targets)

@@ -211,7 +211,6 @@ def test_public_names_are_found_late_and_listed() -> None:
         _ = cellapp.Sell
 
 
-@pytest.mark.fast
 def test_import_alone_loads_nothing_heavy() -> None:
     heavy = {"numpy", "scipy", "pydantic", "pandas", "matplotlib", "typer", "rich", "textual", "yaml"}
     code = f"import sys, cellapp; sys.exit(', '.join({heavy!r} & sys.modules.keys()) or None)"

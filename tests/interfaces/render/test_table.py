@@ -12,8 +12,6 @@ from rich.console import Console
 from cellapp.commands.view.table import Cell, Column, Interval, Number, Table, format_cell, number_column
 from cellapp.interfaces.render.terminal import rich_table
 
-pytestmark = pytest.mark.fast
-
 TABLE = Table(
     "Errors [mm]",
     (Column("stage"), number_column("mean", ".4f", "mm"), number_column("n", "d"), Column("note")),
@@ -89,7 +87,6 @@ def tables(draw: st.DrawFn) -> Table:
     return Table(draw(_WORDS), columns, tuple(rows))
 
 
-@pytest.mark.slow
 @given(tables(), st.integers(34, 120))
 def test_no_word_is_broken_nothing_is_left_out_and_no_line_is_wider_than_the_terminal(table: Table, width: int) -> None:
     text = drawn(table, width)

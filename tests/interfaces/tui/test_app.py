@@ -4,28 +4,39 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 import pytest
+from textual.binding import Binding
+from textual.dom import DOMNode
 from textual.geometry import Region
-from textual.widgets import Input
+from textual.widgets import Input, OptionList, Tree
 
+from cellapp.commands.docs.handbook import CHAPTERS, PARTS
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Progress
+from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, completions
+from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+from cellapp.interfaces.tui.dialogs.handbook import Handbook, SectionText
 from cellapp.interfaces.tui.dialogs.program import Palette
 from cellapp.interfaces.tui.dialogs.question import Choice, Question, Reading
 from cellapp.interfaces.tui.endings import ERROR_LOG
+from cellapp.interfaces.tui.keys import KEYS, WAYS, key_table
 from cellapp.interfaces.tui.screens import SCREENS
-from cellapp.interfaces.tui.widgets.controls import StopButton
+from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.widgets.controls import Entry, KeyLine, StopButton, key_lines
 from cellapp.interfaces.tui.widgets.header import StepTab
+from cellapp.interfaces.tui.widgets.log_view_pane import LogField
+from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import (
     PROFILES,
     SIZES,
     SMALL,
     WAIT_S,
     HeldJob,
+    MovingJob,
     ended,
     exit_code,
     log_text,
@@ -182,7 +193,6 @@ async def test_an_unforeseen_error_is_one_sentence_and_its_text_is_kept() -> Non
         assert await exit_code(pilot, app) == 3
 
 
-@pytest.mark.fast
 async def test_a_bad_profile_is_a_sentence_and_starts_nothing(tmp_path: Path) -> None:
     (tmp_path / "bad.yaml").write_text("schema: cellapp-profile\nversion: 1\nname: bad\nsede: 1\n")
     app = CellApp(tmp_path)
@@ -195,7 +205,6 @@ async def test_a_bad_profile_is_a_sentence_and_starts_nothing(tmp_path: Path) ->
         assert not Path("logs").exists()
 
 
-@pytest.mark.fast
 async def test_the_whole_day_asks_before_it_begins() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
@@ -279,7 +288,6 @@ async def test_a_job_that_does_not_stop_cannot_hold_the_program() -> None:
     assert not held.thread.is_alive()
 
 
-@pytest.mark.fast
 async def test_an_application_that_goes_away_ends_its_job() -> None:
     held = HeldJob()
     app = CellApp(PROFILES)
@@ -344,20 +352,6 @@ async def test_the_file_picker_completes_and_refuses_what_is_not_there(tmp_path:
     assert chosen == [tmp_path / "cell-one.yaml"]
 
 
-@pytest.mark.fast
-def test_completions_list_folders_and_wanted_files(tmp_path: Path) -> None:
-    for name in ("b.yaml", "b.txt", ".b.yaml"):
-        (tmp_path / name).write_text("")
-    (tmp_path / "bin").mkdir()
-
-    def wanted(path: Path) -> bool:
-        return path.suffix == ".yaml"
-
-    assert completions(f"{tmp_path}/b", wanted) == [f"{tmp_path}/b.yaml", f"{tmp_path}/bin/"]
-    assert completions(f"{tmp_path}/.b", wanted) == [f"{tmp_path}/.b.yaml"]
-    assert completions(f"{tmp_path}/nowhere/x", wanted) == []
-
-
 def test_importing_is_cheap_and_opening_loads_no_numerics() -> None:
     script = (
         "import sys, cellapp.interfaces.tui\n"
@@ -367,3 +361,206 @@ def test_importing_is_cheap_and_opening_loads_no_numerics() -> None:
         "sys.exit(', '.join(later & set(sys.modules)) or None)\n"
     )
     assert subprocess.run([sys.executable, "-c", script], cwd=PROFILES.parent, timeout=WAIT_S).returncode == 0
+
+
+# -- One grammar of keys: a meaning has one key on every screen, footers break nowhere; Escape and n -------------------
+
+RUN = Path("logs/day")
+OF_TABLE = {key.keys for key in KEYS.values()}
+OWN = {"escape", "ctrl+c", "ctrl+x", "ctrl+q", "ctrl+p", *(entry.key for entry in SCREENS)}
+"""Stop and abort wherever one is, and the screens; what is left is in the table."""
+
+
+def screens() -> list[type[DayScreen]]:
+    return [type(entry.make()) for entry in SCREENS]  # type: ignore[misc]
+
+
+def test_a_key_has_one_meaning_and_a_meaning_one_key() -> None:
+    used = [name for key in KEYS.values() for name in key.keys.split(",")]
+    assert len(used) == len(set(used))
+    assert len({key.shown for key in KEYS.values()}) == len(KEYS)
+
+
+@pytest.mark.parametrize("of", [CellApp, *screens()])
+def test_every_binding_is_from_the_table_and_bound_once(of: type[DOMNode]) -> None:
+    bound = [one for one in of.BINDINGS if isinstance(one, Binding)]
+    strange = [one.key for one in bound if one.key not in OF_TABLE | OWN]
+    assert not strange, "declare its meaning in keys.py"
+    keys = [one.key for one in bound if one.key not in ("ctrl+c",)]
+    assert len(keys) == len(set(keys))
+
+
+def test_every_way_to_a_verb_is_a_key_of_its_screen() -> None:
+    by_step = {entry.step: type(entry.make()) for entry in SCREENS}
+    for verb, (step, meaning) in WAYS.items():
+        keys = [one.key for one in by_step[step].BINDINGS if isinstance(one, Binding)]
+        assert KEYS[meaning].keys in keys, verb
+
+
+@pytest.mark.parametrize("width", [60, 80, 120, 200])
+def test_footers_break_between_entries_only_and_keep_the_general_ones(width: int) -> None:
+    own = [Entry(letter, "A few words", "") for letter in "abcdefghijklmnop"]
+    general = [Entry(key, word, "", general=True) for key, word in (("n", "Next"), ("?", "Help"), ("q", "Quit"))]
+    lines = key_lines([*own, *general], width)
+    assert 1 <= len(lines) <= 2
+    assert all(sum(entry.width for entry in line) <= width for line in lines)
+    shown = [entry for line in lines for entry in line]
+    assert shown[-3:] == general
+    assert shown[:-3] == own[: len(shown) - 3], "the last ones are left out, help has them"
+
+
+async def test_no_screen_parts_a_key_from_its_label() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        for size, entry in product(SIZES, SCREENS):
+            await pilot.resize_terminal(*size)
+            await pilot.press(entry.key)
+            await pilot.pause()
+            line = app.screen.query_one(KeyLine)
+            await until(pilot, lambda line=line: "Quit" in shown_text(app).splitlines()[-1], "the footer")  # type: ignore[misc]
+            labels = [
+                one.binding.description
+                for one in app.screen.active_bindings.values()
+                if one.binding.show and one.enabled
+            ]
+            assert 1 <= line.size.height <= 2
+            for text in shown_text(app).splitlines()[-line.size.height :]:
+                assert any(text.rstrip().endswith(label) for label in labels), text
+
+
+async def test_help_lists_every_key_of_the_screen() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        for entry in SCREENS:
+            await pilot.press(entry.key, "question_mark")
+            await until(pilot, lambda: isinstance(app.screen, Reading), "the help")
+            text = app.screen._text  # type: ignore[attr-defined]
+            assert "{" not in text
+            table = key_table(type(app.day_screen).BINDINGS)
+            assert table in text
+            assert len(table.splitlines()) > 4
+            await pilot.press("escape")
+            await until(pilot, lambda: app.screen is app.day_screen, "the screen")
+
+
+async def test_the_next_step_is_begun_where_its_screen_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(work, "interrupted_run", lambda logs: None)
+    collected_run(RUN, "stopped")
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.open_run(RUN)
+        await until(pilot, lambda: app.workspace.folder == RUN, "the run")
+        await pilot.press("n")
+        await until(pilot, lambda: app.day_screen.STEP == "collect", "the screen of the step")
+        await pilot.press("n")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "the question of the step")
+        assert "Measure the 2 stops that are left" in " ".join(shown_text(app).split())
+
+
+async def test_a_stop_leaves_the_field_so_that_the_next_key_is_one_of_the_job() -> None:
+    moving = MovingJob()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        await pilot.press("3")
+        app.start_job(moving.job())
+        await until(pilot, moving.began.is_set, "the job")
+        await pilot.press("slash", *"suspi")
+        assert isinstance(app.focused, LogField)
+        await pilot.press("escape")
+        assert moving.control.request == "stop"
+        assert not isinstance(app.focused, Input)
+        app.presses._said_s = -1.0  # the stop was long ago
+        await pilot.press("c")
+        assert moving.control.request == "none"
+        await until(pilot, lambda: app.screen.query_one(LogField).value == "suspi", "the text of the field")
+        await pilot.press("x")
+        await ended(pilot, app)
+
+
+async def test_escape_closes_what_is_open_before_it_ends_a_calculation() -> None:
+    held = HeldJob()
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        job = held.job("calibrate")
+        app.start_job(type(job)(job.name, job.work))
+        await until(pilot, held.reached.is_set, "the job")
+        await pilot.press("question_mark")
+        await until(pilot, lambda: isinstance(app.screen, Reading), "the help")
+        assert "Escape closes" in shown_text(app)
+        await pilot.press("escape")
+        await until(pilot, lambda: app.screen is app.day_screen, "the screen")
+        assert not held.control.cancelled
+        await pilot.press("question_mark", "ctrl+c")
+        assert held.control.cancelled, "Ctrl-C stops over a dialog, too"
+        held.go_on.set()
+        await ended(pilot, app)
+
+
+# -- The handbook in the terminal: contents, search, links by keys and by the mouse, pictures by their words -----------
+
+
+def at_top(app: CellApp) -> str:
+    """Heading of the section whose text begins highest in the window of the chapter."""
+    window = app.screen.query_one("#chapter").region
+    visible = sorted((one.region.y, one.section.heading) for one in app.screen.query(SectionText))
+    return next((heading for y, heading in visible if y >= window.y), "")
+
+
+def label(contents: Tree[object]) -> str:
+    """What stands under the cursor of the contents."""
+    return "" if contents.cursor_node is None else str(contents.cursor_node.label)
+
+
+async def test_chapters_are_searched_read_and_followed_through_their_links() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        await pilot.press("f1")
+        await until(pilot, lambda: isinstance(app.screen, Handbook) and bool(app.screen.query(SectionText)), "a text")
+        contents = app.screen.query_one("#contents", Tree)
+        assert [str(part.label) for part in contents.root.children] == list(PARTS)
+        assert [str(node.label) for part in contents.root.children for node in part.children] == list(CHAPTERS)
+        await pilot.press("slash", *"hayati angle", "enter")
+        await until(pilot, lambda: app.focused is contents, "the focus")
+        await pilot.press("down", "up")
+        await until(pilot, lambda: at_top(app) == "Hayati angle", "the section that was found")
+        assert any("Picture: Nearly parallel" in line for line in shown_text(app).splitlines())
+        links = app.screen.query_one("#links", OptionList)
+        assert [option.id for option in links.options] == ["exports.md"]
+        await pilot.press("tab", "enter")
+        await until(pilot, lambda: "other programs" in at_top(app), "the chapter of the link")
+        await pilot.press("comma")
+        await until(pilot, lambda: at_top(app) == "Hayati angle", "where the link was")
+        await pilot.press("q")
+        await until(pilot, lambda: not isinstance(app.screen, Handbook), "the end of the handbook")
+
+
+async def test_a_link_is_followed_by_a_click_and_pages_elsewhere_are_only_named() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=(200, 60)) as pilot:
+        await opened(pilot, app)
+        app.push_screen(Handbook("effects.md#backlash"))
+        await until(pilot, lambda: bool(app.screen.query(SectionText)), "the text")
+        await until(pilot, lambda: at_top(app) == "backlash", "the section")
+        handbook = app.screen
+        assert isinstance(handbook, Handbook)
+        lines = shown_text(app).splitlines()
+        row = next(number for number, line in enumerate(lines) if "• friction_windup" in line)
+        await pilot.click(offset=(lines[row].index("• friction_windup") + 4, row))
+        await until(pilot, lambda: at_top(app) == "friction_windup", "the effect that was clicked")
+        contents = handbook.query_one("#contents", Tree)
+        await until(pilot, lambda: label(contents) == "friction_windup", "the cursor at that effect")
+        await handbook.action_follow("https://example.org")
+        await until(pilot, lambda: "https://example.org is not a part" in shown_text(app), "the address")
+        handbook.query_one("#words", Input).value = "friction_windup"
+        await until(pilot, lambda: len(contents.root.children) != len(PARTS), "what was found")
+        await handbook.action_follow("effects.md#friction_windup")
+        await until(pilot, lambda: label(contents) == "effects: friction_windup", "the cursor at what was found")
+        handbook.query_one("#words", Input).value = "nosuchword"
+        await pilot.pause()
+        await until(pilot, lambda: len(contents.root.children) == len(PARTS), "nothing found: all parts")

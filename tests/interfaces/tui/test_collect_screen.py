@@ -49,7 +49,7 @@ from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.plots.drawing import point_at
 from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.screens.collect import headline
-from cellapp.interfaces.tui.widgets.arm_panel import TrackerPanel, residual_line
+from cellapp.interfaces.tui.widgets.arm_panel import TrackerPanel
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.log_view import LogView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars
@@ -228,19 +228,6 @@ async def test_a_sweep_is_followed_while_the_arm_moves(size: tuple[int, int]) ->
         assert np.isnan(drawn.y).sum() == 1, "a gap where the beam was lost"
         await finished(pilot, app, held)
         assert "sweep 56%" not in shown_text(app)
-
-
-@pytest.mark.parametrize("count", [1, 3, 90])
-def test_the_newest_residuals_fit_into_a_line(count: int) -> None:
-    stops = {
-        name: [StopReport(stop, name, size * (1 + stop % 7), 1.0) for stop in range(count)]
-        for name, size in (("left", 0.1), ("right", 0.0))
-    }
-    line = residual_line(stops, SMALL[0] - 2)  # a screen keeps a column at each side
-    assert len(line) <= SMALL[0] - 2
-    assert line.startswith("residuals left ")
-    assert f"█ {0.1 * min(count, 7):.3f} mm  right ▁" in line
-    assert residual_line({"left": []}, SMALL[0]) == ""
 
 
 async def see_plots(pilot: Pilot[None], app: CellApp) -> None:

@@ -39,6 +39,7 @@ def _small_starter(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest
     monkeypatch.setattr("cellapp.interfaces.tui.screens.runs._has_display", lambda: False)
 
 
+@pytest.mark.slow
 async def test_from_an_empty_folder_to_a_verified_report() -> None:
     app = CellApp(Path("profiles"))
     async with app.run_test(size=SMALL) as pilot:

@@ -97,6 +97,7 @@ def moves(cell: StormCell) -> list[bool]:
     return [one["moving"] for one in cell.status().values()]
 
 
+@pytest.mark.slow
 async def test_faults_while_collecting_are_shown_in_words_and_recovered_by_keys(day: Path, cell: StormCell) -> None:
     app = CellApp(Path("profiles"))
     async with app.run_test(size=(120, 40)) as pilot:
@@ -140,6 +141,7 @@ async def test_faults_while_collecting_are_shown_in_words_and_recovered_by_keys(
         assert session.outcome == "complete"
 
 
+@pytest.mark.slow
 def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(day: Path, cell: StormCell) -> None:
     with cellapp(day, PATIENT) as terminal:
         shows(terminal, "EMULATED")

@@ -8,15 +8,12 @@ import pytest
 
 from cellapp.cell.run import sqlite_file
 from cellapp.cell.targets.records import ArmVerification, MeasuredTarget, VerifyResult
-from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.run.request import VERB as DAY
 from cellapp.commands.run.run import WholeRunResult
 from cellapp.ground.results import ErrorSummary, Result
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.endings import REPORT_FILE, ending_of
 from cellapp.interfaces.tui.jobs import Job, JobEnded
-
-pytestmark = pytest.mark.fast
 
 RUN = Path("logs/monday")
 SMALL_MM, LARGE_MM = (ErrorSummary(mean=mm, rms=mm, std=0.0, max=mm, n=3) for mm in (0.1, 2.0))
@@ -46,18 +43,3 @@ def test_a_day_names_its_report_and_says_whether_the_verification_held(
 def test_the_page_is_named_as_it_is_written() -> None:
     """The module has a copy of the name: the run's own loads scipy, which a start need not wait for."""
     assert REPORT_FILE == sqlite_file.REPORT_FILE
-
-
-def test_only_a_push_that_measured_is_judged() -> None:
-    pushed, verified = (work.job_of(PUSH, folder=RUN, targets=TARGETS, verify=verify) for verify in (False, True))
-    assert (pushed.name, verified.name) == ("push", "verify")
-    assert ended(verified, WORSE)[1] == 1
-    assert "the verification held" in ended(verified, HELD)[0]
-    assert ended(pushed, VerifyResult(arms={}, targets=TARGETS))[1] == 0
-
-
-def test_other_jobs_name_their_run() -> None:
-    assert ended(Job("plan", lambda listener, control, ask: None, RUN), None) == (
-        f"plan: done; the run is in {RUN}.",
-        0,
-    )

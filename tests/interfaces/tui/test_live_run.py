@@ -238,6 +238,7 @@ def shows(terminal: Terminal, *texts: str) -> None:
     terminal.until(lambda shown: all(text in " ".join(shown.split()) for text in texts), f"{texts}")
 
 
+@pytest.mark.slow
 def test_stop_in_a_second_window_stops_the_arms_of_the_first(
     collecting: subprocess.Popen[bytes], cell: StormCell, tmp_path: Path
 ) -> None:

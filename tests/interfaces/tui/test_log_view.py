@@ -54,17 +54,6 @@ def test_added_rows_are_laid_out_as_if_all_had_been_there(
     assert grown.line(grown.height) is None
 
 
-def test_long_rows_are_wrapped_below_their_text_and_nothing_is_lost() -> None:
-    rows = LogRows()
-    rows.replace(rows_of("the arms rest; " * 8), dated=False)
-    rows.arrange(40)
-    lines = rows.lines()
-    assert all(len(line) <= 40 for line in lines)
-    assert lines[0].startswith("12:00:00   the arms")
-    assert all(line.startswith(" " * 11) for line in lines[1:])
-    assert " ".join(line[11:].strip() for line in lines) == ("the arms rest; " * 8).strip()
-
-
 def test_the_oldest_rows_go_where_there_are_too_many() -> None:
     rows = LogRows()
     for start in range(0, 3 * MOST_LINES, 500):
@@ -72,18 +61,6 @@ def test_the_oldest_rows_go_where_there_are_too_many() -> None:
         assert len(rows.rows) <= MOST_LINES + 500
     assert rows.rows[-1].text == f"row {3 * MOST_LINES - 1}"
     assert rows.height == len(rows.shown) == sum(rows.counts.values()) == len(rows.rows)
-
-
-def test_a_search_finds_every_row_in_any_case_and_nothing_without_a_text() -> None:
-    rows = LogRows()
-    rows.replace(rows_of("Reference N1", "stop 2", "the reference drifts"), dated=False)
-    assert rows.matches("REFERENCE") == [0, 2]
-    assert rows.matches("") == []
-
-
-def test_copied_rows_have_date_and_level_in_one_line_each() -> None:
-    text = as_text(rows_of("one\ntwo", level="warning"))
-    assert text == "2026-03-01 12:00:00 warning one two\n"
 
 
 async def shown(pilot: Pilot[None], app: CellApp, rows: list[LogRow]) -> LogView:

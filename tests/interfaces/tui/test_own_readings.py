@@ -17,8 +17,6 @@ from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from tests.arms import UR5
 from tests.interfaces.tui.pilot import until
 
-pytestmark = pytest.mark.fast
-
 SIZE = (120, 40)
 
 
@@ -43,7 +41,6 @@ async def dialog(pilot: Pilot[None], app: CellApp, **typed: str) -> None:
     await pilot.press("enter")
 
 
-@pytest.mark.slow
 async def test_from_a_table_to_an_open_run(app: CellApp) -> None:
     async with app.run_test(size=SIZE) as pilot:
         await dialog(pilot, app, readings="mine.txt", arm="ur5")
@@ -54,7 +51,6 @@ async def test_from_a_table_to_an_open_run(app: CellApp) -> None:
     assert Path("profiles/mine.yaml").is_file()
 
 
-@pytest.mark.slow
 async def test_wrong_words_are_refused_in_the_dialog(app: CellApp) -> None:
     async with app.run_test(size=SIZE) as pilot:
         await dialog(pilot, app, readings="mine.txt", angles="turns")
@@ -62,7 +58,6 @@ async def test_wrong_words_are_refused_in_the_dialog(app: CellApp) -> None:
         assert isinstance(app.screen, OwnReadings)
 
 
-@pytest.mark.slow
 async def test_an_arm_that_is_not_named_is_a_message(app: CellApp) -> None:
     async with app.run_test(size=SIZE) as pilot:
         await dialog(pilot, app, readings="mine.txt")

@@ -14,7 +14,6 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import copy_starter
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.first_run import Welcome
-from cellapp.interfaces.tui.screens.cell import problem_rows
 from tests.interfaces.tui.pilot import SIZES, SMALL, HeldJob, ended, opened, shows, tells, until
 from tests.interfaces.tui.terminal import Terminal
 from tests.waiting import WAIT_S
@@ -68,12 +67,6 @@ def rows(app: CellApp) -> list[list[str]]:
     return [[str(cell) for cell in table.get_row_at(row)] for row in range(table.row_count)]
 
 
-@pytest.mark.fast
-def test_problems_stand_by_line() -> None:
-    found = problem_rows("profiles/a.yaml:12: plan.stops: expected a number\nprofiles/arms/b.yaml:3: x: y\nand 2 more")
-    assert found == [("a.yaml:12", "plan.stops: expected a number"), ("b.yaml:3", "x: y"), ("", "and 2 more")]
-
-
 @pytest.mark.parametrize("size", [SIZES[0], SIZES[1]])
 async def test_what_is_wrong_is_listed_edited_and_checked_again(
     app: CellApp, monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
@@ -95,7 +88,6 @@ async def test_what_is_wrong_is_listed_edited_and_checked_again(
         await until(pilot, lambda: any("did you mean" in words for _, words in rows(app)), "the new problem")
 
 
-@pytest.mark.fast
 async def test_where_no_editor_can_be_opened_the_path_is_said(app: CellApp, monkeypatch: pytest.MonkeyPatch) -> None:
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
@@ -110,7 +102,6 @@ async def test_where_no_editor_can_be_opened_the_path_is_said(app: CellApp, monk
         await tells(pilot, "'no-such-editor-of-cellapp' cannot be started")
 
 
-@pytest.mark.fast
 async def test_an_edited_profile_is_read_again_by_enter(app: CellApp) -> None:
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
@@ -119,7 +110,6 @@ async def test_an_edited_profile_is_read_again_by_enter(app: CellApp) -> None:
         await until(pilot, lambda: app.workspace.profile.name == "other", "the edited profile")  # type: ignore[union-attr]
 
 
-@pytest.mark.fast
 async def test_no_profile_is_edited_while_a_job_runs(app: CellApp, monkeypatch: pytest.MonkeyPatch) -> None:
     held = HeldJob()
     edits(app, monkeypatch, "name: twin", "name: edited")

@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from textual.pilot import Pilot
 from textual.widgets import TabbedContent, TabPane
 
@@ -23,6 +25,7 @@ from cellapp.ground.progress import JobState
 from cellapp.ground.results import CALIBRATE
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.job_record import MOST_LINES, JobRecord
 from cellapp.interfaces.tui.keys import with_keys
 from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.run_state import SIGNS, marks_of
@@ -92,6 +95,8 @@ CASES = {
     "watched": Case(part, ("WATCHED", "3 of 4 stops are measured"), (*OPEN, *COMPLETE), "running", watched=True),
 }
 FINISHED = ("calibrated", "out of date")
+ALWAYS = ("empty", "collecting", "calibrated")
+"""Cases whose screens every run of the tests shows; the table of states is compared with all of them."""
 
 
 async def texts_of(pilot: Pilot[None], app: CellApp) -> dict[str, str]:
@@ -129,7 +134,9 @@ def words(app: CellApp) -> str:
     return " ".join(shown_text(app).split())
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    "name", [name if name in ALWAYS else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+)
 async def test_no_sentence_contradicts_the_state(
     name: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -167,7 +174,6 @@ async def test_no_sentence_contradicts_the_state(
             await until(pilot, lambda: not [word for word in RUNS if word in words(app)], "a screen without the job")
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("name", STATES)
 def test_the_table_of_states_says_what_the_cases_ask_and_nothing_that_contradicts(name: str, tmp_path: Path) -> None:
     said = " ".join(sentences(*state_and_record(name)).values())
@@ -254,7 +260,6 @@ async def test_until_what_a_job_stored_is_read_no_sentence_says_what_was_true_be
 # -- the marks ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.fast
 def test_a_tick_is_no_verdict(finished_run: Path) -> None:
     held = load_workspace(None, finished_run)
     assert held.results is not None
@@ -275,7 +280,6 @@ def test_a_tick_is_no_verdict(finished_run: Path) -> None:
     assert len(set(SIGNS.values())) == len(SIGNS), "each conclusion has its own mark"
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(
     ("conformity", "sign"), [("conforms", "≤"), ("cannot say", "?"), ("does not conform", "✗"), (None, "✓")]
 )
@@ -284,7 +288,6 @@ def test_the_mark_of_accept_is_the_verdict(conformity: str | None, sign: str, fi
     assert SIGNS[marks_of(held, 1, 1, 0, None)["accept"].kind] == sign
 
 
-@pytest.mark.fast
 def test_what_runs_is_marked_and_what_is_next_keeps_its_own_mark() -> None:
     marks = marks_of(Workspace(), 0, 0, 0, "plan")
     assert marks["plan"].kind == "running"
@@ -292,7 +295,6 @@ def test_what_runs_is_marked_and_what_is_next_keeps_its_own_mark() -> None:
     assert marks["cell"].kind == "next"
 
 
-@pytest.mark.fast
 def test_sentences_name_keys_and_no_commands() -> None:
     assert with_keys("report.html is old; run 'cellapp report logs/a'") == "report.html is old; keys 7, b"
     assert with_keys("Measure them: cellapp push DIR TARGETS --verify") == "Measure them: keys 6, m"
@@ -300,3 +302,28 @@ def test_sentences_name_keys_and_no_commands() -> None:
     assert with_keys("More: 'cellapp docs joint_compliance'") == "More: key F1"
     assert with_keys("no runs below logs; 'cellapp run PROFILE' makes one") == "no runs below logs; key F5 makes one"
     assert with_keys("cellapp is a program") == "cellapp is a program"
+
+
+# -- The record of a job: what events leave behind, without any screen -------------------------------------------------
+
+Q0, Q1 = (0.0, 0.1), (1.0, 1.1)
+
+
+@given(steps=st.lists(st.integers(0, 40), max_size=20))
+def test_newest_lines_are_each_heard_once(steps: list[int]) -> None:
+    record, heard, written = JobRecord(), [], 0
+    for count in steps:
+        for _ in range(count):
+            record.note(f"line {record.log_written}")
+        heard += record.newest_lines(written)
+        written = record.log_written
+    assert [row.text for row in heard] == [f"line {number}" for number in range(sum(steps))]
+
+
+def test_lines_that_are_kept_no_more_are_not_heard() -> None:
+    record = JobRecord()
+    for number in range(MOST_LINES + 10):
+        record.note(f"line {number}")
+    newest = record.newest_lines(0)
+    assert len(newest) == MOST_LINES
+    assert newest[0].text == "line 10"

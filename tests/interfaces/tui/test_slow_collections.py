@@ -10,8 +10,6 @@ import pytest
 from cellapp.interfaces.tui import app
 from cellapp.interfaces.tui.app import SlowCollections
 
-pytestmark = pytest.mark.fast
-
 
 @pytest.fixture(autouse=True)
 def _as_before() -> Iterator[None]:
@@ -20,7 +18,6 @@ def _as_before() -> Iterator[None]:
     gc.callbacks[:] = before
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("slow_s", "sets_aside"), [(-1.0, True), (60.0, False)])
 def test_what_survives_a_slow_full_pass_is_set_aside(
     monkeypatch: pytest.MonkeyPatch, slow_s: float, sets_aside: bool
@@ -34,7 +31,6 @@ def test_what_survives_a_slow_full_pass_is_set_aside(
     assert (gc.get_freeze_count() > before) is sets_aside
 
 
-@pytest.mark.slow
 def test_garbage_that_was_set_aside_is_collected_after_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(app, "_SLOW_S", -1.0)
     passes = SlowCollections()

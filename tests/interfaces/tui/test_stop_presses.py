@@ -68,9 +68,9 @@ def test_each_key_stops_both_controllers_and_nothing_begins_before_resume(profil
 @pytest.mark.parametrize(
     ("leave", "how"),
     [
-        (quit_with_q, "a person left the application"),
+        pytest.param(quit_with_q, "a person left the application", marks=pytest.mark.slow),
         (PseudoTerminal.hang_up, "the terminal was closed"),
-        (end, "the program was asked to end (SIGTERM)"),
+        pytest.param(end, "the program was asked to end (SIGTERM)", marks=pytest.mark.slow),
     ],
     ids=["q", "closed", "SIGTERM"],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -11,17 +12,18 @@ from textual.widgets import DataTable, Input, Static
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.target_text import targets_text
 from cellapp.cell.targets.targets import load_targets
+from cellapp.commands.correct import correct_run
 from cellapp.commands.push.request import MOST_ROUNDS, PushRequest
 from cellapp.commands.record import Verb
 from cellapp.commands.report.result import read_results
+from cellapp.commands.trials.scoring import targets
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, SaveAs
-from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.dialogs.question import Choice, Reading
 from cellapp.interfaces.tui.dialogs.target_form import FieldRow, TargetForm
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.jobs import Job
-from cellapp.interfaces.tui.screens import targets
-from cellapp.interfaces.tui.screens.targets import TargetEdits, TargetsScreen, new_name
+from cellapp.interfaces.tui.screens.targets import TargetEdits, TargetsScreen
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, ended, log_text, opened, shown_text, shows, tells, until
 from tests.twin import small_twin
@@ -334,23 +336,55 @@ async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(
     assert (request.verify, request.out_of_date) == (False, True)
 
 
-def test_undo_and_redo_are_a_stack() -> None:
-    one, two, three = LISTED[:3]
-    edits = TargetEdits(None, (one,), (one,)).with_target(1, two).with_target(0, three)
-    assert edits.targets == (three, two)
-    back = edits.undone()
-    assert back is not None
-    assert back.targets == (one, two)
-    assert back.redone() == edits
-    first = back.undone()
-    assert first is not None
-    assert not first.edited
-    assert first.undone() is None
-    assert first.without(0).redone() is None
+# -- A program is corrected from the screen Targets, as the command does it --------------------------------------------
+
+DAY = Path("logs") / "day"
 
 
-@pytest.mark.parametrize(
-    ("like", "name"), [("left-01", "left-03"), ("left-09", "left-10"), ("hole", "hole-2"), ("7", "8"), ("a99", "a100")]
-)
-def test_a_new_name_is_the_next_number(like: str, name: str) -> None:
-    assert new_name(like, LISTED[:2]) == name
+async def ask_for_program(pilot: Pilot[None], app: CellApp) -> None:
+    await opened(pilot, app)
+    app.open_run(DAY)
+    await until(pilot, lambda: app.workspace.results is not None, "the run")
+    await pilot.press("6")
+    await until(pilot, lambda: app.day_screen.STEP == "targets", "the screen")
+    await pilot.press("e")
+    await until(pilot, lambda: isinstance(app.screen, FilePicker), "the question for the program")
+    app.screen.query_one("#path", Input).value = "old.script"
+    await pilot.press("enter")
+    await until(pilot, lambda: isinstance(app.screen, VerbQuestion), "the dialog")
+
+
+async def test_a_program_is_corrected(finished_run: Path) -> None:
+    shutil.copytree(finished_run, DAY)
+    with RunFile.open(DAY) as run:
+        q = run.readings("left").q[5].tolist()
+        Path("old.script").write_text(f"# day\nmovej({q})\n", encoding="utf-8")
+        correct_run(run, Path("old.script"), Path("command.script"), "left")
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await ask_for_program(pilot, app)
+        await shows(pilot, "Write (Ctrl+S)")  # all of the dialog fits into the smallest terminal
+        await until(
+            pilot, lambda: app.screen.query_one("#out", Input).value == "old-corrected.script", "the text of the field"
+        )
+        app.screen.query_one("#arm", Input).value = "left"
+        await pilot.press("enter")
+        await until(pilot, lambda: isinstance(app.screen, Reading), "what was written")
+        assert "1 target corrected" in shown_text(app)
+        await pilot.press("escape")
+        assert Path("old-corrected.script").read_bytes() == Path("command.script").read_bytes()
+        await until(pilot, lambda: "movej" in shown_text(app), "the table")
+        assert app.day_screen.query(DataTable)
+
+
+async def test_what_the_verb_refuses_is_said(finished_run: Path) -> None:
+    shutil.copytree(finished_run, DAY)
+    Path("old.script").write_text("movej([0,0,0,0,0,0])\n", encoding="utf-8")
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await ask_for_program(pilot, app)
+        app.screen.query_one("#arm", Input).value = "third"
+        await pilot.press("ctrl+s")
+        await until(pilot, lambda: "no calibrated arm 'third'" in app.message, "the reason")
+        await ended(pilot, app)
+        assert not Path("old-corrected.script").exists()

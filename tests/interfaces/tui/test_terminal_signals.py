@@ -16,8 +16,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.job_record import JobRecord, Pace
 from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.screens import SCREENS
-from cellapp.interfaces.tui.terminal import notice_sequence, since_words, title_sequence, title_words
-from cellapp.interfaces.tui.widgets.header import job_words
+from cellapp.interfaces.tui.terminal import notice_sequence, title_sequence, title_words
 from cellapp.interfaces.tui.widgets.progress_bars import Part, _line, ending_words, parts_of
 from cellapp.interfaces.tui.workspace import Workspace
 from tests.interfaces.tui.pilot import PROFILES, SMALL, HeldJob, ended, opened, shown_text, until
@@ -34,7 +33,6 @@ def record(*events: Progress) -> JobRecord:
     return made
 
 
-@pytest.mark.fast
 def test_the_title_says_state_and_percent() -> None:
     space = Workspace(folder=Path("logs/day"))
     assert title_words(run_state(space, JobRecord()), JobRecord()) == "cellapp · logs/day"
@@ -44,25 +42,6 @@ def test_the_title_says_state_and_percent() -> None:
     assert title_words(run_state(space, stopped), stopped) == "STOPPED 53 % collect · logs/day"
 
 
-@pytest.mark.fast
-def test_a_job_that_waits_says_since_when_why_and_how_far_it_is() -> None:
-    stopped = record(HALF, LOST)
-    stopped.since = datetime(2026, 1, 2, 2, 14)
-    assert since_words(stopped) == "since 02:14, arm right: link lost, 215 of 400"
-
-
-@pytest.mark.fast
-def test_a_part_is_named_after_its_job_unless_it_is_called_the_same() -> None:
-    testing = record(Progress("find cube", 1, 2))
-    testing.name = "iso9283"
-    assert job_words(testing) == "iso9283 1/2"
-    testing.add(Progress("iso9283", 35, 604))
-    assert job_words(testing) == "iso9283 35/604"
-    testing.add(Progress("find cube", 2, 2))
-    assert job_words(testing) == "iso9283: find cube 2/2"
-
-
-@pytest.mark.fast
 def test_no_text_ends_a_sequence_early() -> None:
     for sequence in (title_sequence("a\x07b\x1b]0;c\n"), notice_sequence("x;y\x07", "a\x1b\\b\x9c")):
         inner = sequence.strip("\x07").replace("\x1b]2;", "").replace("\x1b]9;", "").replace("\x1b]777;", "")
@@ -73,7 +52,6 @@ def test_no_text_ends_a_sequence_early() -> None:
     )
 
 
-@pytest.mark.fast
 def test_the_time_that_is_left_goes_down_between_two_reports() -> None:
     part = Part("collect", HALF, Pace(0.0, 15, 100.0))
     assert part.left_s(100.0) == pytest.approx(600.0)
@@ -85,7 +63,6 @@ def test_the_time_that_is_left_goes_down_between_two_reports() -> None:
     assert all(one.waits for one in parts_of(record(HALF, LOST)))
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize(("span_s", "words"), [(0.6, "6400/min"), (40.0, "96/min"), (400.0, "9.6/min")])
 def test_a_rate_has_no_power_of_ten(span_s: float, words: str) -> None:
     part = Part("collect", Progress("collect", 79, 400), pace=Pace(0.0, 15, span_s))

@@ -4,15 +4,26 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from cellapp.cell.profile import load_profile
+from cellapp.commands.discover.tables import accepted_table
+from cellapp.estimation.discovery.accepted import accepted_effect, contradictions
+from cellapp.estimation.discovery.discover import discover_arm
+from cellapp.estimation.discovery.outcome import Discovery
+from cellapp.estimation.discovery.records import Contradiction, DiscoverResult, Noise, Place, TermDescription
+from cellapp.estimation.discovery.verdict import remaining_structure
+from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import (
     EFFECTS,
     FIXED,
+    Channel,
     Constant,
     DriverVariable,
     Effect,
@@ -21,17 +32,26 @@ from cellapp.robot.effects import (
     EffectTerm,
     Law,
     LawForm,
+    Linear,
+    MeasurementConditions,
     NeighbouringPauses,
     Scaled,
+    Tuned,
+    own_law,
     place_in_words,
     registered,
     term_from_json,
     term_to_json,
 )
 from cellapp.robot.effects.data_driven import Quantity, Variable, channels, form_of
+from cellapp.robot.effects.effect import form_without_bounds
+from cellapp.robot.effects.modulation import Modulation
+from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import bodies_of, nominal_arm
+from tests.arms import STATION
+from tests.interfaces.plugins.installed import add_example, installed
 from tests.robot.effects.cell import context_of
-
-pytestmark = pytest.mark.fast
 
 CONTEXT = context_of()
 FORMS = [(slug, form) for slug, effect in EFFECTS.items() for form in effect.forms]
@@ -197,3 +217,262 @@ def test_discoverys_layout_of_a_law_is_read_as_well() -> None:
 def test_a_damaged_term_is_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         term_from_json({**term_to_json(compliance()), **change}, EFFECTS)
+
+
+# -- The effect of a plug-in: discovery names it, tunes its constant, and reports it in its words ----------------------
+
+TWIN = Path(__file__).parents[3] / "profiles" / "twin.yaml"
+UP = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
+N = 240
+HELD_OUT = 60
+SIGMA_M = 10e-6
+HOSE = "hose_pull"
+TRUE_SLACK = 1.25
+TRUE_PULL = np.array([3e-4, 4e-4, 0.0, 0.0, 0.0, 0.0])
+
+
+@pytest.fixture
+def plugin(tmp_path: Path) -> Iterator[None]:
+    """The example is installed."""
+    with installed(add_example(tmp_path)):
+        yield
+
+
+@pytest.fixture
+def discovery(plugin: None) -> Discovery:
+    """What discovery finds in readings of an arm with a hose that pulls."""
+    profile = load_profile(TWIN)
+    few = profile.discovery.model_copy(update={"null_simulations": 60, "false_alarm": 0.02})
+    profile = profile.model_copy(update={"discovery": few})
+    arm = profile.arms["left"]
+    geometry = nominal_arm(arm).with_T_M_B(STATION)
+    model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(arm), up_M=UP)
+    rng = np.random.default_rng(5)
+    q = rng.uniform(-2.5, 2.5, (N, 6))
+    pull = -TRUE_PULL * np.sign(q) * np.maximum(np.abs(q) - TRUE_SLACK, 0.0)
+    readings = Readings(
+        configuration=np.arange(N, dtype=np.int64),
+        time_s=np.full(N, np.nan),
+        q=q,
+        approach=np.zeros((N, 6), dtype=np.int8),
+        p_M=smr_positions(geometry, q + pull) + rng.normal(0.0, SIGMA_M, (N, 3)),
+        payload_kg=np.full(N, 2.0),
+        sigma_m=np.full(N, SIGMA_M),
+        split=("identify",) * (N - HELD_OUT) + ("validate",) * HELD_OUT,
+    )
+    return discover_arm(profile, "left", model, readings)
+
+
+def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discovery: Discovery) -> None:
+    ((accepted,), (term,)) = discovery.result.accepted, discovery.terms
+    assert (accepted.effect, term.slug, accepted.where.joints) == (HOSE, HOSE, (1, 2))
+    assert discovery.result.verdict == "explained"
+    effect = EFFECTS[HOSE]
+    slack = term.law.constants["slack"]
+    nearest = min((0.6, 1.0, 1.6), key=lambda one: abs(one - TRUE_SLACK))
+    assert abs(slack - TRUE_SLACK) < 0.02 < abs(nearest - TRUE_SLACK), "tuned off the grid"
+    pulls = dict(zip(term.names, term.values.tolist(), strict=True))
+    assert pulls["pull1"] == pytest.approx(TRUE_PULL[0], rel=0.05)
+    assert pulls["pull2"] == pytest.approx(TRUE_PULL[1], rel=0.05)
+    assert accepted.meaning is not None
+    assert accepted.meaning.cause.startswith("The hose package at each of joints 1 and 2 is too short")
+    table = accepted_table("left", discovery.result)
+    titles = [column.title for column in table.columns]
+    (row,) = (dict(zip(titles, row, strict=True)) for row in table.rows)
+    assert row["effect"] == effect.title
+    assert row["law"] == f"{effect.forms[0].words}, taut beyond {math.degrees(slack):.3g} deg"
+
+
+def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discovery) -> None:
+    ((accepted,), (its,)) = discovery.result.accepted, discovery.terms
+    structure = remaining_structure({"joints": 0.4, "order": 0.02}, chance=0.01)
+    form = form_without_bounds(EFFECTS["backlash"], EFFECTS["backlash"].form("constant"))
+    sentence = "behaves like backlash of the opposite sign at joint 2: check the approach convention"
+    term = EffectTerm(
+        "unknown", ("half_play2",), np.array([-4e-5]), np.array([1e-6]), ("rad",), form.law(), note=sentence
+    )
+    described = TermDescription(
+        channel="joint 2",
+        variables=("approach",),
+        size_um=31.4,
+        formula="",
+        gain_over_curve=None,
+        sentence=f"{sentence}; 31 µm rms at the SMR",
+    )
+    second = Place(joints=(2,), acts_on=("joint 2",))
+    wrong = accepted_effect(term, second, accepted.evidence, 0.9, description=described)
+    modulation = Modulation(its.law_names[0], Variable(Quantity.PAYLOAD), 1, low=0.5, high=5.0)
+    free = replace(
+        its,
+        names=(*its.law_names, modulation.name),
+        values=np.append(its.values[: len(its.law_names)], 1e-6),
+        standard_errors=np.append(its.standard_errors[: len(its.law_names)], 1e-7),
+        units=(*its.units[: len(its.law_names)], "rad"),
+        modulations=(modulation,),
+        law_misfit=0.12,
+    )
+    named = accepted_effect(free, accepted.where, accepted.evidence, 0.97)
+    found = discovery.result.model_copy(
+        update={
+            "accepted": (named, wrong),
+            "contradictions": contradictions((free, term), (named, wrong)),
+            "noise_mm": Noise(rms=0.017, source="estimated"),
+            "candidates": {HOSE: 0.97, "backlash": 0.01},
+            "structure": structure,
+        }
+    )
+    written = DiscoverResult(arms={"left": found}).to_json()
+    arm = DiscoverResult.from_json(written, "here").arms["left"]
+    assert (arm.accepted[0].posterior, arm.accepted[0].law_misfit) == (0.97, 0.12)
+    assert tuple(arm.accepted[0].parameters) == its.law_names, "not those of the free part"
+    assert arm.accepted[0].meaning is not None
+    assert arm.accepted[0].meaning.check == EFFECTS[HOSE].meaning.at("each of joints 1 and 2").check
+    assert (arm.noise_mm, arm.candidates) == (found.noise_mm, found.candidates)
+    assert arm.structure == structure
+    assert arm.contradictions == (Contradiction(effect="backlash", joints=(2,), size_um=31.4, sentence=sentence),)
+    meaning = arm.accepted[1].meaning
+    assert meaning is not None
+    assert "Check the approach convention of the readings." in meaning.check
+    assert "Measure 10 poses twice" in meaning.settle[0]
+    uncertain = accepted_effect(free, accepted.where, accepted.evidence, math.nan)
+    assert uncertain.posterior is None, "what was not computed is not claimed"
+
+
+def a_term() -> EffectTerm:
+    """A pull of joint 2."""
+    law = EFFECTS[HOSE].law("own", {"slack": 1.0})
+    return EffectTerm(HOSE, ("pull2",), np.array([3e-4]), np.array([1e-6]), ("rad/rad",), law)
+
+
+def test_an_effect_of_a_plugin_survives_json(plugin: None) -> None:
+    term = a_term()
+    again = term_from_json(term_to_json(term), EFFECTS)
+    assert again.law == term.law
+    np.testing.assert_array_equal(again.values, term.values)
+
+
+def test_a_term_of_a_plugin_that_was_removed_is_refused(tmp_path: Path) -> None:
+    with installed(add_example(tmp_path)):
+        content = term_to_json(a_term())
+    assert HOSE not in EFFECTS
+    with pytest.raises(ValueError, match="does not know the effect 'hose_pull'; if a plug-in has it, install that"):
+        term_from_json(content, EFFECTS)
+
+
+# -- Laws of a user, written as plain functions: what they move, where, and which are refused --------------------------
+
+N_OF_OWN_LAW = 7
+
+
+def context(**conditions: Any) -> EffectContext:
+    """Seven readings of an arm of the twin."""
+    return context_of(N_OF_OWN_LAW, conditions=MeasurementConditions(**conditions))
+
+
+def test_a_law_of_joints_has_a_parameter_for_each() -> None:
+    @own_law("cable", drag=Linear("rad", 1e-3), width=Tuned("rad", 0.5, 1.0))
+    def cable(q: Any, drag: Any, width: Any) -> Any:
+        return drag * np.tanh(q / width)
+
+    effect, here = cable(), context()
+    laws = effect.laws(here)
+    assert [law.constants["width"] for law in laws] == [0.5, 1.0]
+    assert {law.tried for law in laws} == {2}
+    columns = effect.columns(here, laws[1])
+    assert [column.name for column in columns] == [f"drag{j + 1}" for j in range(6)]
+    for j, column in enumerate(columns):
+        assert column.channel is Channel.JOINT
+        assert column.offset == pytest.approx(np.tanh(here.q[:, j]))
+    assert cable.slug == "cable"
+    assert effect.missing_data(here) == ""
+
+
+@pytest.mark.parametrize(("acts_on", "frame"), [("base", 0), ("tool", 6), ("tracker", None)])
+def test_a_shift_is_in_the_axes_of_its_frame(acts_on: Any, frame: int | None) -> None:
+    @own_law("sag", acts_on=acts_on, sag=Linear("m", 1e-3))
+    def sag(q: Any, sag: Any) -> Any:
+        return np.stack([sag * np.sin(q[:, 1]), 0.0 * q[:, 0], 0.0 * q[:, 0]], axis=1)
+
+    here = context()
+    (column,) = sag().columns(here, sag().law())
+    axis = np.broadcast_to([1.0, 0.0, 0.0], (N_OF_OWN_LAW, 3)) if frame is None else here.frames[0][frame][:, :, 0]
+    assert column.shift_M == pytest.approx(np.sin(here.q[:, 1])[:, None] * axis)
+
+
+def test_an_offset_of_the_law_is_the_joint_s_own() -> None:
+    @own_law("cable", drag=Linear("rad", 1e-3))
+    def cable(q: Any, drag: Any) -> Any:
+        return drag * q
+
+    here = context()
+    column = cable().columns(here, cable().law())[1]
+    assert column.offset is not None
+    turned = here.q.copy()
+    turned[:, 1] += 1e-6 * column.offset
+    moved = smr_positions(here.geometry, turned) - smr_positions(here.geometry, here.q)
+    expected = 1e-6 * column.offset[:, None] * np.cross(here.frames[0][1, :, :, 2], here.p_M - here.frames[1][1])
+    assert moved == pytest.approx(expected, abs=1e-10)
+
+
+def test_what_a_reading_lacks_stands_at_the_mean_of_the_run() -> None:
+    @own_law("sun", acts_on="base", growth=Linear("m/K", 1e-3))
+    def sun(air_c: Any, growth: Any) -> Any:
+        return growth * (air_c - 20.0)[:, None] * np.array([0.0, 0.0, 1.0])
+
+    effect = sun()
+    air = np.linspace(18.0, 24.0, N_OF_OWN_LAW)
+    (law,) = effect.laws(context(air_c=air))
+    (column,) = effect.columns(context(), law)
+    assert column.shift_M is not None
+    assert np.linalg.norm(column.shift_M, axis=1) == pytest.approx(np.full(N_OF_OWN_LAW, air.mean() - 20.0))
+    assert effect.missing_data(context()) == "air_c is not in the readings, or does not vary"
+
+
+def _another_shape(q: Any, drag: Any) -> Any:
+    return drag[0] * q[:, 0]
+
+
+def _moves_always(q: Any, drag: Any) -> Any:
+    return drag * q + 1e-6
+
+
+def _not_linear(q: Any, drag: Any) -> Any:
+    return np.sin(1e3 * drag * q)
+
+
+def _unknown_argument(q: Any, drag: Any, wind: Any) -> Any:
+    return drag * q * wind
+
+
+def _without_quantity(drag: Any) -> Any:
+    return drag
+
+
+def _without_parameter(q: Any) -> Any:
+    return q
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (_another_shape, r"returns shape \(12,\), expected \(12, 6\) for joints"),
+        (_moves_always, "it moves something where all its linear parameters are zero"),
+        (_not_linear, "it is not linear in 'drag'; declare that as Tuned"),
+        (_unknown_argument, "argument 'wind' is no quantity of readings"),
+        (_without_quantity, "the function does not take a quantity"),
+        (_without_parameter, "the function does not take parameter 'drag'"),
+    ],
+)
+def test_a_law_that_cannot_be_used_is_refused_when_it_is_declared(function: Callable[..., Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        own_law("wrong", drag=Linear("rad", 1e-3))(function)
+
+
+def test_constants_that_may_be_zero_are_tuned_by_steps() -> None:
+    @own_law("wave", height=Linear("rad", 1e-3), phase=Tuned("rad", -1.5, 0.0, 1.5))
+    def wave(q: Any, height: Any, phase: Any) -> Any:
+        return height * np.cos(q - phase)
+
+    effect: Effect = wave()
+    (_, middle, _) = effect.laws(context())
+    assert [law.constants["phase"] for law in middle.nearby(context(), 1.0)] == [-0.75, 0.75]

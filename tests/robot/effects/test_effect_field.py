@@ -23,8 +23,6 @@ from cellapp.robot.effects.data_driven import (
 from cellapp.robot.effects.law import AMPLITUDE
 from tests.robot.effects.cell import context_of
 
-pytestmark = pytest.mark.fast
-
 CONTEXT = context_of(60)
 UNKNOWN = EFFECTS["unknown"]
 

@@ -16,8 +16,6 @@ from cellapp.robot.effects.joint_compliance import SECOND_KNEE
 from cellapp.robot.effects.periodic import LINES_MAX
 from tests.robot.effects.cell import by_name, chain, context_of, offsets, under
 
-pytestmark = pytest.mark.fast
-
 GRAVITY = 9.80665
 CONTEXT = context_of(12)
 CONDITIONS: Any = CONTEXT.conditions
@@ -86,7 +84,6 @@ def test_a_load_off_its_center_adds_a_torque():
             np.testing.assert_allclose(moved * offsets(column), more[:, j], atol=1e-5)
 
 
-@pytest.mark.slow
 def test_moments_are_the_torque_body_by_body_and_sum_to_all():
     found = columns("joint_compliance", EFFECTS["joint_compliance"].law("linear"))
     assert [name for name in found if name.startswith("moment5")] == ["moment5_5", "moment5_6"]

@@ -11,8 +11,6 @@ from cellapp.robot.effects import EFFECTS, Effect, EffectContext, Law
 from cellapp.robot.effects.law import AMPLITUDE, LENGTH
 from tests.robot.effects.cell import EYE, by_name, context_of
 
-pytestmark = pytest.mark.fast
-
 CONTEXT = context_of(10)
 TURNED = replace(CONTEXT, conditions=replace(CONTEXT.conditions, R_M_S=np.tile(EYE, (10, 1, 1))))
 R_M_F = CONTEXT.frames[0][-1]

@@ -25,6 +25,7 @@ from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from cellapp.robot.paths.cartesian import Arc, CartesianPath, cartesian_path
+from cellapp.robot.paths.sweep import Sweep
 from tests.twin import PROFILES, small_twin
 
 PERIOD_S = 0.008
@@ -91,7 +92,6 @@ def square(**changes: Any) -> CartesianPath:
 # -- geometry ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.fast
 @settings(max_examples=30)
 @given(st.lists(st.floats(-1.0, 1.0), min_size=9, max_size=9))
 def test_an_arc_goes_through_its_three_points(numbers: list[float]) -> None:
@@ -106,7 +106,6 @@ def test_an_arc_goes_through_its_three_points(numbers: list[float]) -> None:
     assert np.linalg.norm(points - via, axis=1).min() < arc.length / 1999.0
 
 
-@pytest.mark.fast
 def test_a_path_is_run_through_by_its_arc_length() -> None:
     path = square()
     s = np.linspace(0.0, path.length, 20_001)
@@ -117,7 +116,6 @@ def test_a_path_is_run_through_by_its_arc_length() -> None:
     np.testing.assert_allclose(path.stops[1:-1], path.begins[3:4])  # the second corner is not rounded
 
 
-@pytest.mark.fast
 def test_rotations_follow_without_jumps_and_reach_the_given_ones() -> None:
     path = square()
     s = np.linspace(0.0, path.length, 5001)
@@ -127,7 +125,6 @@ def test_rotations_follow_without_jumps_and_reach_the_given_ones() -> None:
     assert np.abs(np.diff(turned, axis=0)).max() < 2.0 * 0.5 / 5000
 
 
-@pytest.mark.fast
 def test_distances_are_geometric() -> None:
     path = square()
     s = np.linspace(0.01, path.length - 0.01, 50)
@@ -234,7 +231,6 @@ def test_a_joint_that_turns_round_crosses_its_play(profile: Profile, model: Cell
     assert without.reversals == ()
 
 
-@pytest.mark.fast
 def test_the_wanted_speed_is_kept_where_limits_allow_it(profile: Profile, model: CellModel) -> None:
     trajectory = planned(profile, model, spec()).trajectory
     assert trajectory is not None
@@ -247,7 +243,6 @@ def test_the_wanted_speed_is_kept_where_limits_allow_it(profile: Profile, model:
     assert np.diff(fast.s).max() / PERIOD_S < 2.5
 
 
-@pytest.mark.fast
 def test_a_single_arm_of_seven_joints_follows_too(tmp_path: Path) -> None:
     shutil.copytree(PROFILES, tmp_path, dirs_exist_ok=True)
     content = yaml.safe_load((tmp_path / "twin.yaml").read_text("utf-8"))
@@ -311,7 +306,6 @@ BAD: dict[str, tuple[str, str, str]] = {
 }
 
 
-@pytest.mark.fast
 @pytest.mark.parametrize("name", BAD, ids=BAD)
 def test_a_bad_file_is_named_by_line(name: str, tmp_path: Path, profile: Profile) -> None:
     good, bad, words = BAD[name]
@@ -322,3 +316,40 @@ def test_a_bad_file_is_named_by_line(name: str, tmp_path: Path, profile: Profile
     with pytest.raises(InputError, match=words) as caught:
         load_paths(path, profile)
     assert str(caught.value).startswith(f"{path}:")
+
+
+# -- Periodic motions: from rest to rest, derivatives as they are, limits kept -----------------------------------------
+
+
+def drawn(seed: int = 0) -> Sweep:
+    rng = np.random.default_rng(seed)
+    return Sweep(rng.normal(size=6), rng.normal(size=(4, 6)), rng.normal(size=(4, 6)), 12.0)
+
+
+def test_it_begins_and_ends_at_rest_at_its_center() -> None:
+    motion = drawn()
+    ends = np.array([0.0, motion.period_s, 3.0 * motion.period_s])
+    np.testing.assert_allclose(motion.at(ends), np.tile(motion.center, (3, 1)), atol=1e-12)
+    np.testing.assert_allclose(motion.at(ends, 1), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_derivatives_are_those_of_differences(order: int) -> None:
+    motion, step = drawn(), 1e-5
+    time_s = np.linspace(0.3, 11.0, 50)
+    differences = (motion.at(time_s + step, order - 1) - motion.at(time_s - step, order - 1)) / (2.0 * step)
+    np.testing.assert_allclose(motion.at(time_s, order), differences, rtol=1e-5, atol=1e-6)
+
+
+def test_slowed_keeps_the_path_and_the_limits() -> None:
+    motion = drawn()
+    limits = np.full(6, 0.5), np.full(6, 0.4), np.full(6, 2.0)
+    slower = motion.slowed(*limits)
+    share = np.linspace(0.0, 1.0, 300)
+    np.testing.assert_allclose(slower.at(share * slower.period_s), motion.at(share * motion.period_s), atol=1e-12)
+    excess = [
+        float((np.abs(slower.at(share * slower.period_s, order)) / limit).max())
+        for order, limit in enumerate(limits, start=1)
+    ]
+    assert 0.9 < max(excess) <= 1.001
+    assert slower.slowed(*limits).period_s == pytest.approx(slower.period_s, rel=1e-3)

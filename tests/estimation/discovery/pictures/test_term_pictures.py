@@ -22,8 +22,6 @@ from cellapp.robot.model.nominal import bodies_of, nominal_arm
 from tests.arms import STATION
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 N = 120
 SIGMA_M = 10e-6
 UP = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])

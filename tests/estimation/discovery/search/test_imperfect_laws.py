@@ -31,8 +31,6 @@ from cellapp.robot.model.nominal import bodies_of, nominal_arm
 from tests.arms import STATION
 from tests.twin import PROFILES
 
-pytestmark = pytest.mark.fast
-
 SIGMA_M = 15e-6
 N = 220
 THRESHOLD = 12.0

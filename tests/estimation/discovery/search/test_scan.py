@@ -8,13 +8,23 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.design.information import NuisanceProjector
-from cellapp.estimation.discovery.joint_fit import ProjectedResidual
-from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.terms import CandidateLaw
-from cellapp.robot.effects import EffectColumn
-from tests.estimation.discovery.linear_problem import PLAIN, N, column, problem
-
-pytestmark = pytest.mark.fast
+from cellapp.estimation.discovery.joint_fit import ProjectedResidual, refit
+from cellapp.estimation.discovery.search import stepwise
+from cellapp.estimation.discovery.search.free_part import with_free_parts
+from cellapp.estimation.discovery.search.scan import (
+    LawScan,
+    corrected_p_value,
+    score_threshold,
+    simulate_null_maxima,
+    smallest_detectable,
+)
+from cellapp.estimation.discovery.search.state import SearchProblem, SearchState
+from cellapp.estimation.discovery.terms import CandidateLaw, ModelTerm
+from cellapp.ground.errors import NotConverged
+from cellapp.ground.progress import CancelToken
+from cellapp.robot.effects import EFFECTS, EffectColumn
+from tests.estimation.discovery.linear_problem import PLAIN, N, column, problem, refining_law
+from tests.estimation.discovery.search.test_data_driven import readings_with
 
 
 def test_regression_on_the_projected_rows_is_the_joint_regression() -> None:
@@ -106,3 +116,112 @@ def test_what_the_nuisance_parameters_explain_is_invisible() -> None:
     hidden = one.scan_of(CandidateLaw("hidden", PLAIN.law(), (column("a", "one"), column("b", "two")), rows))
     y = one.visible(one.noise() + 5.0 * rows[0])
     assert one.ranked(y, hidden)[0].names == ("b",)
+
+
+# -- Block selection: blocks stand or fall together, refinements never stand alone, spread effects are found whole -----
+
+
+def test_columns_of_one_block_come_together() -> None:
+    one = problem(2)
+    y = one.visible(one.first.rows[0] + 0.1 * one.noise())
+    assert one.ranked(y)[0].names == ("a", "b")
+
+
+def test_a_refinement_alone_is_never_the_effect() -> None:
+    """However well it explains: it joins a block that is chosen, or is left."""
+    one = problem(9)
+    law = refining_law(one.rng, one.noise())
+    scan, main = one.scan_of(law), one.scan_of(law.keep((0, 1)))
+    residual = one.residual(one.visible(3.0 * law.rows[2] + one.noise()))
+    projected, square = residual.projected[:, None], np.array([residual.square])
+    np.testing.assert_allclose(scan.best_block_scores(projected, square), main.best_block_scores(projected, square))
+    for with_refinements in (False, True):
+        found = scan.score(0, residual, with_refinements=with_refinements)
+        assert found is not None
+        assert set(found.names) & {"a", "b"}
+
+
+def test_a_refinement_joins_the_effect_only_where_it_is_asked_for() -> None:
+    one = problem(9)
+    law = refining_law(one.rng, one.noise())
+    scan = one.scan_of(law)
+    residual = one.residual(one.visible(law.rows[0] + 0.6 * law.rows[3] + 0.5 * one.noise()))
+    (plain,) = scan.ranked(residual)
+    (refined,) = scan.ranked(residual, with_refinements=True)
+    assert plain.names == ("a",)
+    assert refined.names == ("a", "d")
+    assert refined.value > plain.value + 6.0
+
+
+def test_without_a_visible_block_there_is_nothing_to_refine() -> None:
+    one = problem(9)
+    law = refining_law(one.rng, one.design[:, 0]).keep((0, 2, 3))
+    scan = one.scan_of(law)
+    residual = one.residual(one.visible(law.rows[1] + law.rows[2] + 0.1 * one.noise()))
+    assert scan.score(0, residual) is None
+    assert scan.ranked(residual, with_refinements=True) == []
+
+
+def test_an_effect_spread_evenly_over_blocks_is_found_whole() -> None:
+    one = problem(7)
+    columns = tuple(column(f"x{i}", f"joint {i}") for i in range(6))
+    many = CandidateLaw("many", PLAIN.law(), columns, one.rng.normal(size=(6, N)))
+    y = one.visible(0.45 * many.rows.sum(axis=0) + one.noise())
+    assert len(one.ranked(y, one.scan_of(many))[0].names) == 6
+
+
+# -- Significance: the false-alarm rate is kept, and the smallest detectable size is just detected ---------------------
+
+
+def test_the_stated_false_alarm_rate_is_kept() -> None:
+    one = problem(4)
+    least = score_threshold(simulate_null_maxima(one.scan, one.projector, 400, (4,)), 0.05)
+    fresh = simulate_null_maxima(one.scan, one.projector, 2000, (99,))
+    # 0.05 give or take the scatter of 400 and of 2000 draws
+    assert 0.02 < np.mean(fresh > least) < 0.09
+    assert corrected_p_value(fresh, float(fresh[-1]) + 1.0) == pytest.approx(1.0 / 2001.0)
+
+
+def test_what_the_nuisance_parameters_explain_has_no_detectable_size() -> None:
+    one = problem(3)
+    rows = np.stack([one.design[:, 0], one.noise()])
+    hidden = one.scan_of(CandidateLaw("hidden", PLAIN.law(), (column("a", "one"), column("b", "two")), rows))
+    sizes = smallest_detectable(hidden, 0, 5.0)
+    assert math.isinf(sizes["a"])
+    assert 0.0 < sizes["b"] < 1.0
+
+
+def test_an_effect_of_the_smallest_detectable_size_is_detected_about_every_other_time() -> None:
+    one = problem(5)
+    least = 5.0
+    size = smallest_detectable(one.scan, 0, least)["c"]
+    alone = one.scan_of(one.first.keep([2]))
+    hits = [one.ranked(one.visible(size * one.first.rows[2] + one.noise()), alone)[0].value > least for _ in range(300)]
+    assert 0.3 < np.mean(hits) < 0.75
+
+
+# -- Free parts of laws where the readings hardly exceed the parameters ------------------------------------------------
+
+
+def test_laws_that_take_all_that_the_readings_hold_have_no_free_part():
+    data, _ = readings_with(lambda q: 2e-4 * np.sin(q + 1.0), np.zeros_like, 20)
+    terms = []
+    for slug in ("joint_compliance", "backlash", "encoder_eccentricity"):
+        law = EFFECTS[slug].laws(data.context)[0]
+        terms.append(ModelTerm(slug, law, tuple(column.name for column in data.columns(slug, law))))
+    state = SearchState(*refit(data, tuple(terms)))
+    assert len(state.fit.residual) - state.fit.projector.effective_parameters < 1.0
+    problem = SearchProblem(data, (), np.zeros(20), 30.0, CancelToken(), lambda words: None)
+    assert with_free_parts(problem, state) is None
+
+
+def test_a_candidate_whose_fit_does_not_converge_is_dropped_and_named_and_is_no_finding(monkeypatch):
+    data, _ = readings_with(lambda q: 3e-4 * np.sin(q + 1.0), np.zeros_like, 150)
+
+    def fails(*_):
+        raise NotConverged.of("fit of geometry and effects", "no reason")
+
+    monkeypatch.setattr(stepwise, "apply_step", fails)
+    found = stepwise.search(data, ("encoder_eccentricity",), CancelToken())
+    assert not [term for term in found.fit.terms if term.smooth is None]
+    assert found.not_fitted[0] == f"{EFFECTS['encoder_eccentricity'].title} added"

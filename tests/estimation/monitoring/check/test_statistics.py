@@ -60,7 +60,6 @@ def test_p_values_without_a_change_are_uniform(checked: tuple[Design, StopRows])
     assert kstest(chi2.sf(np.sum(white**2, axis=0), len(white)), "uniform").statistic < 0.022
 
 
-@pytest.mark.fast
 def test_correction_is_milder_than_bonferroni_and_never_helps(checked: tuple[Design, StopRows]) -> None:
     design, stops = checked
     test = MinPValueTest.of(Moments.of(stops), design.alternatives)
@@ -79,6 +78,7 @@ def test_looking_after_every_stop_does_not_raise_false_alarms(checked: tuple[Des
     assert alarms <= at_most(DRAWS, limit)
 
 
+@pytest.mark.slow
 def test_whole_check_keeps_its_false_alarms(checked: tuple[Design, StopRows]) -> None:
     design, stops = checked
     count = DRAWS // 2
@@ -100,7 +100,6 @@ def test_a_visible_change_is_called_valid_no_more_often_than_stated(checked: tup
     assert missed <= at_most(DRAWS, 0.1)
 
 
-@pytest.mark.fast
 def test_power_of_the_last_test_is_as_computed(checked: tuple[Design, StopRows]) -> None:
     design, stops = checked
     moments = Moments.of(stops)
@@ -116,7 +115,6 @@ def test_power_of_the_last_test_is_as_computed(checked: tuple[Design, StopRows])
     )
 
 
-@pytest.mark.fast
 def test_a_tracker_that_was_set_up_anew_leaves_no_trace(pair: SimulatedCell) -> None:
     design, stops = of(free(pair))
     motion = transform(rotation_from_vector(np.array([0.01, -0.02, 0.03])), np.array([0.05, 0.02, -0.04]))
@@ -134,7 +132,6 @@ def test_a_tracker_that_was_set_up_anew_leaves_no_trace(pair: SimulatedCell) -> 
     assert not design.visible[own].any()
 
 
-@pytest.mark.fast
 @settings(max_examples=15, deadline=None)
 @given(count=st.integers(1, PLANNED), seed=st.integers(0, 1000))
 def test_first_stops_are_what_all_stops_say_of_them(checked: tuple[Design, StopRows], count: int, seed: int) -> None:
@@ -148,7 +145,6 @@ def test_first_stops_are_what_all_stops_say_of_them(checked: tuple[Design, StopR
     assert np.all(np.diff(Moments.of(stops).information, axis=0) >= -1e-9)
 
 
-@pytest.mark.fast
 def test_chosen_stops_show_the_weakest_change_better_than_random_ones(pair: SimulatedCell) -> None:
     design = design_of(pair.belief)
     chosen = choose_stops(pair.belief, pair.candidates, PLANNED)
@@ -167,7 +163,6 @@ def test_chosen_stops_show_the_weakest_change_better_than_random_ones(pair: Simu
     assert chosen.weakest.noncentrality == pytest.approx(ours[-1], rel=0.3)
 
 
-@pytest.mark.fast
 def test_a_fit_takes_its_degrees_of_freedom(checked: tuple[Design, StopRows]) -> None:
     _, stops = checked
     moments = after(Moments.of(stops), [0, 1, 2, 9])
