@@ -65,8 +65,8 @@ TOUCHES: tuple[Touch, ...] = (
     ),
     Touch(
         "verb with its result",
-        (_VERB,),
-        ("cellapp/commands/registry.py: its name",),
+        tuple(f"{_VERB}/{part}.py" for part in ("request", "run", "result", "view")),
+        ("cellapp/commands/folders.py: its folder",),
         "commands/test_show.py",
     ),
     Touch(

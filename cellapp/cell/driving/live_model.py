@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from cellapp.estimation.calibration.online import Innovation, OnlineFit, online_fit
+from cellapp.estimation.calibration.online import NO_GEOMETRY_M, Innovation, OnlineFit, online_fit
 from cellapp.estimation.calibration.online_model import Residuals
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.errors import InputError
@@ -193,8 +193,6 @@ _MOST_ALIKE = 0.8
 """Upper limit of the correlation of consecutive stops: then nine of them carry as much information as one."""
 _LIKELY_CHANGE = 0.05
 """Prior standard deviation of an offset [m] or motion [m, rad]: so wide that it only regularises the estimate."""
-_NO_GEOMETRY_M = 2e-3
-"""Scatter about the model [m] larger than any arm's and any unmodelled physics: the geometry itself is wrong."""
 
 ChangeKind = Literal["slip", "play", "move", "drift"]
 _Key = tuple[str, str | None]
@@ -494,7 +492,7 @@ def _wrong_smrs(stop: int, found: Mapping[str, Innovation]) -> list[Suspicion]:
     suspicions = []
     for name, one in found.items():
         off = float(np.linalg.norm(one.off_M))
-        if one.scatter_m > _NO_GEOMETRY_M:
+        if one.scatter_m > NO_GEOMETRY_M:
             text = (
                 f"arm {name}: its readings fit no geometry near the nominal one ({one.scatter_m * 1e3:.1f} mm): check"
                 " which SMR the tracker measures for it, and the SMR's offset in the profile"

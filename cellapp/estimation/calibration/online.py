@@ -67,6 +67,8 @@ _GROWTH = 1.2
 _LINEAR = 1e-3
 """Largest change of a parameter at arm's length [m] for one linearisation; the neglected second order is 1 um, and
 standard errors are far larger as long as single readings change the estimate by this much."""
+NO_GEOMETRY_M = 2e-3
+"""Scatter about the model [m] larger than any arm's and any unmodelled physics: the geometry itself is wrong."""
 _STEPS = 20
 """Maximum number of Gauss-Newton steps of a renewal; one is enough after the first readings."""
 _FIRST_EXCESS_M = 1e-4
@@ -322,7 +324,8 @@ class OnlineFit:
         row = self._rows.at(models.origin, stop, q)
         J, off, stated, model = row.J, p_M - row.P, self._readings.newest_stated(), models.predicting
         innovation, expected = model.innovation(J, off, stated)
-        if self._settled:  # else it says nothing about the reading
+        # a fit on its way says nothing about the reading, unless no geometry fits the readings at all
+        if self._settled or model.scatter_m > NO_GEOMETRY_M:
             self.innovation = Innovation(stop, p_M, innovation, expected, row.R_M_F, model.scatter_m, model.freedom)
         if innovation @ np.linalg.solve(expected, innovation) <= GROSS**2:
             model.add(J, off, stated)

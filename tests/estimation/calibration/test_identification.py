@@ -31,6 +31,7 @@ from cellapp.estimation.calibration.parameters import ParameterSet, auto_set, ca
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.calibration.registration import better_reading, explained
 from cellapp.estimation.calibration.weights import whitener
+from cellapp.estimation.discovery import joint_fit
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import fit_terms
 from cellapp.estimation.discovery.terms import ModelTerm
@@ -389,7 +390,8 @@ def test_a_profile_that_allows_too_few_steps_ends_with_an_error_that_names_the_a
         calibrate_arm(few, "left", readings)
 
 
-def test_a_joint_fit_that_did_not_converge_is_no_model():
+def test_a_joint_fit_that_did_not_converge_is_no_model(monkeypatch):
+    monkeypatch.setattr(joint_fit, "_LEAST_STEPS", 1)
     profile = load_profile(PROFILES / "twin-small.yaml")
     arm = profile.arms["left"]
     one = series(1, 60)["left"]
