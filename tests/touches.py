@@ -65,8 +65,8 @@ TOUCHES: tuple[Touch, ...] = (
     ),
     Touch(
         "verb with its result",
-        tuple(f"{_VERB}/{part}.py" for part in ("request", "run", "result", "view")),
-        ("cellapp/commands/folders.py: its folder",),
+        (_VERB,),
+        ("cellapp/commands/registry.py: its name",),
         "commands/test_show.py",
     ),
     Touch(

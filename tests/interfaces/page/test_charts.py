@@ -138,6 +138,7 @@ def test_errors_over_a_joint_of_each_stage(held_out: HeldOutArm) -> None:
     assert chart.series[0].x == pytest.approx(np.degrees(held_out.readings.q[:, 2]))
     assert chart.series[1].y == pytest.approx(held_out.errors_mm["geometry"])
     assert chart.message.startswith("Identified geometry: mean error ")
+    assert chart.series[1].style == 1
 
 
 @pytest.mark.parametrize("view", ["above", "side"])

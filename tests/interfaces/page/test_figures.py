@@ -19,11 +19,11 @@ from cellapp.commands.discover.charts import is_line
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, bar_chart, series
 from cellapp.commands.view.parts import Capsules, CellScene, ErrorVectors, SceneArm
 from cellapp.estimation.discovery.records import Picture
+from cellapp.interfaces.page import page
 from cellapp.interfaces.page.drawn import chart_svg, scene_figure
 from cellapp.interfaces.page.page import plotly_base64, plotly_notice
 from cellapp.interfaces.render.chart import chart_data, scale_of
 from tests.interfaces.page.cases import picture
-from tests.interfaces.page.test_chromium import page
 
 HOSTILE = "</script><b onclick='x'>%{y} & 'it'</b>\u2028"
 

@@ -16,13 +16,13 @@ from cellapp.commands.correct import correct_run
 from cellapp.commands.push.request import MOST_ROUNDS, PushRequest
 from cellapp.commands.record import Verb
 from cellapp.commands.report.result import read_results
-from cellapp.commands.trials.scoring import targets
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, SaveAs
 from cellapp.interfaces.tui.dialogs.question import Choice, Reading
 from cellapp.interfaces.tui.dialogs.target_form import FieldRow, TargetForm
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.jobs import Job
+from cellapp.interfaces.tui.screens import targets
 from cellapp.interfaces.tui.screens.targets import TargetEdits, TargetsScreen
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, ended, log_text, opened, shown_text, shows, tells, until
