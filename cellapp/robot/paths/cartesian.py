@@ -8,9 +8,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from scipy.interpolate import BPoly
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
+import scipy
 
 from cellapp.robot.kinematics.transforms import Array
 
@@ -157,8 +155,8 @@ class Blend:
         return cls(np.array([start, start + out, start + 2.0 * out, end - 2.0 * into, end - into, end]))
 
     @cached_property
-    def _curve(self) -> BPoly:
-        return BPoly(self.control[:, None, :], [0.0, 1.0])
+    def _curve(self) -> scipy.interpolate.BPoly:
+        return scipy.interpolate.BPoly(self.control[:, None, :], [0.0, 1.0])
 
     @cached_property
     def _table(self) -> tuple[Array, Array]:
@@ -288,11 +286,11 @@ class CartesianPath:
         return np.asarray(np.minimum(*gaps))
 
     @cached_property
-    def _vertices(self) -> tuple[Array, cKDTree]:
+    def _vertices(self) -> tuple[Array, scipy.spatial.cKDTree]:
         spans = zip(self.begins, self.begins[1:], strict=False)
         s = [np.linspace(a, b, int(np.ceil((b - a) / _VERTEX_M)) + 1)[:-1] for a, b in spans]
         vertices = self.positions(np.append(np.concatenate(s), self.length))
-        return vertices, cKDTree(vertices)
+        return vertices, scipy.spatial.cKDTree(vertices)
 
     def _on_courses(self, s: Array) -> list[tuple[Course, np.ndarray, Array]]:
         number = np.clip(np.searchsorted(self.begins, s, side="right") - 1, 0, len(self.courses) - 1)
@@ -309,16 +307,18 @@ class CartesianPath:
             return np.asarray(first.as_matrix())
         share = along**3 * (10.0 - along * (15.0 - 6.0 * along))  # both rates are continuous at the ends
         between = (first.inv() * self._of_segment(course.after, sigma)).as_rotvec()
-        return np.asarray((first * Rotation.from_rotvec(share[:, None] * between)).as_matrix())
+        return np.asarray((first * scipy.spatial.transform.Rotation.from_rotvec(share[:, None] * between)).as_matrix())
 
-    def _of_segment(self, number: int, sigma: Array) -> Rotation:
+    def _of_segment(self, number: int, sigma: Array) -> scipy.spatial.transform.Rotation:
         """Compute rotations of one segment, extended beyond its ends at its constant rate."""
-        start = Rotation.from_matrix(self.rotations[number])
-        return start * Rotation.from_rotvec(np.multiply.outer(sigma - self.corners[number], self._turn_rate(number)))
+        start = scipy.spatial.transform.Rotation.from_matrix(self.rotations[number])
+        return start * scipy.spatial.transform.Rotation.from_rotvec(
+            np.multiply.outer(sigma - self.corners[number], self._turn_rate(number))
+        )
 
     def _turn_rate(self, number: int) -> Array:
         """Compute the rotation vector per length of a segment in the rotating frame, (3,) [rad/m]."""
-        start, end = Rotation.from_matrix(self.rotations[number : number + 2])
+        start, end = scipy.spatial.transform.Rotation.from_matrix(self.rotations[number : number + 2])
         return np.asarray((start.inv() * end).as_rotvec() / (self.corners[number + 1] - self.corners[number]))
 
     def _is_corner(self, before: Course, after: Course) -> bool:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, frame_poses
@@ -82,9 +82,9 @@ class Stretch:
     reversals: tuple[Reversal, ...]
 
     @property
-    def spline(self) -> CubicSpline:
+    def spline(self) -> scipy.interpolate.CubicSpline:
         """Controller readings (n, N) [rad] and their derivatives by arc length."""
-        return CubicSpline(self.s, self.q)
+        return scipy.interpolate.CubicSpline(self.s, self.q)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ def joint_path(
     PathError
         If the model cannot reach a place, or refinement does not bring the path within the tolerance.
     """
-    guess = CubicSpline(branch.s, branch.q)
+    guess = scipy.interpolate.CubicSpline(branch.s, branch.q)
     stretches, worst = [], (0.0, 0.0)
     for begin, end in zip(path.stops, path.stops[1:], strict=False):
         solver = _Solver(arm, path, conditions, guess, begin, end)
@@ -157,7 +157,7 @@ class _Solver:
     arm: ArmModel
     path: CartesianPath
     conditions: Conditions
-    guess: CubicSpline
+    guess: scipy.interpolate.CubicSpline
     begin: float
     end: float
 
@@ -206,7 +206,9 @@ def _stretch(solver: _Solver, tolerance_m: float, cross_s: float) -> tuple[Stret
         approach = _approach(s, turns, crossings)
         q = solver.readings(s, approach)
         between = 0.5 * (s[:-1] + s[1:])
-        off = solver.deviation(between, CubicSpline(s, q)(between), _approach(between, turns, crossings))
+        off = solver.deviation(
+            between, scipy.interpolate.CubicSpline(s, q)(between), _approach(between, turns, crossings)
+        )
         coarse = off > _SHARE * tolerance_m
         if not coarse.any():
             signs = _approach(s[[0, -1]], turns, [])
@@ -243,7 +245,7 @@ def _crossings(
     found = []
     for j, (_, places) in enumerate(turns):
         for at in places:
-            reading = CubicSpline(s, q)(np.array([at]))
+            reading = scipy.interpolate.CubicSpline(s, q)(np.array([at]))
             jump, lever = _play(solver.arm, reading, solver.conditions, j)
             if abs(jump) < _NO_PLAY_RAD:
                 continue
