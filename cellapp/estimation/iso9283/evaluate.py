@@ -28,7 +28,8 @@ from cellapp.estimation.iso9283.characteristics import (
     velocity_fluctuation,
     velocity_repeatability,
 )
-from cellapp.estimation.iso9283.norm import DIRECTIONAL_POSES, DIRECTIONS, POSES, IsoCommands, IsoTest
+from cellapp.estimation.iso9283.cube import DIRECTIONAL_POSES, DIRECTIONS, POSES
+from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
 from cellapp.estimation.iso9283.records import (
     DirectionalCharacteristics,
     DistanceCharacteristics,

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import records
 from cellapp.ground.counting import counted
-from cellapp.interfaces.render.terminal import plain_text
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
@@ -76,6 +75,7 @@ class _VerbView:
 
     def show_result(self, result: Result) -> None:
         """Show the result as a text."""
+        from cellapp.interfaces.render.terminal import plain_text  # late: results are shown after the start
 
         text = plain_text(self._verb.view(result).parts, _READING_WIDTH)
         self._app.push_screen(Reading(f"# {self._verb.name}\n\n```text\n{text}\n```"))

@@ -313,8 +313,9 @@ architecture, the setting has no effect, and all are its own."""
 
 CHOICE = """
 import numpy as np
-from cellapp.estimation.design.block_choice import Candidates, choose_blocks, most_informative_first
-from cellapp.estimation.design.block_design import Criterion, reference_errors
+from cellapp.estimation.design.block_design import (
+    Candidates, Criterion, choose_blocks, most_informative_first, reference_errors
+)
 rng = np.random.default_rng(0)
 rows = np.repeat(rng.normal(size=(150, 3, 20)), 2, axis=0)
 rows *= 1.0 + 1e-7 * rng.normal(size=(300, 1, 1))  # each candidate has a rival that tells as much, nearly

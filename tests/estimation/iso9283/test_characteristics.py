@@ -23,16 +23,16 @@ from cellapp.estimation.iso9283.characteristics import (
     repeatability_value,
 )
 from cellapp.estimation.iso9283.coverage import NOT_ASKED, NOT_OFFERED, ONE_SMR, coverage, not_done
-from cellapp.estimation.iso9283.norm import (
+from cellapp.estimation.iso9283.cube import (
     CORNERS,
     CYCLE,
     PLANES,
     POSES,
-    IsoTest,
     circle_positions,
     lattice_cube,
     pose_positions,
 )
+from cellapp.estimation.iso9283.norm import IsoTest
 from cellapp.estimation.iso9283.records import (
     ArmIso9283,
     CommandedTests,

@@ -12,7 +12,8 @@ from cellapp.interfaces.tui.app import SlowCollections
 
 
 @pytest.fixture(autouse=True)
-def _as_before() -> Iterator[None]:
+def _as_before(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(app, "gc", gc)  # other tests of screens have none
     before = list(gc.callbacks)
     yield
     gc.callbacks[:] = before

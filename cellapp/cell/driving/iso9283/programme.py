@@ -46,18 +46,18 @@ from cellapp.estimation.calibration.identification import identify, start_from_n
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import with_probe
 from cellapp.estimation.discovery.plan_forecast import nominal_model
-from cellapp.estimation.iso9283.evaluate import ArmProgramme, Place
-from cellapp.estimation.iso9283.norm import (
+from cellapp.estimation.iso9283.cube import (
     CYCLE,
     DIRECTIONAL_POSES,
     DIRECTIONS,
     PLANES,
     POSES,
-    IsoCommands,
     lattice_cube,
     plane_name,
     pose_positions,
 )
+from cellapp.estimation.iso9283.evaluate import ArmProgramme, Place
+from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.records import IsoCube, IsoPose
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError

@@ -43,6 +43,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, remembered
 from cellapp.cell.targets.path import RUN_UP_RAD, PathPlan, PathPose, PathSpec, plan_path
 from cellapp.estimation.discovery.plan_forecast import tracker_covariance
+from cellapp.estimation.iso9283.cube import LARGE_CIRCLE, POSES, SMALL_CIRCLE, circle_positions
 from cellapp.estimation.iso9283.evaluate import (
     ArmProgramme,
     Measured,
@@ -57,15 +58,7 @@ from cellapp.estimation.iso9283.evaluate import (
     path_characteristics,
     pose_characteristics,
 )
-from cellapp.estimation.iso9283.norm import (
-    LARGE_CIRCLE,
-    POSES,
-    SMALL_CIRCLE,
-    IsoCommands,
-    IsoTest,
-    circle_positions,
-    wanted_cycles,
-)
+from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest, wanted_cycles
 from cellapp.estimation.iso9283.records import (
     ArmIso9283,
     BaseAlignment,

@@ -14,7 +14,6 @@ from textual.widgets import DataTable, Static, TabbedContent, TabPane, Tabs
 
 from cellapp.commands.view.table import Table, markdown
 from cellapp.ground.counting import counted
-from cellapp.interfaces.render.terminal import rich_table
 from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
 from cellapp.interfaces.tui.keys import SHOWN, bind, table_with_keys, with_keys
 
@@ -108,6 +107,8 @@ class WrappedTables(TablesView):
 
     def draw(self, table: Table) -> Widget:
         """Return a table as the command line prints it."""
+        from cellapp.interfaces.render.terminal import rich_table  # late: tables are shown after the start
+
         return Static(rich_table(table_with_keys(table)), classes="table")
 
 
