@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -38,7 +37,6 @@ from tests.drivers.arms.emulated_ur_cell import (
     drivers_of,
     emulated_cell,
     of_each_arm,
-    pause,
     repair,
 )
 from tests.latency import attempts
@@ -422,75 +420,3 @@ def test_the_other_arm_goes_on_when_one_link_breaks(emulator: EmulatorProcess, a
     assert_braked(emulator, "left", began_s)
     go_again(emulator, left)
     go(right, HOME)
-
-
-# -- A program that was suspended says so, and blames neither the network nor an arm: suspensions of a real process ----
-
-SUSPENDED_S = 3.0
-TIMES = 3
-"""Of each of four programs: twelve suspensions."""
-
-APPLICATION_OF_SUSPENDED = """
-import sys
-from drivers.arms.protocol import ArmError, ArmTimeout
-from tests.drivers.arms.emulated_ur_cell import ACCELERATION, FAR, HOME, SPEED, driven
-
-def report(error):
-    sys.stdout.write(f"{type(error).__name__} {error}\\n")  # at once: two threads report
-    sys.stdout.flush()
-
-def settle(arm):
-    while True:  # in short rounds, as jobs do
-        try:
-            return arm.wait_settled(1.0)
-        except ArmTimeout:
-            arm.state()
-
-with driven(sys.argv[1]) as arm:
-    arm.watch(report)
-    while True:
-        try:
-            arm.connect()
-            for goal in (FAR, HOME):
-                arm.confirm()
-                arm.start_move(goal, SPEED * 0.3, ACCELERATION)
-                sys.stdout.write("moving\\n")
-                sys.stdout.flush()
-                settle(arm)
-        except ArmError as error:
-            report(error)
-"""
-
-
-def test_a_program_that_was_suspended_says_so(emulator: EmulatorProcess) -> None:
-    in_parallel(suspended_again_and_again, [(emulator, name) for name in FOUR_HOSTS])
-
-
-def suspended_again_and_again(emulator: EmulatorProcess, name: str) -> None:
-    moments = random.Random(name)
-    command = [sys.executable, "-c", APPLICATION_OF_SUSPENDED, name]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[3]) as application:
-        assert application.stdout is not None
-        try:
-            for _ in range(TIMES):
-                assert within(application.stdout.readline, "the motion") == "moving\n"
-                until(lambda: emulator.control(name, "status")["moving"], "the arm moves")
-                pause(moments.uniform(0.0, 0.5))
-                application.send_signal(signal.SIGSTOP)
-                pause(SUSPENDED_S)
-                assert_stays_at_rest(emulator, name)  # it was stopped meanwhile
-                application.send_signal(signal.SIGCONT)
-                for _ in ("the listener", "the call that waited"):
-                    assert_says_so(within(application.stdout.readline, "what it notices"), name)
-        finally:
-            application.send_signal(signal.SIGCONT)
-            application.terminate()
-            application.wait(PATIENT_S)
-
-
-def assert_says_so(line: str, name: str) -> None:
-    assert line.startswith(f"HostStalled arm {name}: this "), line
-    assert "silent for" in line
-    assert "nothing is wrong at the arm" in line
-    for blamed in ("network", "link", "dashboard", "controller is on"):
-        assert blamed not in line
