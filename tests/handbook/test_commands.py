@@ -45,7 +45,7 @@ def is_run(chapter: str, example: Example, *, long: bool) -> bool:
     return long or LONG not in example.words
 
 
-_SLOW = (pytest.mark.slow, pytest.mark.timeout(1800))
+_SLOW = (pytest.mark.slow, pytest.mark.minutes, pytest.mark.timeout(1800))
 CHAPTERS_RUN = [
     *(
         pytest.param(chapter, False, id=chapter)
