@@ -32,7 +32,6 @@ _PACKAGES = (
     "textual",
     "typer",
     "ur-rtde",
-    "torch",
     "python-fcl",
     "pyserial",
     "pythonnet",
