@@ -23,6 +23,7 @@ from cellapp.cell.driving.motion import (
     Confirm,
     MotionRefused,
     Mover,
+    PointAtRest,
     missed_sentence,
     point_measured,
     record_sentence,
@@ -61,7 +62,7 @@ from cellapp.ground.progress import (
 )
 from drivers.arms.protocol import ArmError, ArmState
 from drivers.plant import Plant
-from drivers.trackers.protocol import Point, TargetLost, TrackerError, Unstable, WrongTarget
+from drivers.trackers.protocol import TargetLost, TrackerError, Unstable, WrongTarget
 
 MOST_MISSED_IN_A_ROW = 10
 """Consecutive stops without a reading that mean a fault of tracker or targets: all planned stops are visible."""
@@ -389,11 +390,14 @@ class CollectSession:
             self._emit(point_measured(stop, name, rows[name]))
         return rows, outcomes
 
-    def _reading(self, stop: int, name: str, state: ArmState, point: Point, temperature_c: float | None) -> Reading:
+    def _reading(
+        self, stop: int, name: str, state: ArmState, point: PointAtRest, temperature_c: float | None
+    ) -> Reading:
         """Return the reading of a point just measured; its dwell time lasts until the middle of the averaging."""
         rested_s, carried = self._mover.rested_s(name), self.profile.arms[name].payload
         return Reading(
-            q=state.q,
+            q=point.q,
+            q_spread=point.q_spread,
             p_M=point.p_M,
             time_s=point.time_s - self._begin(point.time_s - point.averaging_s),
             approach=self._mover.approach(name).copy(),
