@@ -154,8 +154,8 @@ class Application(Protocol):
     def answer(self, message: Mapping[str, Any]) -> None:
         """Send a message."""
 
-    def check(self, kicks: Kicks, live: LiveArm, *, watched: bool) -> str:
-        """Exchange heartbeats; return why the application no longer watches a motion (``watched``), else empty."""
+    def check(self, kicks: Kicks, live: LiveArm) -> str:
+        """Exchange heartbeats; return why the application no longer watches its arm, else empty."""
 
     def exit_link_lost(self, kind: str, text: str) -> NoReturn:
         """Report, stop the arm over the dashboard, and end the process."""
@@ -479,7 +479,7 @@ class Supervisor:
 
     def _look(self) -> tuple[UrSample, bool]:
         """Check everything that can stop an arm at any time; return its newest state, and whether that is new."""
-        unwatched = self._application.check(self._kicks, self.live, watched=self._moves)
+        unwatched = self._application.check(self._kicks, self.live)
         self._states.check_links()
         sample, news = self._states.look()
         if news:
