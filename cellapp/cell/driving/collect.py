@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from types import MappingProxyType
 from typing import TypeVar
 
@@ -67,6 +68,9 @@ from drivers.trackers.protocol import TargetLost, TrackerError, Unstable, WrongT
 MOST_MISSED_IN_A_ROW = 10
 """Consecutive stops without a reading that mean a fault of tracker or targets: all planned stops are visible."""
 
+_READING_BYTES, _STOP_BYTES, _LOG_BYTES, _SWEEP_BYTES_S = 2048, 65_536, 4_194_304, 200_000
+"""Upper limits of what a reading adds to a run file, of its write-ahead log by a stop and in all, and of what a second
+of a sweep adds."""
 _HARMLESS = ("pause", "resume", "suspend", "give up", "reference")
 """Kinds of recorded requests that need nobody's attention afterwards; all others are logged as warnings."""
 
@@ -520,6 +524,7 @@ def collect_run(
     work = work_again(run, again) if again is not None else remaining_work(run, resume=resume)
     if not work.stops and not (again is None and sweeps_left(run)):
         return _collected(run, "complete", [f"all {counted(work.total, 'stop was', 'stops were')} stored already"])
+    _require_space(run, work)
     before = replaced_counts(run)
     sessions = _Sessions(run, listener, control, accept_drift, confirm, opened, watch_clearance)
     for load in work.loads or (0,):
@@ -532,6 +537,16 @@ def collect_run(
         return result
     replaced = sum(replaced_counts(run).values()) - sum(before.values())
     return result.model_copy(update={"replaced": replaced, "notes": (*result.notes, *_held_out_notes(run, work))})
+
+
+def _require_space(run: RunFile, work: Work) -> None:
+    """Raise ``InputError`` unless all that remains to be collected can be written; nothing has moved."""
+    stops, sweeps = len(work.stops) + len(work.reserves), [] if work.again else [*chain(*sweeps_left(run).values())]
+    readings = stops * len(work.plan)
+    needed = min(stops * _STOP_BYTES, _LOG_BYTES) + readings * _READING_BYTES
+    needed += round(sum(sweep.period_s for sweep in sweeps) * _SWEEP_BYTES_S)
+    swept = f" and {counted(len(sweeps), 'sweep')}" if sweeps else ""
+    run.require_space(needed, f"collecting {counted(stops, 'stop')}{swept}")
 
 
 @dataclass
