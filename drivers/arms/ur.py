@@ -433,6 +433,7 @@ _OPENS_WITHIN_S = 3.0
 _SILENT_S = 2.0
 """A controller that sends nothing for this long has ended the recording."""
 _RECORDING_ENDS_WITHIN_S = 1.0
+_LAST_SAMPLE_LOOK_S = 0.001
 _PULSE_S = 0.02
 _REQUIRED = ("timestamp", "actual_q", "actual_qd")
 _OPTIONAL = ("joint_temperatures", "actual_digital_output_bits")
@@ -488,7 +489,10 @@ class UrRecorder:
         return counts_so_far(count, first_s, latest_s, self._period_s)
 
     def end(self) -> JointRecord:
-        """Close the connection and return all samples. Raises ``LinkLost`` if the connection ended before."""
+        """Close the connection after one more sample; return all. Raises ``LinkLost`` if it ended before."""
+        count, patience = len(self._states), Patience(_SILENT_S)
+        while len(self._states) == count and self._problem is None and not patience.over:
+            time.sleep(_LAST_SAMPLE_LOOK_S)
         problem = self._problem
         self.close()
         if problem is not None:
@@ -587,6 +591,11 @@ class UrPathArm(UrArm):
         return float(self._call("reached", ANSWER_WITHIN_S).get("reached", math.inf))
 
     # -- recording -----------------------------------------------------------------------------------------------------
+
+    @property
+    def settle_window(self) -> float:
+        """Largest change of a joint at rest [rad]."""
+        return self._settings.settle_window
 
     def start_recording(self) -> None:
         """Record every state of the controller over a separate connection. Raises ``LinkLost``."""
