@@ -25,8 +25,8 @@ from tests.waiting import until, within
 pytestmark = pytest.mark.waits
 
 SUSPENDED_S = 3.0
-TIMES = 3
-"""Of each of four programs: twelve suspensions."""
+TIMES = 2
+"""Of each of four programs: eight suspensions."""
 
 APPLICATION = """
 import sys
