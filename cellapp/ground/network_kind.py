@@ -4,4 +4,4 @@ from __future__ import annotations
 
 from typing import Literal, TypeAlias
 
-NetworkKind: TypeAlias = Literal["mlp", "none"]
+NetworkKind: TypeAlias = Literal["mlp", "batches", "none"]

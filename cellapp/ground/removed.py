@@ -30,14 +30,13 @@ COMMANDS: Mapping[str, str] = {
 """Name of a removed command, as it is typed -> what to do instead."""
 PROFILE_KEYS: Mapping[str, str] = {
     "plant.torques": "leave it out; masses are those that the profile states",
-    "network.kind.batches": "take 'mlp'; where effects have names, 'discover' is better than any network",
     "notify": "delete it; in a script, call your command after 'cellapp collect' by its exit code",
     **{
         f"arms.*.smr.{key}": "mount a 6-D probe (smr.probe), or import readings of three SMRs"
         for key in ("name", "nests", "distances")
     },
 }
-"""Removed key of a profile, with dots, ``*`` for any name or index, or such a key's value -> what to do instead."""
+"""Removed key of a profile, with dots, ``*`` for any name or index -> what to do instead."""
 READINGS: Mapping[str, tuple[str, str]] = {
     "point": ("a ball in sockets", "measure the arm with a tracker"),
     "smr": ("several SMRs at a stop", "export them as CSV, then 'cellapp import' makes one position and rotation"),
@@ -76,7 +75,7 @@ def without_removed_keys(content: Any, path: tuple[str | int, ...] = ()) -> tupl
     kept, found = {}, list[str]()
     for key, value in content.items():
         at = (*path, key)
-        if removed_key(at) or removed_key((*at, str(value))):
+        if removed_key(at):
             found.append(".".join(map(str, at)))
         else:
             kept[key], below = without_removed_keys(value, at)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from cellapp.commands.calibrate.view import MM, merged_words
+from cellapp.commands.calibrate.view import MM, batches_words, merged_words
 from cellapp.commands.view.table import Cell, Column, Number, Table, number_column
 from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, NetworkResult, NetworkTrial
@@ -117,7 +117,12 @@ def _arm_facts(arm: ArmCalibrationResult) -> Mapping[str, Cell]:
             if arm.network is None
             else f"{arm.network.left_out_rms_mm:.4f}, without a network {arm.network.without_rms_mm:.4f}"
         ),
+        "network from all readings": _of_all_words(arm.network),
     }
+
+
+def _of_all_words(network: NetworkResult | None) -> str:
+    return "not asked for" if network is None or network.batches is None else batches_words(network.batches)
 
 
 def _network_words(network: NetworkResult | None) -> str:

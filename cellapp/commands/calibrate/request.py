@@ -16,7 +16,10 @@ class CalibrateRequest(Request):
     prior: Prior = None
     network: Annotated[
         NetworkKind | None,
-        Asked("Residual network: mlp, a committee from at most 1200 readings; none. The profile says it if left out."),
+        Asked(
+            "Residual network: mlp, a committee from at most 1200 readings; batches, from all readings and recordings"
+            " (extra learn), where that is better; none. The profile says it if left out."
+        ),
     ] = None
 
 

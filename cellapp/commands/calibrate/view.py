@@ -12,6 +12,7 @@ from cellapp.commands.view.words import METHOD_WORDS, display_unit, geometry_uni
 from cellapp.estimation.calibration.records import (
     ArmCalibrationResult,
     ArmPriorResult,
+    BatchesResult,
     CalibrateResult,
     ClockResult,
     PartDrift,
@@ -154,7 +155,7 @@ def tracker_sentences(result: CalibrateResult) -> list[str]:
             f"arm {name}: {arm.best_stage} leaves {rms:.4f} mm rms, {rms / arm.tracker_mm:.1f} times the tracker's own"
             f" {arm.tracker_mm:.4f} mm"
         )
-    more = motion_sentences(result)
+    more = (*network_sentences(result), *motion_sentences(result))
     return [*sentences, *more, *prior_sentences(result)]
 
 
@@ -393,3 +394,25 @@ def _play(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
             if found.value > _SURE * error:
                 rows.append((name, joint, found.value * 1e6, error * 1e6))
     return [Table("Lost motion", _PLAY, tuple(rows))] if rows else []
+
+
+# -- Comparison of a network from all readings with the committee, in words -------------------------------------------
+
+
+def network_sentences(result: CalibrateResult) -> list[str]:
+    """Return one sentence for each arm for which a network from all readings was requested."""
+    said = []
+    for name, arm in result.arms.items():
+        if arm.network is not None and arm.network.batches is not None:
+            said.append(f"arm {name}: a network {batches_words(arm.network.batches)}")
+    return said
+
+
+def batches_words(found: BatchesResult) -> str:
+    """Say how the network compared with the committee, and whether it is used."""
+    compared = (
+        f"{found.left_out_rms_mm:.4f} mm rms on {found.blocks} left-out blocks of time, the committee"
+        f" {found.committee_rms_mm:.4f} mm ({found.sigmas:.1f} standard errors)"
+    )
+    used = "it is the network" if found.used else "it is not used: it is not surely better"
+    return f"from {counted(found.readings, 'reading')} in batches leaves {compared}; {used}"

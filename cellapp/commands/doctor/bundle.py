@@ -32,6 +32,7 @@ _PACKAGES = (
     "textual",
     "typer",
     "ur-rtde",
+    "torch",
     "python-fcl",
     "pyserial",
     "pythonnet",

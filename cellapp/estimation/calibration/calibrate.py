@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -25,6 +24,9 @@ from cellapp.estimation.calibration.identification import (
 )
 from cellapp.estimation.calibration.learning import (
     Training,
+    learn,
+    learning_steps,
+    require_learner,
     train_network,
     training_steps,
 )
@@ -344,7 +346,8 @@ def calibrate_readings(
     cancel = cancel or CancelToken()
     notes: list[str] = []
     trains = profile.network.kind != "none"
-    training = training_steps() + training_steps(1) * in_a_pair(profile) if trains else 0
+    require_learner(profile.network)
+    training = learning_steps(profile.network) + training_steps(1) * in_a_pair(profile) if trains else 0
     total = (1 + training) * len(readings) + 1
     arms: dict[str, ArmCalibration] = {}
     for name, arm_readings in readings.items():
@@ -592,34 +595,54 @@ def train_arm(
     if len(taught) < 2 * profile.network.folds:
         return arm
     left_M = taught.p_M - arm.model.predict(taught.q, taught.approach, taught.payload_kg)
-    # In the tracker frame, the same shape, not rotated with joint 1: that frame has no relation to its axis.
-    network = partial(
-        train_network,
-        taught.q,
-        seed=profile.seed,
-        folds=profile.network.folds,
-        iterations=profile.network.iterations,
-        cancel=cancel,
-    )
-    training = network(
-        left_M @ arm.model.geometry.T_M_B()[:3, :3],
-        report=lambda done, words: report(done, f"base frame: {words}"),
-    )
-    if training.network is None:
-        return replace(arm, training=training)
-    arm = replace(arm, model=replace(arm.model, network=training.network), training=training)
-    if in_a_pair(profile):
-        in_tracker = network(
-            left_M,
-            shapes=(replace(training.shape, rotates_with_joint_1=False),),
-            report=lambda done, words: report(training_steps() + done, f"tracker frame: {words}"),
-        ).network
-        arm = replace(arm, tracker_frame_network=in_tracker)
+    arm = with_networks(profile, arm, taught.q, left_M, taught.time_s, cancel, report)
+    if arm.model.network is None:
+        return arm
     computed = arm.model.predict(held_out.q, held_out.approach, held_out.payload_kg)
     errors = evaluate(held_out.p_M, computed).model_copy(
         update={"orientation_mrad": arm.validate["geometry"].orientation_mrad}  # the network learns positions only
     )
     return replace(arm, validate={**arm.validate, "network": errors})
+
+
+def with_networks(
+    profile: Profile,
+    arm: ArmCalibration,
+    q: Array,
+    left_M: Array,
+    time_s: Array,
+    cancel: CancelToken | None = None,
+    report: Report = ignore_report,
+) -> ArmCalibration:
+    """Train networks on the geometry's residuals ``left_M`` (n, 3) [m] at ``q`` (n, N) [rad]: one in the base frame;
+    for method 2 of a pair the same in the tracker frame; none if a network does not help."""
+    training = learn(
+        profile.network,
+        q,
+        left_M @ arm.model.geometry.T_M_B()[:3, :3],
+        time_s,
+        seed=profile.seed,
+        cancel=cancel,
+        report=lambda done, words: report(done, f"base frame: {words}"),
+    )
+    if training.network is None:
+        return replace(arm, training=training)
+    arm = replace(arm, model=replace(arm.model, network=training.network), training=training)
+    if not in_a_pair(profile):
+        return arm
+    first = learning_steps(profile.network)
+    # The same shape, not rotated with joint 1: the tracker frame has no relation to that axis.
+    in_tracker = train_network(
+        q,
+        left_M,
+        seed=profile.seed,
+        folds=profile.network.folds,
+        iterations=profile.network.iterations,
+        shapes=(replace(training.shape, rotates_with_joint_1=False),),
+        cancel=cancel,
+        report=lambda done, words: report(first + done, f"tracker frame: {words}"),
+    ).network
+    return replace(arm, tracker_frame_network=in_tracker)
 
 
 def in_a_pair(profile: Profile) -> bool:

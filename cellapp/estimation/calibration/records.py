@@ -37,8 +37,28 @@ class NetworkTrial(Record):
     left_out_rms_mm: float
 
 
+class BatchesResult(Record):
+    """A network from all readings in batches against the committee, on the same left-out blocks of time.
+
+    ``committee_rms_mm`` is that without a network where the committee is not better than none; ``sigmas`` says by how
+    many standard errors over the blocks the mean square is smaller. ``device`` trained it.
+    """
+
+    used: bool
+    readings: int
+    blocks: int
+    hidden: tuple[int, ...]
+    device: str
+    left_out_rms_mm: float
+    committee_rms_mm: float
+    sigmas: float
+
+
 class NetworkResult(Record):
-    """How the residual network was trained; ``without_rms_mm`` is the left-out error without any network."""
+    """How the residual network was trained; ``without_rms_mm`` is the left-out error without any network.
+
+    ``batches`` is there where one from all readings was asked for; where it is ``used``, it is the network.
+    """
 
     used: bool
     inputs: Inputs
@@ -47,6 +67,8 @@ class NetworkResult(Record):
     left_out_rms_mm: float
     without_rms_mm: float
     tried: tuple[NetworkTrial, ...] = ()
+    batches: BatchesResult | None = None
+    omitted_when_none = frozenset({"batches"})
 
 
 _MEAN_LENGTH = 2.0 * math.sqrt(2.0 / math.pi)

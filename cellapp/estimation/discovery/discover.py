@@ -20,7 +20,7 @@ from cellapp.estimation.calibration.calibrate import (
     rms_length_mm,
     without,
 )
-from cellapp.estimation.calibration.learning import train_network, training_steps
+from cellapp.estimation.calibration.learning import learn, learning_steps
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.quantities import (
     conditions_of_arms,
@@ -118,7 +118,7 @@ def discover_cell(
 
 def _total_steps(profile: Profile, arms: int) -> int:
     """Count the steps that discovery reports: search of every arm, training where it may be needed, and the pair."""
-    training = training_steps() if _may_train(profile) else 0
+    training = learning_steps(profile.network) if _may_train(profile) else 0
     return (SEARCH_STEPS + training) * arms + 1
 
 
@@ -152,7 +152,7 @@ def _discover_arms(
         for name, discovery in found.items():
             report = trained.part(f"arm {name}")
             if not needs_network(profile, discovery):
-                report(training_steps(), "no network is needed")
+                report(learning_steps(profile.network), "no network is needed")
                 continue
             report(0, "residual network beside the effects")
             good = ~np.isin(readings[name].configuration, discovery.result.left_out_configurations)
@@ -463,12 +463,12 @@ def _train(
     if len(readings) < _READINGS_A_FOLD * profile.network.folds:
         return None
     residual_M = readings.p_M - model.predict(readings.q, conditions=conditions)
-    return train_network(
+    return learn(
+        profile.network,
         readings.q,
         residual_M @ model.geometry.T_M_B()[:3, :3],
+        readings.time_s,
         seed=profile.seed,
-        folds=profile.network.folds,
-        iterations=profile.network.iterations,
         cancel=cancel,
         report=report,
     ).network

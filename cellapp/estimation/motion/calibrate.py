@@ -14,8 +14,11 @@ from cellapp.estimation.calibration.calibrate import (
     Calibration,
     calibrate_readings,
     rms_length_mm,
+    with_networks,
+    without,
 )
 from cellapp.estimation.calibration.identification import start_from_nominal
+from cellapp.estimation.calibration.learning import require_learner
 from cellapp.estimation.calibration.quantities import evaluate, repeatability
 from cellapp.estimation.calibration.records import (
     ClockResult,
@@ -30,6 +33,7 @@ from cellapp.estimation.motion.identify import (
     RecordedArm,
     RecordingFit,
     identify_from_motion,
+    no_gross_errors,
 )
 from cellapp.estimation.motion.joint_path import JointPath
 from cellapp.estimation.motion.observe import Stops
@@ -85,8 +89,12 @@ def calibrate_with_motion(
     known: dict[str, ArmCalibration] = {}
     samples: dict[str, Readings] = {}
     notes: list[str] = []
+    require_learner(profile.network)
     for name, its, told in each_recorded(recordings, listener, cancel):
-        fit, known[name] = calibrate_arm_with_motion(profile, name, readings[name], its, told)
+        fit, arm = calibrate_arm_with_motion(profile, name, readings[name], its, told)
+        if profile.network.kind == "batches":
+            arm = train_arm_in_motion(profile, arm, readings[name], fit, cancel, told)
+        known[name] = arm
         samples[name] = samples_of(fit, len(profile.arms[name].type.joints))
     found = calibrate_readings(profile, readings, listener, cancel, known=known)
     if found.pair is None and len(known) == len(profile.arms) == 2:
@@ -309,3 +317,68 @@ def error_summary(mm: Array) -> ErrorSummary:
     std = float(mm.std(ddof=1)) if len(mm) > 1 else 0.0
     rms, mean, most = float(np.sqrt(np.mean(mm**2))), float(mm.mean()), float(mm.max())
     return ErrorSummary(mean=mean, rms=rms, std=std, max=most, p50=p50, p95=p95, n=len(mm))
+
+
+# -- Residual network from all points of an arm's recordings, and from its readings at rest ---------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """Residuals of geometry and lost motion at some points: joints (n, N) [rad] and differences (n, 3) [m]."""
+
+    q: Array
+    left_M: Array
+
+    @classmethod
+    def joined(cls, parts: list[_Left]) -> _Left:
+        return cls(np.concatenate([part.q for part in parts]), np.concatenate([part.left_M for part in parts]))
+
+
+def train_arm_in_motion(
+    profile: Profile,
+    arm: ArmCalibration,
+    readings: Readings,
+    fit: MotionFit,
+    cancel: CancelToken | None = None,
+    told: Told = ignore_words,
+) -> ArmCalibration:
+    """Train a network for an arm on all points of its recordings outside held-out blocks, and on those of its
+    ``readings`` at rest that may teach. Its held-out errors are at rest if it has such readings, else in motion.
+
+    Lost motion is subtracted: it depends on the direction of approach, which a function of posture cannot represent.
+    """
+    rows = readings.in_split("train")
+    stops = without(readings.take(rows if len(rows) else readings.in_split("identify")), arm.left_out)
+    parts = [_points(fit, one, held_out=False) for one in fit.recordings.values()]
+    if len(stops):
+        at_rest = stops.p_M - arm.model.predict(stops.q, stops.approach, stops.payload_kg)
+        parts = [_Left(stops.q, at_rest), *parts]
+    taught = _Left.joined(parts)
+    in_order = np.arange(float(len(taught.q)))  # in order of time in each recording, by which blocks are cut
+    arm = with_networks(profile, arm, taught.q, taught.left_M, in_order, cancel, report=lambda _, words: told(words))
+    if arm.model.network is None:
+        return arm
+    held_out = _held_out(arm, readings, fit)
+    correction = arm.model.network.correct(held_out.q) @ arm.model.geometry.T_M_B()[:3, :3].T
+    mm = np.linalg.norm(held_out.left_M - correction, axis=1) * 1e3
+    return replace(arm, validate={**arm.validate, "network": StageErrors(position_mm=error_summary(mm))})
+
+
+def _held_out(arm: ArmCalibration, readings: Readings, fit: MotionFit) -> _Left:
+    """Return the residuals where the other stages are judged: at held-out readings at rest, else in held-out blocks."""
+    stops = without(readings.take(readings.in_split("validate")), arm.left_out)
+    if len(stops):
+        return _Left(stops.q, stops.p_M - smr_positions(arm.model.geometry, stops.q))
+    return _Left.joined([_points(fit, one, held_out=True) for one in fit.recordings.values()])
+
+
+def _points(fit: MotionFit, one: RecordingFit, *, held_out: bool) -> _Left:
+    """Return the points of a recording without gross errors."""
+    track = one.track
+    rows = np.flatnonzero(track.held_out if held_out else track.learnt)
+    time_s = track.controller_times(rows, one.offsets_s, one.rate)
+    q, _ = track.path.at(time_s)
+    moved = q - fit.half_play * track.path.direction_at(time_s)
+    left_M = track.p_M[rows] - smr_positions(fit.identification.geometry, moved)
+    good = no_gross_errors(np.linalg.norm(left_M, axis=1), one.scatter_m)
+    return _Left(q[good], left_M[good])

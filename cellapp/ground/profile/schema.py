@@ -244,8 +244,11 @@ class Calibration(Section):
 
 
 class Network(Section):
-    """The residual network on the residuals of the geometry: ``mlp`` is a committee that learns from at most 1200
-    readings, ``none`` is none."""
+    """The residual network on the residuals of the geometry.
+
+    ``mlp`` is a committee that learns from at most 1200 readings; ``batches`` learns from all readings and recordings
+    by torch, and takes the committee's place where it predicts left-out blocks of time better; ``none`` is none.
+    """
 
     kind: NetworkKind = "mlp"
     folds: Annotated[int, Field(strict=True, ge=2, le=20)] = 5

@@ -62,7 +62,7 @@ class ResidualNetwork:
     Attributes
     ----------
     inputs : str
-        ``angles`` scaled to the trained ranges, ``sincos``, or ``both`` in networks of earlier versions.
+        ``angles`` scaled to the trained ranges, ``sincos``, or ``both``.
     low, high : array, shape (N,)
         Trained joint ranges [rad].
     margin : array, shape (N,)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import tracemalloc
 
 import numpy as np
@@ -92,11 +94,21 @@ def test_the_spread_grows_where_data_are_missing(trained):
     assert 0.3 < np.median(np.linalg.norm(training.network.spread(new), axis=1)) / np.median(off) < 6.0
 
 
-def test_the_file_keeps_every_bit(trained):
+def test_the_file_keeps_every_bit_and_needs_no_torch(trained):
     _, training = trained
     text = json.dumps(network_to_json(training.network))
     q = poses(7, seed=8)
     np.testing.assert_array_equal(network_from_json(json.loads(text)).correct(q), training.network.correct(q))
+    program = (
+        "import json, sys, numpy as np\n"
+        "from cellapp.robot.model.model import network_from_json\n"
+        "network = network_from_json(json.loads(sys.stdin.read()))\n"
+        "print(network.correct(np.zeros((1, 6))).tolist(), 'torch' in sys.modules)\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program], input=text, capture_output=True, text=True, timeout=60, check=True
+    )
+    assert result.stdout.strip() == f"{training.network.correct(np.zeros((1, 6))).tolist()} False"
 
 
 def test_joints_that_do_not_matter_are_left_out(trained):
@@ -130,18 +142,23 @@ def test_many_readings_take_no_more_memory_than_their_sample():
     np.testing.assert_array_equal(training.network.low, q.min(axis=0))
 
 
-def test_normal_equations_are_those_of_derivatives_by_complex_steps():
+def test_normal_equations_are_those_of_automatic_derivatives():
+    import torch  # an independent check of the closed form
+
     net, rng = Perceptron(12, 7, 3), np.random.default_rng(2)
     p, x, e = net.start(rng), rng.normal(size=(9, 12)), rng.normal(size=(9, 3))
     n_W = net.sizes[0]
 
     def outputs(parameters):
         W, V = parameters[:n_W].reshape(net.hidden, -1), parameters[n_W:].reshape(net.outputs, -1)
-        hidden = np.tanh(np.hstack([x, np.ones((len(x), 1))]) @ W.T)
-        return (np.hstack([hidden, np.ones((len(x), 1))]) @ V.T).ravel()
+        ones = torch.ones(len(x), 1, dtype=torch.float64)
+        hidden = torch.tanh(torch.cat([torch.from_numpy(x), ones], dim=1) @ W.T)
+        return (torch.cat([hidden, ones], dim=1) @ V.T).reshape(-1)
 
-    steps = 1e-20j * np.eye(len(p))  # derivatives without differences, exact to rounding
-    J = np.stack([outputs(p + step).imag * 1e20 for step in steps], axis=1)
+    J = torch.autograd.functional.jacobian(outputs, torch.from_numpy(p)).numpy()
     gram, slope = net.normal_equations(p, x, e)
     np.testing.assert_allclose(gram, J.T @ J, atol=1e-12)
     np.testing.assert_allclose(slope, J.T @ e.ravel(), atol=1e-12)
+
+
+# -- Perceptron: its normal equations against automatic derivatives, its layers against the network that uses them -----

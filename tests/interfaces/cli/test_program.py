@@ -288,7 +288,7 @@ def test_its_page_has_none(finished_run: Path) -> None:
 
 # -- What earlier versions had is answered by what to do instead; what they stored opens -------------------------------
 
-KEYS = {"arms.*.teleport": "drive it", "magic": "nothing takes its place", "network.kind.huge": "take 'mlp'"}
+KEYS = {"arms.*.teleport": "drive it", "magic": "nothing takes its place"}
 
 
 @pytest.fixture
@@ -334,12 +334,14 @@ def test_a_run_of_an_earlier_version_opens_and_says_what_is_ignored(some_removed
         content = json.loads(text)
         content["magic"] = 1
         content["arms"]["left"]["teleport"] = {"far": True}
-        content["network"]["kind"] = "huge"
         connection.execute("UPDATE meta SET value = ? WHERE key = 'profile'", (json.dumps(content),))
     with RunFile.open(path.parent) as run:
         assert run.profile == profile
         state, history = run_overview(run), run_history(run)
-    assert set(state.ignored_keys) == {"magic", "arms.left.teleport", "network.kind"}
+    assert set(state.ignored_keys) == {
+        "magic",
+        "arms.left.teleport",
+    }
     assert [one.out_of_date for one in (*state.stages, *history.stages)] == [
         "an earlier version made it; this one has no such step"
     ] * 2

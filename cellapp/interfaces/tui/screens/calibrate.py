@@ -138,12 +138,14 @@ held out. Nothing moves.
 
 **{import}** calibrates with an earlier run of the same arms as prior: base and tool are found anew, the arms are
 believed as far as they were certain then. What has changed on them since stands below the errors. The handbook's
-chapter *signature* describes it. **{export}** writes the calibrated arms for other programs: UR controllers, ROS, URDF,
+chapter *signature* describes it. **{add}** calibrates with a network from all readings and recordings instead of 1200
+readings; chapter *motion*. **{export}** writes the calibrated arms for other programs: UR controllers, ROS, URDF,
 tables; chapter *exports*.
 """
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "begin", "Calibrate", "identify and evaluate; nothing moves"),
         bind("import", "begin_with_prior", "With prior", "calibrate with an earlier run as prior", show=False),
+        bind("add", "begin_in_batches", "All readings", "calibrate with a network from all readings", show=False),
         bind("arm", "other_arm", "Other arm", "show the plots of the other arm"),
         bind("before", "joint(-1)", "Joint before", show=False),
         bind("after", "joint(1)", "Next joint"),
@@ -184,6 +186,11 @@ tables; chapter *exports*.
         if folder := self.open_folder():
             job = work.job_of(request.VERB, folder=folder)
             offer_again(self, "Calibrate again?", self._result, CALIBRATE, partial(self.start, job))
+
+    def action_begin_in_batches(self) -> None:
+        """Calibrate the open run with a residual network from all readings and recordings."""
+        if (folder := self.open_folder()) is not None:
+            self.start(work.job_of(request.VERB, folder=folder, network="batches"))
 
     def action_begin_with_prior(self) -> None:
         """Ask for an earlier run, and calibrate the open run with it as prior."""
