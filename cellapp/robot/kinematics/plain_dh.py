@@ -87,6 +87,13 @@ def hayati_rows(plain: Array, published: Array) -> Array:
     return rows
 
 
+def off_published(plain: Array, published: Array) -> Array:
+    """Return the differences (N, 5) [rad, m, m, rad, rad] of ``hayati_rows`` from published rows (N, 4)."""
+    off = hayati_rows(plain, published) - np.column_stack([published, np.zeros(len(published))])
+    off[:, [0, 3]] = np.remainder(off[:, [0, 3]] + np.pi, 2.0 * np.pi) - np.pi
+    return off
+
+
 def same_chain(plain: Array, other: Array, published: Array) -> bool:
     """Return whether plain rows (N, 4) and others (N, 4) describe the same arm to rounding, even if d are large."""
     if plain.shape != other.shape:
