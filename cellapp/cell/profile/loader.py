@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import yaml
 from pydantic import ValidationError
 
@@ -29,10 +28,8 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.plain_data import plain_data
 from cellapp.ground.profile.device_plugins import ARM_TYPES
 from cellapp.ground.profile.schema import VERSION, ArmType, Profile
-from cellapp.ground.profile.sections import ControllerTable
 from cellapp.ground.removed import without_removed_keys
 from cellapp.ground.starters import starters_folder
-from cellapp.robot.kinematics.plain_dh import off_published
 
 _MOST_LEVELS = 50
 """Limit of nesting: a profile has about eight levels; an alias that contains itself gives more."""
@@ -40,11 +37,6 @@ _MOST_VALUES = 100_000
 """Limit of values: a profile has some hundreds; aliases of aliases multiply to more."""
 _LARGEST_INT = 2**63
 """Limit of integers: larger ones fit neither numpy nor SQLite."""
-_MOST_FACTORY = (10e-3, 20e-3)
-_FACTORY_SOURCE = "four times the largest of the published calibrations of UR arms (2.2 mm, 3.5 mrad)"
-"""Largest length [m] and angle [rad] by which a factory calibration changes published rows, and where that is from:
-calibration.conf files in public bug reports of drivers. On the rows of another type the same files differ by at least
-14 mm and 96 mrad."""
 _SURROGATES = frozenset(map(chr, range(0xD800, 0xE000)))
 """Surrogates, halves of characters: YAML's escapes can write them, UTF-8 cannot store them."""
 
@@ -124,30 +116,10 @@ def checked_profile(document: Document, folders: Sequence[Path]) -> Profile:
 
 def _require_own_factories(profile: Profile, places: Mapping[KeyPath, Place]) -> None:
     """Raise ``InputError`` if an arm's factory calibration is that of another type."""
-    for name, arm in profile.arms.items():
-        if arm.factory is None or _is_of_type(arm.factory, arm.type):
-            continue
-        texts = {path.stem: path for path in sorted((starters_folder() / "arms").glob("*.yaml"))}
-        types = {stem: arm_type_of_text(_read_text(path), path) for stem, path in texts.items()}
-        fits = [stem for stem, one in types.items() if _is_of_type(arm.factory, one)]
-        meant = f"it fits {' or '.join(fits)}" if fits else "it fits no arm that comes with cellapp"
-        length, angle = (1e3 * most for most in _MOST_FACTORY)
-        where = places.get(("arms", name, "factory"), f"arms.{name}.factory")
-        raise InputError(
-            f"{where}: not a calibration of a {arm.type.model}: its rows differ from the published ones by more than"
-            f" {length:g} mm or {angle:g} mrad, {_FACTORY_SOURCE}; {meant}. Give the calibration.conf of this arm's"
-            " controller ('cellapp doctor PROFILE --controllers DIR' writes it), or the arm's own type"
-        )
+    if any(arm.factory is not None for arm in profile.arms.values()):
+        from cellapp.cell.profile.factory import require_own_factories  # numerics; other profiles load without
 
-
-def _is_of_type(table: ControllerTable, arm_type: ArmType) -> bool:
-    """Return whether a controller's deltas on the published rows of a type are those of one arm of that type."""
-    published = np.array([[joint.theta, joint.d, joint.a, joint.alpha] for joint in arm_type.joints])
-    deltas = np.array(table.deltas).T
-    if deltas.shape != published.shape:
-        return False
-    off = np.abs(off_published(published + deltas, published))
-    return bool(off[:, 1:3].max() <= _MOST_FACTORY[0] and off[:, [0, 3, 4]].max() <= _MOST_FACTORY[1])
+        require_own_factories(profile, places, own_arm_types)
 
 
 def with_sections(profile: Profile, path: Path, names: Sequence[str]) -> Profile:
@@ -221,6 +193,12 @@ def arm_type_of_text(text: str, path: Path) -> ArmType:
         return ArmType.model_validate(document.data)
     except ValidationError as error:
         raise InputError(validation_message(error, document)) from None
+
+
+def own_arm_types() -> dict[str, ArmType]:
+    """Return the arm types of this program, by their short names."""
+    paths = sorted((starters_folder() / "arms").glob("*.yaml"))
+    return {path.stem: arm_type_of_text(_read_text(path), path) for path in paths}
 
 
 def _locate_meshes(document: Document, folders: Sequence[Path]) -> None:
