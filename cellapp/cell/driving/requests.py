@@ -220,7 +220,11 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 def _locked(file: IO[bytes]) -> bool:
     """Lock a job file for the job; return False if another one holds it. Who only looks holds it for an instant."""
-    return any(taken(file, alone=True) or time.sleep(_LOCK_AGAIN_S) for _ in range(_LOCK_TRIES))
+    for _ in range(_LOCK_TRIES):
+        if taken(file, alone=True):
+            return True
+        time.sleep(_LOCK_AGAIN_S)
+    return False
 
 
 def _is_at(path: Path, file: IO[bytes]) -> bool:

@@ -312,7 +312,7 @@ class OnlineFit:
 
     def _stated(self) -> Array:
         """Return stated covariances (n, 3, 3) [m^2]; a missing one is the mean of the others, zero without any."""
-        missing = np.isnan(self._covariance_M).any(axis=(1, 2))
+        missing = np.isnan(self._covariance_M.sum(axis=(1, 2)))
         usual = np.zeros((3, 3)) if missing.all() else self._covariance_M[~missing].mean(axis=0)
         return np.where(missing[:, None, None], usual, self._covariance_M)
 
