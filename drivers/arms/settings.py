@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -105,6 +105,13 @@ class ArmSettings(Section):
     @abstractmethod
     def probe(self, arm: ArmContext, patience_s: float) -> Sequence[Finding]:
         """Check the arm without moving it; a controller that is silent for ``patience_s`` [s] counts as dead."""
+
+    def link(self, arm: ArmContext, look: Callable[[], None]) -> Sequence[Finding]:
+        """Measure for some seconds whether the link to the controller is fast enough; empty for other kinds.
+
+        ``look`` is called meanwhile and may raise.
+        """
+        return ()
 
     def excerpt(self, patience_s: float) -> Sequence[Mapping[str, object]]:
         """Return some states of the arm as its controller sends them, for a fault report; empty for other kinds."""

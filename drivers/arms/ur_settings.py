@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 _EXCERPT = 50
 """Number of states in an excerpt: 0.1 s of an e-Series controller, 0.4 s of a CB3."""
+_LONGEST_S = 5.0
+"""A controller that is silent for this long [s] counts as dead, even if the profile allows it more time."""
 _SAFETY_LIMITS = (
     "not asked: planes and other limits of the safety configuration are known to a running program only; before the"
     " first motion the controller is asked about every planned stop"
@@ -82,6 +85,28 @@ class UrSettings(UrOptions):
         checked = [Finding(check.subject, check.status, check.text) for check in found]
         link = Finding("link", "ok", where, answers.report())
         return [link, *checked, Finding("safety limits", "ok", _SAFETY_LIMITS), motion]
+
+    def link(self, arm: ArmContext, look: Callable[[], None]) -> list[Finding]:
+        """Compare round trips and silences of 2 s with the watchdog's period; twice if they exceed it."""
+        from drivers.arms import ur_probe
+        from drivers.arms.ur_motion import KICKED_AFTER
+
+        period_s, timeout_s = 1.0 / self.watchdog_hz, min(self.timeout, _LONGEST_S)
+        try:
+            timing = ur_probe.time_link(self.host, timeout_s, look)
+            if timing.slowest_s > (1.0 - KICKED_AFTER) * period_s:  # once, this computer may be the cause
+                timing = ur_probe.time_link(self.host, timeout_s, look)
+        except ArmError as error:
+            return [Finding("timing", "failed", str(error))]
+        if timing.slowest_s <= (1.0 - KICKED_AFTER) * period_s:
+            return [Finding("timing", "ok", timing.text)]
+        hertz = int(10.0 * (1.0 - KICKED_AFTER) / timing.slowest_s) / 10.0
+        way = f"or set arms.{arm.name}.driver.watchdog_hz to {hertz:g}" if hertz >= 1.0 else "no setting helps"
+        text = (
+            f"{timing.text}: too slow for the watchdog, which stops the arm after {period_s:.2f} s of silence; see to"
+            f" the network and close other programs on this computer; {way}"
+        )
+        return [Finding("timing", "failed", text)]
 
     def excerpt(self, patience_s: float) -> list[dict[str, object]]:
         """Return the next states over RTDE; if the controller stops sending, fewer ones, and the reason at the end."""
