@@ -437,7 +437,7 @@ class UrRecorder:
         count, patience = len(self._states), Patience(_SILENT_S)
         while len(self._states) == count and self._problem is None and not patience.over:
             time.sleep(_LAST_SAMPLE_LOOK_S)
-        problem = self._problem
+        problem = self._problem or (LinkLost("no state came") if len(self._states) == count else None)
         self.close()
         if problem is not None:
             raise LinkLost(f"arm {self._name}: the recording of its joints ended early: {cause(problem)}") from problem

@@ -33,7 +33,7 @@ from drivers.arms.ur_links import (
     printable,
     resolve,
 )
-from drivers.arms.ur_rtde_reader import Outputs, UrSample, read_sample
+from drivers.arms.ur_rtde_reader import UrSample, read_sample, samples
 from drivers.findings import DeviceReport
 from drivers.patience import Patience
 
@@ -476,46 +476,17 @@ def _values(form: struct.Struct, payload: bytes, what: str) -> tuple[Any, ...]:
 
 _TIMED_S = 2.0
 _ASK_EVERY_S = 0.05
-_RATE_HZ = 125.0
 
 
-@dataclass(frozen=True)
-class LinkTiming:
-    """Round trips [s], times between arrivals of successive states [s], and how many states did not come."""
+def time_link(host: str, timeout_s: float, look: Callable[[], None]) -> tuple[float, str]:
+    """Measure the link for 2 s; return by how much a message may be late [s], and the figures in words.
 
-    round_trips_s: Sequence[float]
-    gaps_s: Sequence[float]
-    missed: int
-
-    @property
-    def jitter_s(self) -> float:
-        """How much later than usual a state came, at most [s]."""
-        return max(self.gaps_s) - median(self.gaps_s)
-
-    @property
-    def slowest_s(self) -> float:
-        """Longest time that a message may have been late [s]."""
-        return max(self.jitter_s, *self.round_trips_s)
-
-    @property
-    def text(self) -> str:
-        """The figures in words."""
-        trips = f"{1e3 * median(self.round_trips_s):.1f} ms, at most {1e3 * max(self.round_trips_s):.1f} ms"
-        count = len(self.gaps_s) + 1 + self.missed
-        return (
-            f"round trip {trips}; states at most {1e3 * self.jitter_s:.1f} ms late, {self.missed} of {count} missed in"
-            f" {_TIMED_S:g} s"
-        )
-
-
-def time_link(host: str, timeout_s: float, look: Callable[[], None]) -> LinkTiming:
-    """Measure the link for 2 s; ``look`` is called meanwhile and may raise. Raises ``LinkLost``."""
-    patience = Patience(_TIMED_S + timeout_s, look=look)
-    address, trips_s = resolve(host, patience), list[float]()
-    arrived_s, stamps_s, ended = list[float](), list[float](), threading.Event()
+    ``look`` is called meanwhile and may raise. Raises ``LinkLost``.
+    """
+    patience, ended = Patience(_TIMED_S + timeout_s, look=look), threading.Event()
+    address, trips_s, arrived_s, stamps_s = resolve(host, patience), list[float](), list[float](), list[float]()
     with Connection(host, address, DASHBOARD_PORT) as line, Connection(host, address, RTDE_PORT) as stream:
         dashboard = Dashboard(line, Patience(_TIMED_S + timeout_s))
-        states = Outputs(stream, patience, ("timestamp",), (), _RATE_HZ).states(lambda: patience)
 
         def ask() -> None:
             with suppress(LinkLost):
@@ -527,15 +498,20 @@ def time_link(host: str, timeout_s: float, look: Callable[[], None]) -> LinkTimi
         asking = threading.Thread(target=ask, name=f"round trips to {host}", daemon=True)
         asking.start()
         try:
-            while not arrived_s or arrived_s[-1] - arrived_s[0] < _TIMED_S:
-                stamps_s.append(next(states)["timestamp"][0])
+            for sample in samples(stream, patience):
+                stamps_s.append(sample.time_s)
                 arrived_s.append(time.monotonic())
+                if arrived_s[-1] - arrived_s[0] > _TIMED_S:
+                    break
         finally:
             ended.set()
             asking.join()
     if not trips_s:
         raise LinkLost(f"{host}: its dashboard does not answer")
-    steps_s = [after - before for before, after in pairwise(stamps_s)]
-    usual_s = median(steps_s)
-    missed = sum(max(round(step_s / usual_s) - 1, 0) for step_s in steps_s) if usual_s > 0.0 else 0
-    return LinkTiming(trips_s, [after - before for before, after in pairwise(arrived_s)], missed)
+    gaps_s, steps_s = ([after - before for before, after in pairwise(one)] for one in (arrived_s, stamps_s))
+    late_s, usual_s = max(gaps_s) - median(gaps_s), max(median(steps_s), 1e-3)
+    missed = sum(max(round(step_s / usual_s) - 1, 0) for step_s in steps_s)
+    return max(late_s, *trips_s), (
+        f"round trip {1e3 * median(trips_s):.1f} ms, at most {1e3 * max(trips_s):.1f} ms; states at most"
+        f" {1e3 * late_s:.1f} ms late, {missed} of {len(stamps_s) + missed} missed in {_TIMED_S:g} s"
+    )

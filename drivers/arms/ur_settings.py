@@ -93,17 +93,17 @@ class UrSettings(UrOptions):
 
         period_s, timeout_s = 1.0 / self.watchdog_hz, min(self.timeout, _LONGEST_S)
         try:
-            timing = ur_probe.time_link(self.host, timeout_s, look)
-            if timing.slowest_s > (1.0 - KICKED_AFTER) * period_s:  # once, this computer may be the cause
-                timing = ur_probe.time_link(self.host, timeout_s, look)
+            late_s, figures = ur_probe.time_link(self.host, timeout_s, look)
+            if late_s > (1.0 - KICKED_AFTER) * period_s:  # once, this computer may be the cause
+                late_s, figures = ur_probe.time_link(self.host, timeout_s, look)
         except ArmError as error:
             return [Finding("timing", "failed", str(error))]
-        if timing.slowest_s <= (1.0 - KICKED_AFTER) * period_s:
-            return [Finding("timing", "ok", timing.text)]
-        hertz = int(10.0 * (1.0 - KICKED_AFTER) / timing.slowest_s) / 10.0
+        if late_s <= (1.0 - KICKED_AFTER) * period_s:
+            return [Finding("timing", "ok", figures)]
+        hertz = int(10.0 * (1.0 - KICKED_AFTER) / late_s) / 10.0
         way = f"or set arms.{arm.name}.driver.watchdog_hz to {hertz:g}" if hertz >= 1.0 else "no setting helps"
         text = (
-            f"{timing.text}: too slow for the watchdog, which stops the arm after {period_s:.2f} s of silence; see to"
+            f"{figures}: too slow for the watchdog, which stops the arm after {period_s:.2f} s of silence; see to"
             f" the network and close other programs on this computer; {way}"
         )
         return [Finding("timing", "failed", text)]
