@@ -15,7 +15,7 @@ import pytest
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.certificate.result import CertificateResult
-from cellapp.commands.certificate.run import PAGE_FILE, PRINT_FILE, SUMS_FILE, certificate_run
+from cellapp.commands.certificate.run import PAGE_FILE, SUMS_FILE, certificate_run
 from cellapp.commands.report.result import read_results
 from cellapp.commands.stages import CERTIFICATE_FILE, append_stage, complaints_of, read_stages
 from cellapp.ground.errors import InputError
@@ -165,23 +165,6 @@ def test_a_changed_verification_is_called_changed(changeable: Path) -> None:
     edit_stored(changeable, VERIFY, '"stopped":""', '"stopped":"by hand"')
     with RunFile.open(changeable) as run:
         assert read_stages(run).out_of_date[CERTIFICATE] == "the stored verification was changed"
-
-
-def test_the_print_is_certified_with_the_page(
-    finished_copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    browser = tmp_path / "chromium"
-    browser.write_text(
-        '#!/bin/sh\nfor one in "$@"; do case $one in --print-to-pdf=*) echo \'%PDF\' > "${one#*=}";; esac; done\n'
-    )
-    browser.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
-    with RunFile.open(finished_copy, write=True) as run:
-        made = certificate_run(run, certificate_page, pdf=True)
-    assert made.files == (CERTIFICATE_FILE, PAGE_FILE, PRINT_FILE, SUMS_FILE)
-    assert changed_files(finished_copy) == []
-    (finished_copy / PRINT_FILE).write_bytes(b"%PDF-1.7 it conforms")
-    assert changed_files(finished_copy) == [PRINT_FILE]
 
 
 def test_a_certificate_names_who_how_and_where(finished_copy: Path, tmp_path: Path) -> None:
