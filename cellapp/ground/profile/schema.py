@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from cellapp.ground.network_kind import NetworkKind
 from cellapp.ground.profile.sections import (
@@ -313,14 +313,24 @@ class Plant(GrownSection):
     later_keys = frozenset({"tracker_pose", "factory"})
 
 
+def _name(given: str) -> str:
+    """Return the name of a cell or an arm. Files and folders are called so: it may be no path."""
+    if given.strip(" .") != given or any(sign in "/\\" or not sign.isprintable() for sign in given):
+        raise ValueError(f"{given!r} is no name: files are called so; leave out / and \\, dots and blanks at its ends")
+    return given
+
+
+Name = Annotated[str, Field(min_length=1), AfterValidator(_name)]
+
+
 class Profile(GrownSection, defer_build=True):
     """A whole cell."""
 
     schema_: Literal["cellapp-profile"] = Field(alias="schema")
     version: Literal[1]
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
-    arms: Annotated[dict[str, Arm], Field(min_length=1)]
+    arms: Annotated[dict[Name, Arm], Field(min_length=1)]
     tracker: Tracker
     sensors: Sensors = Field(default_factory=Sensors)
     obstacles: Obstacles = Field(default_factory=dict)
