@@ -310,7 +310,13 @@ class Plant(GrownSection):
     """Where the simulated tracker really stands, if that is not ``tracker.pose``, as after it was moved."""
     factory: FactoryErrors | None = None
     """The controllers' own calibration; if left out, they compute with the published rows."""
-    later_keys = frozenset({"tracker_pose", "factory"})
+    earlier_jobs: Annotated[int, Field(strict=True, ge=0)] = 0
+    """Jobs of the run that measured before: the noise of each is another. The program counts them."""
+    later_keys = frozenset({"tracker_pose", "factory", "earlier_jobs"})
+
+    def after(self, jobs: int) -> Self:
+        """Return the cell when ``jobs`` have measured in it."""
+        return self.model_copy(update={"earlier_jobs": jobs})
 
 
 def _name(given: str) -> str:

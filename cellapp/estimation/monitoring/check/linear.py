@@ -31,7 +31,6 @@ from cellapp.estimation.monitoring.check.belief import (
     ChangeKind,
     CheckBelief,
     measured_vectors,
-    network_shift,
     noise_covariance,
 )
 from cellapp.estimation.prior.belief import Measured, design, is_own, is_smooth, term_columns
@@ -237,8 +236,7 @@ def expected(belief: CheckBelief, readings: Mapping[str, Readings]) -> dict[str,
 
 def _computed(arm: ArmBelief, its: Measured) -> Array:
     """Predict vectors (n, 3) by the calibration; orientations as rotation vectors from the measured to the expected."""
-    shift = network_shift(arm.stored, its.readings.q) * its.points[:, None]
-    return np.asarray(arm.model.predict(its.readings.q, conditions=its.conditions) + shift)
+    return arm.model.predict(its.readings.q, conditions=its.conditions)
 
 
 def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions: Sequence[Direction]) -> StopRows:
