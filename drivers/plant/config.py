@@ -190,7 +190,8 @@ class PlantConfig:
 
     def random(self, stream: int) -> np.random.Generator:
         """Return the random numbers of one purpose: others for each job that measures."""
-        return np.random.default_rng([self.seed, stream, self.earlier_jobs][: 3 if self.earlier_jobs else 2])
+        jobs = (self.earlier_jobs,) if self.earlier_jobs else ()
+        return np.random.default_rng(np.random.SeedSequence([self.seed, stream], spawn_key=jobs))
 
     def __post_init__(self) -> None:
         names = [arm.name for arm in self.arms]

@@ -71,6 +71,8 @@ class ArmBelief:
     measured : Measured
         The readings of the calibration without gross errors, in the frame of ``model``: positions, then orientations
         where the check measures them.
+    unexplained : array, shape (n, 3)
+        Of the residuals of ``measured``, what a stop that is measured again is expected to show again [m, rad].
     scatter_rad, noise_rad : float
         As ``scatter_m`` and ``noise_m``, of a component of an orientation [rad]; zero where none is measured.
     """
@@ -83,6 +85,7 @@ class ArmBelief:
     day_m: float
     promised_m: float
     measured: Measured
+    unexplained: Array
     scatter_rad: float = 0.0
     noise_rad: float = 0.0
 
@@ -227,6 +230,8 @@ class Conclusion:
         return float(np.degrees(np.arctan2(sine, 0.5 * (np.trace(R) - 1.0))))
 
 
+_REPEATS = 0.5
+"""Share of the unexplained that a stop shows again: all of what depends on the position, nothing of what on the way."""
 _FEWEST_HELD_OUT = 20
 """Fewest held-out readings with which their scatter is estimated."""
 
@@ -333,9 +338,20 @@ def arm_belief(found: Posterior, measured: Measured, learned: ArmModel) -> ArmBe
         day_m=_day_m(found.model, measured.positions),
         promised_m=math.sqrt(float(np.mean(np.trace(promised[points], axis1=1, axis2=2)))),
         measured=measured,
+        unexplained=_unexplained(found, excess, of_turns),
         scatter_rad=math.sqrt(found.scatter_rad**2 + of_turns),
         noise_rad=0.0 if turned is None else math.sqrt(mean_variance(sigma[turned]) + of_turns),
     )
+
+
+def _unexplained(found: Posterior, excess: float, of_turns: float) -> Array:
+    """Return what of the residuals (n, 3) is expected again: a share of what is not the tracker's noise."""
+    share = np.empty(len(found.measured))
+    points, sigma = found.measured.points, found.measured.sigma
+    for rows, scatter, more in ((points, found.scatter_m, excess), (~points, found.scatter_rad, of_turns)):
+        if rows.any():
+            share[rows] = (scatter**2 + more) / (mean_variance(sigma[rows]) + more)
+    return np.asarray(_REPEATS * share[:, None] * found.left_M)
 
 
 def _promised(found: Posterior, measured: Measured) -> Array:
