@@ -388,6 +388,7 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions
             repeatability=settings.repeatability,
             temperature_c=settings.temperature,
             noise=settings.noise,
+            earlier_jobs=settings.earlier_jobs,
             floor=profile.plan.floor,
             factory=None if settings.factory is None else GeometryErrors(**settings.factory.model_dump()),
         )

@@ -575,6 +575,8 @@ class _Sessions:
         bodies = cell_bodies(profile)
         if opened is None and self.plant is not None:
             opened = partial(open_cell, plant=self.plant, control=control)
+        if profile.plant is not None:
+            profile = profile.model_copy(update={"plant": profile.plant.after(len(run.sessions()))})
         with opening(profile, control, opened, watch_clearance=self.watch_clearance) as cell:
             self.plant = cell.plant
             if run.profile.loads > 1:

@@ -35,7 +35,7 @@ from cellapp.estimation.uncertainty.budget import measured_conditions
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import CERTIFICATE, ISO9283, VERIFY, StageName
+from cellapp.ground.results import CALIBRATE, CERTIFICATE, ISO9283, VERIFY, StageName
 from cellapp.robot.plugins import program_of
 
 PAGE_FILE = "certificate.html"
@@ -105,8 +105,8 @@ def certificate_run(
     Raises
     ------
     InputError
-        If the run is read-only, ``number`` or ``data`` is not valid, the folder holds a signed certificate,
-        or the files cannot be written. Nothing is stored then.
+        If the run is read-only or nothing was measured, ``number`` or ``data`` is not valid, the folder holds a signed
+        certificate, or the files cannot be written. Nothing is stored then.
     """
     if not run.writable:
         raise InputError(f"{run.path} is open for reading only; open it for writing")
@@ -116,6 +116,11 @@ def certificate_run(
     shown = (CERTIFICATE_FILE, PAGE_FILE)
     profile = run.profile if data is None else with_sections(run.profile, data, DATA_SECTIONS)
     stages = read_stages(run)
+    if not any(name in stages.current for name in (CALIBRATE, *CERTIFIED_STAGES)):
+        raise InputError(
+            f"{run.folder}: nothing here was measured that a certificate could state: no calibration"
+            f" ('cellapp calibrate {run.folder}'), no verified targets ('cellapp push'), no test ('cellapp iso9283')"
+        )
     basis = certified_basis(run, stages)
     with tempfile.TemporaryDirectory(prefix="cellapp-certificate-") as temporary:
         made = Path(temporary)

@@ -286,7 +286,7 @@ def test_four_points_find_the_station_within_its_stated_uncertainty(moved_run: t
     np.testing.assert_allclose(model.T_M_M0, found.T_new_old)
     table, *_ = location_tables(found)
     assert len(table.rows) == 4
-    assert location_sentences(found)[0].startswith("the tracker was moved 500.4")
+    assert location_sentences(found)[0].startswith("the tracker was moved 500.")
 
 
 def test_targets_are_met_from_the_new_station_as_before(moved_run: tuple[RunFile, LocateResult]) -> None:
