@@ -156,7 +156,7 @@ def correct_run(
     if not read.targets and not read.left:
         raise InputError(f"{program}: no motion with a target found; nothing was written")
     limits = np.array(settings.joint_limits)
-    home = np.zeros(_JOINTS) if settings.home is None else np.array(settings.home)
+    home = None if settings.home is None else np.array(settings.home)
     q = known_readings(run, name).q
     place = Workplace(model_arm, limits, home, q, run.profile.seed, read.payload_kg, extrapolate)
     corrected = solve_targets(place, read.targets)

@@ -129,7 +129,8 @@ class CorrectedTarget(Record):
         Standard uncertainties of a coordinate of the TCP and of the flange's orientation there, by the model; None
         where it states none.
     nearest_to : str
-        What selected among the solutions of a pose: ``qnear``, a line, or ``home``; empty for joint positions.
+        What selected among the solutions of a pose: ``qnear``, a line, or ``home``; ``readings`` or ``reach`` if it is
+        the only one in their ranges or within reach; empty for joint positions.
     reason : str
         Why it is not corrected; empty if it is.
     """

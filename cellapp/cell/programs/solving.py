@@ -44,8 +44,8 @@ class Workplace:
     arm : ArmModel
     limits : array, shape (N, 2)
         Joint limits [rad].
-    home : array, shape (N,)
-        Assumed position of the arm at the beginning [rad].
+    home : array, shape (N,), or None
+        Assumed position of the arm at the beginning [rad]; None if the profile has none.
     measured : array, shape (m, N)
         Joint positions of the readings [rad].
     seed : int
@@ -57,7 +57,7 @@ class Workplace:
 
     arm: ArmModel
     limits: Array
-    home: Array
+    home: Array | None
     measured: Array
     seed: int
     payload_kg: float | None
@@ -119,25 +119,57 @@ def _meant(
     poses = [k for k, target in enumerate(targets) if target.kind == "pose"]
     for k in poses:
         meant[k] = _wanted_tcp(targets[k]) @ invert(pose_matrix(targets[k].tcp or (0.0,) * 6))
-    near = np.array([targets[k].near or place.home.tolist() for k in poses]).reshape(-1, len(place.home))
+    middle = np.mean([place.measured.min(axis=0), place.measured.max(axis=0)], axis=0)
+    start = middle if place.home is None else place.home
+    near = np.array([targets[k].near or start.tolist() for k in poses]).reshape(-1, len(start))
     solutions = dict(zip(poses, branches(chain, meant[poses], place.limits, near, place.seed), strict=True))
     chosen: list[tuple[Array | None, str]] = []
-    last, function, line = place.home, None, 0
+    last, function, line = start, None, 0
     for k, target in enumerate(targets):
         if target.function != function:
-            last, function, line = place.home, target.function, 0
+            last, function, line = start, target.function, 0
         if target.kind == "joints":
             q: Array | None = np.array(target.numbers)
             meant[k] = flange_of(chain, np.array([target.numbers]))[0]
             why = ""
+        elif target.near is None and not line:
+            q, why = _first_posture(place, solutions[k], middle)
         else:
-            why = "qnear" if target.near is not None else f"line {line}" if line else "home"
             to = last if target.near is None else np.array(target.near)
             q = nearest(solutions[k], place.limits, to)
-        chosen.append((q, why if q is not None else "out of reach, or only beyond a joint's limits"))
+            why = "qnear" if target.near is not None else f"line {line}"
+        chosen.append(
+            (q, why if q is not None or len(solutions[k]) else "out of reach, or only beyond a joint's limits")
+        )
         if q is not None:
             last, line = q, target.line
     return meant, chosen
+
+
+def _first_posture(place: Workplace, solutions: Array, middle: Array) -> tuple[Array | None, str]:
+    """Choose among solutions (k, N) [rad] of a target before which the program does not say where the arm is.
+
+    The controller takes the one nearest to where the arm stands: at home, where the profile has it. Else it must be the
+    only one within the ranges of the readings, or the only one. Return it and why, or None and why not.
+    """
+    turned = [q for one in solutions if (q := nearest(one[None], place.limits, middle)) is not None]
+    within = [q for q in turned if not outside(q, place.measured)]
+    if place.home is not None:
+        at_home = nearest(solutions, place.limits, place.home)
+        if at_home is not None and (len(within) != 1 or not outside(at_home, place.measured)):
+            return at_home, "home"
+    possible = within or turned
+    if len(possible) == 1:
+        return possible[0], "readings" if within else "reach"
+    where = "" if within else ", each outside the calibrated range"
+    words = ", ".join(map(posture_text, possible))
+    reason = f"{len(possible)} postures reach it{where}, {words} deg: say which by qnear or arms.*.home of the profile"
+    return None, reason
+
+
+def posture_text(q: Array | Sequence[float]) -> str:
+    """Return joint positions (N,) [rad] in degrees."""
+    return f"({', '.join(f'{angle + 0.0:.0f}' for angle in np.degrees(q).round())})"
 
 
 def _spreads(place: Workplace, q: Array, tcps: Array) -> Array | None:
@@ -499,6 +531,8 @@ _UNKNOWN = {
     DriverVariable.DWELL: "after a long rest",
 }
 
+_ONLY = {"readings": "the only one within the ranges of the readings", "reach": "the only one that reaches it"}
+
 SIZES = (
     "moves and turns: by how much the pose of the TCP is corrected; sigma: standard uncertainty of a coordinate of the"
     " corrected TCP by the calibrated model, so that a corrected target is within 2 sigma in each coordinate with 95 %"
@@ -544,6 +578,12 @@ def correct_lines(result: CorrectResult) -> list[str]:
     refused = result.refused
     lines = [SIZES, f"arm {result.arm}: {counted(done, 'target')} corrected, {len(refused)} not"]
     lines += [f"  assumed {line}" for line in result.assumptions]
+    lines += [
+        f"{result.program}:{one.line}: {one.command}: posture {posture_text(one.q_new)} deg,"
+        f" {_ONLY.get(one.nearest_to) or f'nearest to {one.nearest_to}'}"
+        for one in result.targets
+        if one.q_new is not None and one.kind == "pose"
+    ]
     lines += [f"{result.program}:{line}: {command}: {reason}" for line, command, reason in refused]
     lines += [
         f"{result.program}:{one.line}: {one.command}: left, {one.reason}" for one in result.left if not one.refused

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cellapp.cell.profile.files import controller_file_text
 from cellapp.cell.run import RunFile
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.plain_dh import plain_geometry
 from tests.arms import OFF_AXIS, UR5, UR10, Array, at_station, true_geometry
+from tests.cell.programs.plain_controller import forward
 from tests.interfaces.cli.test_cli import call, exit_code, one_sentence  # noqa: F401 - a fixture
 
 
@@ -103,3 +106,25 @@ def test_the_factory_file_of_another_arm(call: Any, monkeypatch: pytest.MonkeyPa
     said += call("calibrate", "mine", "--json", "-").json["notes"]
     assert "explains the points worse" not in " ".join(said)
     assert exit_code(monkeypatch, "correct", "mine", "a.script", "--out", "b.script") == 0
+
+
+def test_the_posture_is_the_one_that_was_measured(call: Any) -> None:  # noqa: F811
+    taught = np.array([0.3, -1.2, 1.6, -1.0, 1.2, 0.2])
+    T = forward(UR5, taught)
+    pose = [*T[:3, 3].tolist(), *Rotation.from_matrix(T[:3, :3]).as_rotvec().tolist()]
+    Path("a.script").write_text(f"def a():\n  set_tcp(p[0,0,0,0,0,0])\n  movel(p{pose})\nend\n", "utf-8")
+    rng = np.random.default_rng(0)
+    for run, spread in (("narrow", 0.6), ("wide", 3.0)):
+        q = taught + rng.uniform(-spread, spread, (60, 6))
+        write_table(Path(f"{run}.csv"), q, points(q))
+        call("init", "--readings", f"{run}.csv", "--arm", "ur5")
+        call("import", f"profiles/{run}.yaml", f"readings/{run}.csv", "--run", run)
+        call("calibrate", run)
+    found = call("correct", "narrow", "a.script", "--out", "b.script", "--json", "b.json")
+    (target,) = json.loads(Path("b.json").read_text("utf-8"))["targets"]
+    np.testing.assert_allclose(target["q_new"], taught, atol=0.02)
+    assert target["nearest_to"] == "readings"
+    assert "posture (17, -69, 92, -57, 69, 11) deg, the only one within the ranges" in " ".join(found.out.split())
+    refused = call("correct", "wide", "a.script", "--out", "c.script")
+    assert (refused.code, Path("c.script").exists()) == (2, False)
+    assert "postures reach it, (17, -69, 92, -57, 69, 11)" in " ".join(refused.out.split())
