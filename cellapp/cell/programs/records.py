@@ -7,7 +7,7 @@ Programs of both kinds (``.script``, ``.urp``) are read into these; ``solving`` 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -107,6 +107,13 @@ class ReadProgram:
 
 
 Numbers = tuple[float, float, float, float, float, float]
+Three = tuple[float, float, float]
+
+
+def three(values: Iterable[float]) -> Three:
+    """Return three values as floats."""
+    first, second, third = map(float, values)
+    return first, second, third
 
 
 class CorrectedTarget(Record):
@@ -128,6 +135,10 @@ class CorrectedTarget(Record):
     uncertainty_mm, uncertainty_mrad : float or None
         Standard uncertainties of a coordinate of the TCP and of the flange's orientation there, by the model; None
         where it states none.
+    own_mm, own_mrad : float or None
+        The same without what is common to all targets (``CommonSigma``).
+    significant : bool or None
+        False where the target is left as taught, as the correction is not significant against its own uncertainty.
     nearest_to : str
         What selected among the solutions of a pose: ``qnear``, a line, or ``home``; ``readings`` or ``reach`` if it is
         the only one in their ranges or within reach; empty for joint positions.
@@ -145,8 +156,24 @@ class CorrectedTarget(Record):
     q_new: Numbers | None = None
     uncertainty_mm: float | None = None
     uncertainty_mrad: float | None = None
+    own_mm: float | None = None
+    own_mrad: float | None = None
+    significant: bool | None = None
     nearest_to: str = ""
     reason: str = ""
+
+
+class CommonSigma(Record):
+    """What is common to all targets of one TCP: standard uncertainties in the flange frame along and about x, y, z, and
+    in the base frame of a coordinate at the targets and of the rotation; ``significant`` is whether what the
+    corrections have in common is so against them."""
+
+    tcp: Numbers | None
+    flange_mm: Three
+    flange_mrad: Three
+    base_mm: float
+    base_mrad: float
+    significant: bool
 
 
 class LeftLine(Record):
@@ -168,6 +195,7 @@ class CorrectResult(Result, schema="cellapp-correct"):
     left: tuple[LeftLine, ...]
     assumptions: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    common: tuple[CommonSigma, ...] = ()
 
     @property
     def refused(self) -> tuple[tuple[int, str, str], ...]:

@@ -7,17 +7,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, Place, ProgramTarget, ReadProgram
+from cellapp.cell.programs.records import (
+    CommonSigma,
+    CorrectedTarget,
+    CorrectResult,
+    Place,
+    ProgramTarget,
+    ReadProgram,
+    three,
+)
 from cellapp.cell.programs.script_targets import six
 from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
 from cellapp.cell.targets.invert import Inverted
+from cellapp.estimation.uncertainty.common import divided
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.effects.law import DriverVariable
@@ -84,9 +95,7 @@ def solve_targets(place: Workplace, targets: Sequence[ProgramTarget]) -> list[Co
     arm = moved_by(place.arm)
     solved = aim(arm, arm.nominal.T_M_B() @ meant[found], q_old, conditions)
     told = flange_of(chain, solved.q)
-    angles = orientation_spread(place.arm, solved.q)
     tcps = [np.eye(4) if (tcp := targets[k].tcp) is None else pose_matrix(tcp) for k in found]
-    spreads = _spreads(place, solved.q, np.array(tcps)[:, :3, 3])
     results = list(refused)
     for row, k in enumerate(found):
         residual = max(solved.residual_m[row], solved.residual_rad[row])
@@ -99,10 +108,56 @@ def solve_targets(place: Workplace, targets: Sequence[ProgramTarget]) -> list[Co
             meant=meant[k] @ tcps[row],
             told=told[row] @ tcps[row],
             nearest_to=chosen[k][1],
-            spread_mm=None if spreads is None else float(spreads[row]) * 1e3,
-            spread_mrad=None if angles is None else float(angles[row]) * 1e3,
         )
     return results
+
+
+def judged(
+    place: Workplace, targets: Sequence[ProgramTarget], corrected: Sequence[CorrectedTarget], *, every: bool
+) -> tuple[list[CorrectedTarget], list[CommonSigma]]:
+    """Return the corrections with their uncertainties, and what is common to the targets of each TCP.
+
+    A correction that is not significant against the target's own uncertainty is left as taught, unless ``every``.
+    """
+    found, common = list(corrected), list[CommonSigma]()
+    solved = [(targets[k].tcp, k) for k, one in enumerate(corrected) if one.q_new is not None]
+    for tcp, rows in grouped(solved).items():
+        q = np.array([corrected[k].q_new for k in rows])
+        point = np.zeros(3) if tcp is None else np.array(tcp[:3])
+        parts = divided(
+            place.arm, q, point, place.conditions(len(q)), place.measured, partial(_corrections, place, point)
+        )
+        if parts is None:
+            return found, common
+        common.append(
+            CommonSigma(
+                tcp=tcp,
+                flange_mm=three(parts.flange_m * 1e3),
+                flange_mrad=three(parts.flange_rad * 1e3),
+                base_mm=parts.base_m * 1e3,
+                base_mrad=parts.base_rad * 1e3,
+                significant=parts.common_significant,
+            )
+        )
+        for row, k in enumerate(rows):
+            own = {
+                "uncertainty_mm": float(parts.whole_m[row]) * 1e3,
+                "uncertainty_mrad": float(parts.whole_rad[row]) * 1e3,
+                "own_mm": float(parts.own_m[row]) * 1e3,
+                "own_mrad": float(parts.own_rad[row]) * 1e3,
+            }
+            found[k] = corrected[k].model_copy(update=own)
+            if not (every or parts.significant[row]):
+                found[k] = found[k].model_copy(update={"new": found[k].old, "significant": False})
+    return found, common
+
+
+def _corrections(place: Workplace, point: Array, q: Array, conditions: MeasurementConditions) -> tuple[Array, Array]:
+    """Return by how much a plain controller at ``q`` (n, N) is told other than where the arm is: shift and rotation."""
+    told = place.arm.nominal.T_M_B() @ flange_of(controller_chain(place.arm), q)
+    true = true_flange(moved_by(place.arm), q, conditions)
+    turns = rotation_vectors(told[:, :3, :3] @ true[:, :3, :3].transpose(0, 2, 1))
+    return told[:, :3, 3] - true[:, :3, 3] + (told[:, :3, :3] - true[:, :3, :3]) @ point, turns
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -172,18 +227,6 @@ def posture_text(q: Array | Sequence[float]) -> str:
     return f"({', '.join(f'{angle + 0.0:.0f}' for angle in np.degrees(q).round())})"
 
 
-def _spreads(place: Workplace, q: Array, tcps: Array) -> Array | None:
-    """Return the standard deviation (n,) [m] of a coordinate of the TCPs (n, 3) at ``q`` (n, N); None if unknown."""
-    spreads = np.zeros(len(q))
-    for tcp in np.unique(tcps, axis=0):
-        same = np.all(tcps == tcp, axis=1)
-        found = position_spread(place.arm, q[same], tcp, place.conditions(int(same.sum())))
-        if found is None:
-            return None
-        spreads[same] = found
-    return spreads
-
-
 def _wanted_tcp(target: ProgramTarget) -> Array:
     """Return the TCP pose (4, 4) that a pose target means."""
     wanted = pose_matrix(target.numbers)
@@ -232,8 +275,6 @@ def _corrected(
     meant: Array,
     told: Array,
     nearest_to: str,
-    spread_mm: float | None,
-    spread_mrad: float | None,
 ) -> CorrectedTarget:
     shift = float(np.linalg.norm(told[:3, 3] - meant[:3, 3]))
     turn = float(np.linalg.norm(rotation_vectors((meant[:3, :3].T @ told[:3, :3])[None])[0]))
@@ -253,8 +294,6 @@ def _corrected(
         correction_mm=shift * 1e3,
         correction_mrad=turn * 1e3,
         q_new=six(q_new.tolist()),
-        uncertainty_mm=spread_mm,
-        uncertainty_mrad=spread_mrad,
         nearest_to=nearest_to,
     )
 
@@ -363,36 +402,6 @@ def nearest(solutions: Array, limits: Array, to: Array) -> Array | None:
     if len(turned) == 0:
         return None
     return np.asarray(turned[np.argmin(np.sum((turned - to) ** 2, axis=1))])
-
-
-def position_spread(arm: ArmModel, q: Array, tcp: Array, conditions: MeasurementConditions) -> Array | None:
-    """Return the standard deviation (n,) [m] of a coordinate of the point ``tcp`` (3,) on the flange; None if unknown.
-
-    The uncertainty of the SMR's offset does not affect it and is left out of the posterior draws.
-    """
-    if arm.posterior is None:
-        return None
-    of_tool = np.array(arm.posterior.columns) >= 6 + 5 * arm.geometry.joints
-    draws = np.where(of_tool, 0.0, arm.posterior.geometry)
-    return replace(_with_tool(arm, tcp), posterior=replace(arm.posterior, geometry=draws)).uncertainty(q, conditions)
-
-
-def orientation_spread(arm: ArmModel, q: Array) -> Array | None:
-    """Return the standard deviation (n,) [rad] of the flange's orientation from posterior draws; None without draws.
-
-    It is the root mean square of the angle between drawn and identified orientation, from geometry only.
-    """
-    if arm.posterior is None:
-        return None
-    columns = list(arm.posterior.columns)
-    own = flange_poses(arm.geometry, q)[0].transpose(0, 2, 1)
-    vector, squares = arm.geometry.vector(), np.zeros(len(q))
-    for draw in arm.posterior.geometry:
-        drawn = vector.copy()
-        drawn[columns] += draw
-        rotations = flange_poses(arm.geometry.with_vector(drawn), q)[0]
-        squares += np.sum(rotation_vectors(rotations @ own) ** 2, axis=1)
-    return np.asarray(np.sqrt(squares / len(arm.posterior.geometry)))
 
 
 def outside(q: Array, measured: Array) -> list[int]:
@@ -534,9 +543,8 @@ _UNKNOWN = {
 _ONLY = {"readings": "the only one within the ranges of the readings", "reach": "the only one that reaches it"}
 
 SIZES = (
-    "moves and turns: by how much the pose of the TCP is corrected; sigma: standard uncertainty of a coordinate of the"
-    " corrected TCP by the calibrated model, so that a corrected target is within 2 sigma in each coordinate with 95 %"
-    " probability"
+    "moves and turns: by how much the pose of the TCP is corrected; sigma: the target's own standard uncertainty of a"
+    " coordinate of the TCP by the calibrated model, relative to the other targets; what is common to all stands below"
 )
 """Explanation of the numbers of the table."""
 
@@ -576,7 +584,14 @@ def correct_lines(result: CorrectResult) -> list[str]:
     """Return what was written, what was assumed and what was refused, as lines."""
     done = sum(not one.reason for one in result.targets)
     refused = result.refused
-    lines = [SIZES, f"arm {result.arm}: {counted(done, 'target')} corrected, {len(refused)} not"]
+    kept = sum(one.significant is False for one in result.targets)
+    lines = [SIZES, f"arm {result.arm}: {counted(done - kept, 'target')} corrected, {len(refused)} not"]
+    if kept:
+        lines.append(
+            f"{counted(kept, 'target is', 'targets are')} left as taught: the correction is not significant against the"
+            " target's own sigma (--insignificant corrects them too)"
+        )
+    lines += map(_common_words, result.common)
     lines += [f"  assumed {line}" for line in result.assumptions]
     lines += [
         f"{result.program}:{one.line}: {one.command}: posture {posture_text(one.q_new)} deg,"
@@ -590,6 +605,18 @@ def correct_lines(result: CorrectResult) -> list[str]:
     ]
     lines += result.notes
     return [*lines, "nothing was written" if result.out is None else f"written to {result.out}"]
+
+
+def _common_words(one: CommonSigma) -> str:
+    """State what is common to the targets of a TCP, and what would determine it."""
+    tcp = "of the flange" if one.tcp is None else f"of TCP p[{', '.join(f'{value:g}' for value in one.tcp)}]"
+    shift, turn = (", ".join(f"{value:.3f}" for value in values) for values in (one.flange_mm, one.flange_mrad))
+    return (
+        f"sigma common to all targets {tcp}: in the flange frame x, y, z {shift} mm and about them {turn} mrad, which a"
+        " TCP taught with the calibrated arm, a probe or three SMRs would determine; in the base frame"
+        f" {one.base_mm:.3f} mm a coordinate and {one.base_mrad:.3f} mrad, which a surveyed base would determine;"
+        f" what the corrections have in common is {'' if one.significant else 'not '}significant against it"
+    )
 
 
 def refusal(result: CorrectResult) -> str:

@@ -128,3 +128,26 @@ def test_the_posture_is_the_one_that_was_measured(call: Any) -> None:  # noqa: F
     refused = call("correct", "wide", "a.script", "--out", "c.script")
     assert (refused.code, Path("c.script").exists()) == (2, False)
     assert "postures reach it, (17, -69, 92, -57, 69, 11)" in " ".join(refused.out.split())
+
+
+def test_sigma_is_the_targets_own_and_what_is_common_stands_once(call: Any) -> None:  # noqa: F811
+    """An arm that is as published, measured with noise: its corrections are not significant."""
+    rng = np.random.default_rng(0)
+    q = np.array([0.3, -1.2, 1.6, -1.0, 1.2, 0.2]) + rng.uniform(-1.0, 1.0, (60, 6))
+    p_M = smr_positions(at_station(UR5, OFF_AXIS), q) + rng.normal(0.0, 50e-6, (60, 3))
+    calibrated(call, q, p_M)
+    moves = "".join(f"  movej({one.tolist()})\n" for one in q[:2])
+    Path("a.script").write_text(f"def a():\n{moves}end\n", "utf-8")
+    said = call("correct", "run", "a.script", "--out", "b.script").out
+    assert "sigma is not stated: only a discovery estimates" in " ".join(said.split())
+    call("discover", "run")
+    said = call("correct", "run", "a.script", "--out", "c.script", "--json", "c.json").out
+    assert "2 targets are left as taught" in " ".join(said.split())
+    assert Path("c.script").read_bytes() == Path("a.script").read_bytes()
+    found = json.loads(Path("c.json").read_text("utf-8"))
+    (common,) = found["common"]
+    assert common["flange_mm"][2] > 1.0, "a single SMR does not tell how far the flange is from it"
+    for target in found["targets"]:
+        assert target["own_mm"] < 0.1 < 0.5 < target["uncertainty_mm"]
+    call("correct", "run", "a.script", "--out", "d.script", "--insignificant")
+    assert Path("d.script").read_bytes() != Path("a.script").read_bytes()
