@@ -7,10 +7,11 @@ Programs of both kinds (``.script``, ``.urp``) are read into these; ``solving`` 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+from cellapp.estimation.uncertainty.records import CommonUncertainty
 from cellapp.ground.results import Record, Result
 
 Six = tuple[float, float, float, float, float, float]
@@ -107,13 +108,6 @@ class ReadProgram:
 
 
 Numbers = tuple[float, float, float, float, float, float]
-Three = tuple[float, float, float]
-
-
-def three(values: Iterable[float]) -> Three:
-    """Return three values as floats."""
-    first, second, third = map(float, values)
-    return first, second, third
 
 
 class CorrectedTarget(Record):
@@ -136,7 +130,7 @@ class CorrectedTarget(Record):
         Standard uncertainties of a coordinate of the TCP and of the flange's orientation there, by the model; None
         where it states none.
     own_mm, own_mrad : float or None
-        The same without what is common to all targets (``CommonSigma``).
+        The same without what is common to all targets (``CommonUncertainty``).
     significant : bool or None
         False where the target is left as taught, as the correction is not significant against its own uncertainty.
     nearest_to : str
@@ -163,19 +157,6 @@ class CorrectedTarget(Record):
     reason: str = ""
 
 
-class CommonSigma(Record):
-    """What is common to all targets of one TCP: standard uncertainties in the flange frame along and about x, y, z, and
-    in the base frame of a coordinate at the targets and of the rotation; ``significant`` is whether what the
-    corrections have in common is so against them."""
-
-    tcp: Numbers | None
-    flange_mm: Three
-    flange_mrad: Three
-    base_mm: float
-    base_mrad: float
-    significant: bool
-
-
 class LeftLine(Record):
     """A motion that stays as it is; ``refused`` if it has a target that could not be corrected."""
 
@@ -195,7 +176,7 @@ class CorrectResult(Result, schema="cellapp-correct"):
     left: tuple[LeftLine, ...]
     assumptions: tuple[str, ...]
     notes: tuple[str, ...] = ()
-    common: tuple[CommonSigma, ...] = ()
+    common: tuple[CommonUncertainty, ...] = ()
 
     @property
     def refused(self) -> tuple[tuple[int, str, str], ...]:

@@ -12,13 +12,11 @@ from functools import partial
 import numpy as np
 
 from cellapp.cell.programs.records import (
-    CommonSigma,
     CorrectedTarget,
     CorrectResult,
     Place,
     ProgramTarget,
     ReadProgram,
-    three,
 )
 from cellapp.cell.programs.script_targets import six
 from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
@@ -26,6 +24,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
 from cellapp.cell.targets.invert import Inverted
 from cellapp.estimation.uncertainty.common import divided
+from cellapp.estimation.uncertainty.records import CommonUncertainty
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
@@ -114,12 +113,12 @@ def solve_targets(place: Workplace, targets: Sequence[ProgramTarget]) -> list[Co
 
 def judged(
     place: Workplace, targets: Sequence[ProgramTarget], corrected: Sequence[CorrectedTarget], *, every: bool
-) -> tuple[list[CorrectedTarget], list[CommonSigma]]:
+) -> tuple[list[CorrectedTarget], list[CommonUncertainty]]:
     """Return the corrections with their uncertainties, and what is common to the targets of each TCP.
 
     A correction that is not significant against the target's own uncertainty is left as taught, unless ``every``.
     """
-    found, common = list(corrected), list[CommonSigma]()
+    found, common = list(corrected), list[CommonUncertainty]()
     solved = [(targets[k].tcp, k) for k, one in enumerate(corrected) if one.q_new is not None]
     for tcp, rows in grouped(solved).items():
         q = np.array([corrected[k].q_new for k in rows])
@@ -129,16 +128,7 @@ def judged(
         )
         if parts is None:
             return found, common
-        common.append(
-            CommonSigma(
-                tcp=tcp,
-                flange_mm=three(parts.flange_m * 1e3),
-                flange_mrad=three(parts.flange_rad * 1e3),
-                base_mm=parts.base_m * 1e3,
-                base_mrad=parts.base_rad * 1e3,
-                significant=parts.common_significant,
-            )
-        )
+        common.append(parts.record(tcp))
         for row, k in enumerate(rows):
             own = {
                 "uncertainty_mm": float(parts.whole_m[row]) * 1e3,
@@ -607,16 +597,11 @@ def correct_lines(result: CorrectResult) -> list[str]:
     return [*lines, "nothing was written" if result.out is None else f"written to {result.out}"]
 
 
-def _common_words(one: CommonSigma) -> str:
+def _common_words(one: CommonUncertainty) -> str:
     """State what is common to the targets of a TCP, and what would determine it."""
     tcp = "of the flange" if one.tcp is None else f"of TCP p[{', '.join(f'{value:g}' for value in one.tcp)}]"
-    shift, turn = (", ".join(f"{value:.3f}" for value in values) for values in (one.flange_mm, one.flange_mrad))
-    return (
-        f"sigma common to all targets {tcp}: in the flange frame x, y, z {shift} mm and about them {turn} mrad, which a"
-        " TCP taught with the calibrated arm, a probe or three SMRs would determine; in the base frame"
-        f" {one.base_mm:.3f} mm a coordinate and {one.base_mrad:.3f} mrad, which a surveyed base would determine;"
-        f" what the corrections have in common is {'' if one.significant else 'not '}significant against it"
-    )
+    against = f"what the corrections have in common is {'' if one.significant else 'not '}significant against it"
+    return f"sigma common to all targets {tcp}: {one.sentence}; {against}"
 
 
 def refusal(result: CorrectResult) -> str:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.estimation.uncertainty.records import CommonUncertainty, Six
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import flange_poses
 from cellapp.robot.kinematics.transforms import Array, rotation_vectors, twist_columns
@@ -59,6 +60,20 @@ class Divided:
     common_significant: bool
     significant: NDArray[np.bool_]
 
+    def record(self, tcp: Six | None, *, corrected: bool = True) -> CommonUncertainty:
+        """Return what is common, for a result; ``corrected`` says whether there were corrections to judge."""
+        x, y, z = (self.flange_m * 1e3).tolist()
+        about_x, about_y, about_z = (self.flange_rad * 1e3).tolist()
+        return CommonUncertainty(
+            tcp=tcp,
+            flange_mm=(x, y, z),
+            flange_mrad=(about_x, about_y, about_z),
+            base_mm=self.base_m * 1e3,
+            base_mrad=self.base_rad * 1e3,
+            own_mm=float(np.median(self.own_m)) * 1e3,
+            significant=self.common_significant if corrected else None,
+        )
+
 
 def divided(
     arm: ArmModel,
@@ -66,25 +81,27 @@ def divided(
     tcp: Array,
     conditions: MeasurementConditions,
     measured: Array,
-    correction: Callable[[Array, MeasurementConditions], tuple[Array, Array]],
+    correction: Callable[[Array, MeasurementConditions], tuple[Array, Array]] | None = None,
 ) -> Divided | None:
     """Divide the uncertainty of the point ``tcp`` (3,) on the flange at ``q`` (n, N); None if the model states none.
 
     ``conditions`` are those of the targets; ``measured`` (m, N) are the configurations of the readings; ``correction``
-    returns shift [m] and rotation [rad] of the TCP, each (k, 3), at any configurations. The uncertainty of the SMR's
-    offset does not affect the TCP and is left out.
+    returns shift [m] and rotation [rad] of the TCP, each (k, 3), at any configurations; none if None. The uncertainty
+    of the SMR's offset does not affect another TCP and is left out there.
     """
     if arm.posterior is None:
         return None
     known = measured[:: max(1, len(measured) // MOST_CONFIGURATIONS)]
     of_tool = np.array(arm.posterior.columns) >= 6 + 5 * arm.geometry.joints
+    of_tool &= not np.array_equal(tcp, arm.geometry.tool)
     posterior = replace(arm.posterior, geometry=np.where(of_tool, 0.0, arm.posterior.geometry))
     at_tcp = replace(arm, geometry=replace(arm.geometry, tool=tcp), posterior=posterior)
     usual = MeasurementConditions(
         payload_kg=None if conditions.payload_kg is None else np.full(len(known), conditions.payload_kg[0])
     )
     moved, turned = ([draws(at_tcp, known, usual), draws(at_tcp, q, conditions)] for draws in (_moved, _turned))
-    corrected = correction(known, usual), correction(q, conditions)
+    judge = correction or _nothing
+    corrected = judge(known, usual), judge(q, conditions)
     shifts, turns = ([its[part][None] for its in corrected] for part in (0, 1))
     (there, _), (here, origins) = flange_poses(arm.geometry, known), flange_poses(arm.geometry, q)
     centre = (origins + here @ tcp).mean(axis=0)
@@ -114,6 +131,10 @@ def divided(
         common_significant=common,
         significant=significant | common,
     )
+
+
+def _nothing(q: Array, conditions: MeasurementConditions) -> tuple[Array, Array]:
+    return np.zeros((len(q), 3)), np.zeros((len(q), 3))
 
 
 def _moved(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> Array:
