@@ -631,7 +631,7 @@ def train_arm(
     if arm.model.network is None:
         return arm
     computed = arm.model.predict(held_out.q, held_out.approach, held_out.payload_kg)
-    errors = evaluate(held_out.p_M, computed).model_copy(
+    errors = evaluate(held_out.p_M, computed, held_out.q).model_copy(
         update={"orientation_mrad": arm.validate["geometry"].orientation_mrad}  # the network learns positions only
     )
     return replace(arm, validate={**arm.validate, "network": errors})
