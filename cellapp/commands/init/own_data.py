@@ -40,8 +40,8 @@ from cellapp.cell.run.csv_text import (
     table_text,
 )
 from cellapp.cell.run.recorded_csv import Recorded, converted, read_recorded
+from cellapp.estimation.calibration.quantities import repeats_words
 from cellapp.estimation.calibration.registration import Explained, better_reading, explained
-from cellapp.estimation.readings.alike import repeats_words
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs

@@ -240,7 +240,7 @@ def _stops(readings: Readings) -> tuple[Stops | None, NDArray[np.bool_] | None]:
 
 def _errors_at_rest(nominal: Geometry, found: Geometry, held_out: Readings) -> dict[Stage, StageErrors]:
     arms: dict[Stage, Geometry] = {"nominal": nominal, "geometry": found}
-    return {stage: evaluate(held_out.p_M, smr_positions(arm, held_out.q)) for stage, arm in arms.items()}
+    return {stage: evaluate(held_out.p_M, smr_positions(arm, held_out.q), held_out.q) for stage, arm in arms.items()}
 
 
 def _errors_in_motion(name: str, fit: MotionFit) -> dict[Stage, StageErrors]:
