@@ -38,6 +38,8 @@ class ArmContext:
         The simulated cell; None if no device of the cell is simulated.
     simulation : bool
         Whether the arm's controller must be in its simulation mode, in which no arm moves.
+    user : str
+        Who drives it, for other computers: the run of a job.
     """
 
     name: str
@@ -48,6 +50,7 @@ class ArmContext:
     payload_center_m: NDArray[np.float64]
     plant: Plant | None = None
     simulation: bool = False
+    user: str = ""
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ class UrSettings(UrOptions):
         """Return the driver, not connected yet. Raises ``SettingError``."""
         from drivers.arms.ur import UrPathArm
 
-        return UrPathArm(arm.name, self, self.expectation(arm))
+        return UrPathArm(arm.name, self, self.expectation(arm), user=arm.user)
 
     def probe(self, arm: ArmContext, patience_s: float) -> list[Finding]:
         """Query the controller over plain sockets and compare its answers with the profile."""

@@ -154,6 +154,9 @@ class Application(Protocol):
     def answer(self, message: Mapping[str, Any]) -> None:
         """Send a message."""
 
+    def opening(self, may_start: bool) -> None:
+        """Tell that a program may start from now on, or that it was seen to run."""
+
     def check(self, kicks: Kicks, live: LiveArm) -> str:
         """Exchange heartbeats; return why the application no longer watches its arm, else empty."""
 
@@ -401,7 +404,7 @@ class Supervisor:
             self._look()
 
         try:
-            self._control.upload(meanwhile)
+            self._control.upload(meanwhile, self._application.opening)
             self._start_watchdog()
         except Refusal as refusal:
             if refusal.kind == "stopped":

@@ -117,10 +117,10 @@ class WorkerProcess:
     """A worker process. Several threads may call its methods.
 
     ``doubted`` is called when the worker reports a fault, falls silent or ends, unless it was asked to end. ``opens``
-    is called when it may start a program on the controller.
+    is called with True when it may start a program on the controller, with False when that was seen to run.
     """
 
-    def __init__(self, name: str, doubted: Doubted, opens: Callable[[], None]) -> None:
+    def __init__(self, name: str, doubted: Doubted, opens: Callable[[bool], None]) -> None:
         root = str(Path(drivers.__file__).parents[1])
         paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
         self._process = subprocess.Popen(
@@ -138,7 +138,6 @@ class WorkerProcess:
         self._pending: dict[int, _Pending] = {}
         self._hello: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._ended: WorkerGone | None = None
-        self._opening = False
         self._motion_asked = self._served = 0
         self._told = False  # whether it was told to brake since the last request that releases
         self._ending = threading.Event()
@@ -163,11 +162,6 @@ class WorkerProcess:
     def has_ended(self) -> bool:
         """Whether the process has ended."""
         return self._ended is not None
-
-    @property
-    def opening(self) -> bool:
-        """Whether it may have started a program on the controller."""
-        return self._opening
 
     @property
     def gaps(self) -> HeartbeatGaps:
@@ -368,8 +362,7 @@ class WorkerProcess:
             elif "lost" in message:
                 reason = WorkerGone(str(message["lost"]), str(message["kind"]))
             elif "opening" in message:
-                self._opening = True
-                self._opens()
+                self._opens(bool(message["opening"]))
             elif "hello" in message:
                 self._hello.put(None)
             else:

@@ -193,7 +193,7 @@ def test_a_client_that_does_not_start(text: str) -> None:
 
 @pytest.mark.parametrize("kind", REFUSALS)
 def test_each_kind_without_a_remedy_of_its_own_has_one_in_its_text(kind: str) -> None:
-    own = kind in ("protective", "emergency", "local", "advised")
+    own = kind in ("protective", "emergency", "local", "advised", "occupied")
     assert bool(TO_DO.search(str(arm_error("left", kind, "something is wrong")))) is not own
 
 
