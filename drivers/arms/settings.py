@@ -109,6 +109,13 @@ class ArmSettings(Section):
     def probe(self, arm: ArmContext, patience_s: float) -> Sequence[Finding]:
         """Check the arm without moving it; a controller that is silent for ``patience_s`` [s] counts as dead."""
 
+    def left_program(self) -> str:
+        """Return who started the program that runs on the controller, if a driver of this kind did; else empty."""
+        return ""
+
+    def end_program(self) -> None:
+        """End the program that runs on the controller, whoever started it. Raises ``LinkLost``."""
+
     def excerpt(self, patience_s: float) -> Sequence[Mapping[str, object]]:
         """Return some states of the arm as its controller sends them, for a fault report; empty for other kinds."""
         return ()

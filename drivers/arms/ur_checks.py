@@ -23,7 +23,7 @@ from drivers.arms.protocol import (
 )
 from drivers.arms.ur_links import other_user, printable
 from drivers.arms.ur_probe import UrProbe
-from drivers.arms.ur_rtde_reader import SLIDER_DOWN, safety_error, safety_remedy
+from drivers.arms.ur_rtde_reader import SLIDER_DOWN, mode_remedy, safety_error, safety_remedy
 from drivers.findings import Status
 
 JOINTS = 6
@@ -161,8 +161,7 @@ def _robot_mode(probe: UrProbe) -> Check:
         return Check(subject, "ok", "RUNNING: powered, brakes released")
     if mode is None:
         return Check(subject, "failed", "the controller does not report its mode; look at the pendant")
-    text = f"{mode}, needed is RUNNING; power the arm on and release its brakes on the pendant"
-    return Check(subject, "failed", text)
+    return Check(subject, "failed", f"{mode}, needed is RUNNING; {mode_remedy(mode)}")
 
 
 def _remote_control(probe: UrProbe) -> Check:

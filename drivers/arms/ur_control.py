@@ -36,6 +36,7 @@ _READY_AFTER_S = 0.03
 """Time from a command until its program is ready for the next one: some control cycles. If the program is stopped
 before, the client waits for it in vain, for 4 s."""
 _ASK_AGAIN_S = 0.002
+_LONG_S = 0.1
 _ASKED_WITHIN_S = 0.15
 """Time limit of the question for local control; shorter than the silence that makes a worker doubtful."""
 
@@ -68,6 +69,9 @@ class UrControl:
         self.host = host
         self._control, self._receive, self._optional, self._program = control, receive, optional, program
         self._commanded_s = 0.0
+        self._asked_s: float | None = None
+        self.waited_s = 0.0
+        """How long the last answer of the controller took that came late [s]; 0 if none did."""
 
     @classmethod
     def open(
@@ -93,6 +97,12 @@ class UrControl:
                 return cls(host, control, receive, optional, program_text(program, version))
             except (RuntimeError, ValueError) as error:
                 raise _open_refusal(str(error)) from error
+
+    @property
+    def waits_s(self) -> float:
+        """How long the controller has been asked for something without an answer [s]; from any thread."""
+        asked_s = self._asked_s
+        return 0.0 if asked_s is None else time.monotonic() - asked_s
 
     # -- state ---------------------------------------------------------------------------------------------------------
 
@@ -134,7 +144,9 @@ class UrControl:
                 raise failed("its control program was stopped but still runs")
             meanwhile()
             time.sleep(_ASK_AGAIN_S)
-        if in_local_control(self.host, _ASKED_WITHIN_S):  # the program would not start, and no message would say why
+        with self.waiting():
+            local = in_local_control(self.host, _ASKED_WITHIN_S)
+        if local:  # the program would not start, and no message would say why
             raise Refusal("local", f"{LOCAL_CONTROL}, so it accepts no program; switch it to Remote")
         meanwhile()
         opening(True)
@@ -158,7 +170,8 @@ class UrControl:
 
     def kick_watchdog(self) -> None:
         """Restart the watchdog's period."""
-        self._control.kickWatchdog()
+        with self.waiting():
+            self._control.kickWatchdog()
 
     def tcp(self) -> tuple[float, ...] | None:
         """Return the tool centre point that the program sees, position [m] and rotation vector [rad]; None if not set.
@@ -196,7 +209,7 @@ class UrControl:
 
     def servo(self, goal: Sequence[float], period_s: float, lookahead_s: float, gain: float) -> bool:
         """Send one position of a stream, effective in the next control cycle; return whether it was sent."""
-        with exit_after(_COMMAND_WITHIN_S):
+        with self.waiting(), exit_after(_COMMAND_WITHIN_S):
             try:
                 return bool(self._control.servoJ(goal, 0.0, 0.0, period_s, lookahead_s, gain))
             except (RuntimeError, ValueError) as error:
@@ -216,9 +229,20 @@ class UrControl:
 
     @contextmanager
     def _commanding(self, within_s: float = _COMMAND_WITHIN_S) -> Iterator[None]:
-        with exit_after(within_s):
+        with self.waiting(), exit_after(within_s):
             yield
         self._commanded_s = time.monotonic()
+
+    @contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Note, while this context is open, that the controller is asked for something."""
+        self._asked_s = began_s = time.monotonic()
+        try:
+            yield
+        finally:
+            self._asked_s, took_s = None, time.monotonic() - began_s
+            if took_s > _LONG_S:
+                self.waited_s = took_s
 
 
 OCCUPIED = "another program runs on its controller; nothing was sent to it: end that program first"

@@ -706,6 +706,7 @@ REFUSALS: Mapping[str, type[ArmError]] = {
     "local": NotInRemoteControl,
     "link": LinkLost,
     "driver": LinkLost,
+    "ended": LinkLost,
     "nonsense": LinkLost,
     "timeout": ArmTimeout,
     "stopped": MotionStopped,
@@ -717,7 +718,8 @@ REFUSALS: Mapping[str, type[ArmError]] = {
 """Exception for each kind of refusal of the worker. A kind without a remedy here has the remedy in its text."""
 _REMEDIES = {
     "link": "see whether the controller is on and the network between works, then connect again",
-    "driver": "close other programs on this computer, then connect again",
+    "driver": "possible: other programs take its time; close them, then connect again",
+    "ended": "connect again; if it ends again, report it",
     "nonsense": "look at the pendant's log, restart the controller",
     "timeout": "see what the pendant shows",
     "stopped": "connect again when it may move",

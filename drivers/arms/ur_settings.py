@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from drivers.arms.ur_checks import UrExpectation
 
 
+_PROGRAM_WITHIN_S = 2.0
 _EXCERPT = 50
 """Number of states in an excerpt: 0.1 s of an e-Series controller, 0.4 s of a CB3."""
 _SAFETY_LIMITS = (
@@ -82,6 +83,18 @@ class UrSettings(UrOptions):
         checked = [Finding(check.subject, check.status, check.text) for check in found]
         link = Finding("link", "ok", where, answers.report())
         return [link, *checked, Finding("safety limits", "ok", _SAFETY_LIMITS), motion]
+
+    def left_program(self) -> str:
+        """Return which cellapp started the program that runs on the controller; empty if none did."""
+        from drivers.arms.ur_links import other_user, running_program
+
+        return other_user(running_program(self.host, _PROGRAM_WITHIN_S))
+
+    def end_program(self) -> None:
+        """End the program that runs on the controller, whoever started it. Raises ``LinkLost``."""
+        from drivers.arms.ur_links import stop_program
+
+        stop_program(self.host, _PROGRAM_WITHIN_S)
 
     def excerpt(self, patience_s: float) -> list[dict[str, object]]:
         """Return the next states over RTDE; if the controller stops sending, fewer ones, and the reason at the end."""

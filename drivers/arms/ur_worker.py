@@ -14,6 +14,7 @@ from the worker
 ``{"doubt": kind, "text": ...}``    a fault, sent before anything else is done about it
 ``{"decelerating": true}``          the control program decelerates the motion, or there was none
 ``{"lost": text, "kind": kind}``    the last line of a worker that ends itself
+``{"waits": ...}``                  how long it has asked the controller for something without an answer [s]
 ``{"opening": true}``               from now on a program of this worker may start; false: it was seen to run
 ``{"beat": [...]}``                 the worker looks at the arm; its longest silence towards the watchdog [s], how often
                                     that exceeded half of the watchdog's period, age of the arm's newest state [s],
@@ -57,8 +58,13 @@ _TICK_S = 0.008
 _BEAT_EVERY_S = 0.05
 _UNHEARD_S = 0.5
 _UNHEARD_LOOKS = 20
+<<<<<<< HEAD
 """An application hangs or is suspended if it sends nothing for ``_UNHEARD_S`` and this many looks of the worker. Then
 the arm needs a person, also at rest: what the application would do next was decided before."""
+=======
+"""An application hangs or is suspended if it sends nothing for ``_UNHEARD_S`` and this many looks of the worker."""
+_WAITS_S = 0.1
+>>>>>>> d04f8aba (Causes that end a UR arm's motion are named only where they were seen; emulated controllers have a late and lossy network and send malformed packets)
 _STOP_WITHIN_S = 1.0
 _BRAKE_WITHIN_S = 0.3
 _BRAKE_READ_S = 0.002
@@ -95,6 +101,8 @@ class Worker:
             self.brake()
         elif "do" in message:
             self._requests.put({**message, "brakes": self._brakes})
+        elif self._supervisor is not None and (waits_s := self._supervisor.waits_s) > _WAITS_S:
+            self.answer({"waits": waits_s})
 
     def brake(self) -> None:
         """Stop the program now, whatever the main thread does; the module docstring explains the order."""
