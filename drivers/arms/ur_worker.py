@@ -58,13 +58,9 @@ _TICK_S = 0.008
 _BEAT_EVERY_S = 0.05
 _UNHEARD_S = 0.5
 _UNHEARD_LOOKS = 20
-<<<<<<< HEAD
 """An application hangs or is suspended if it sends nothing for ``_UNHEARD_S`` and this many looks of the worker. Then
 the arm needs a person, also at rest: what the application would do next was decided before."""
-=======
-"""An application hangs or is suspended if it sends nothing for ``_UNHEARD_S`` and this many looks of the worker."""
 _WAITS_S = 0.1
->>>>>>> d04f8aba (Causes that end a UR arm's motion are named only where they were seen; emulated controllers have a late and lossy network and send malformed packets)
 _STOP_WITHIN_S = 1.0
 _BRAKE_WITHIN_S = 0.3
 _BRAKE_READ_S = 0.002

@@ -52,11 +52,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     SETTLE_S,
     SPEED,
     UNHURRIED,
-<<<<<<< HEAD
-=======
     WATCHDOG_HZ,
-    assert_stays_at_rest,
->>>>>>> d04f8aba (Causes that end a UR arm's motion are named only where they were seen; emulated controllers have a late and lossy network and send malformed packets)
     configs,
     driven,
     drivers_of,
