@@ -70,6 +70,7 @@ class _Query(enum.StrEnum):
     SAFETY_MODE = "safetymode"
     SAFETY_STATUS = "safetystatus"
     RUNNING = "running"
+    PROGRAM = "programState"
     REMOTE_CONTROL = "is in remote control"
 
 
@@ -81,6 +82,7 @@ _ANSWERS = {
     _Query.SAFETY_MODE: re.compile(r"Safetymode: ([A-Z_]{1,40})$"),
     _Query.SAFETY_STATUS: re.compile(r"Safetystatus: ([A-Z_0-9]{1,60})$"),
     _Query.RUNNING: re.compile(r"(?:Program|Robot) running: (true|false)$", re.IGNORECASE),
+    _Query.PROGRAM: re.compile(r"(?:PLAYING|PAUSED) (.{1,200})$"),
     _Query.REMOTE_CONTROL: re.compile(r"(true|false)$", re.IGNORECASE),
 }
 
@@ -172,6 +174,8 @@ class UrProbe:
         Why no state was read; empty if one was.
     real_robot : bool or None
         Whether motions move the real arm; False: the controller is in simulation mode.
+    program : str or None
+        Name of the program that runs or is paused.
     """
 
     host: str
@@ -193,6 +197,7 @@ class UrProbe:
     sample: UrSample | None = None
     sample_note: str = ""
     real_robot: bool | None = None
+    program: str | None = None
 
     @property
     def full_model(self) -> str | None:
@@ -275,6 +280,7 @@ def probe_ur(
         sample=sample,
         sample_note=sample_note,
         real_robot=primary_state.real_robot,
+        program=answers.get(_Query.PROGRAM),
     )
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from drivers.arms.ur_checks import UrExpectation
 
 
+_PROGRAM_WITHIN_S = 2.0
 _EXCERPT = 50
 """Number of states in an excerpt: 0.1 s of an e-Series controller, 0.4 s of a CB3."""
 _LONGEST_S = 5.0
@@ -63,7 +64,7 @@ class UrSettings(UrOptions):
         """Return the driver, not connected yet. Raises ``SettingError``."""
         from drivers.arms.ur import UrPathArm
 
-        return UrPathArm(arm.name, self, self.expectation(arm))
+        return UrPathArm(arm.name, self, self.expectation(arm), user=arm.user)
 
     def probe(self, arm: ArmContext, patience_s: float) -> list[Finding]:
         """Query the controller over plain sockets and compare its answers with the profile."""
@@ -107,6 +108,18 @@ class UrSettings(UrOptions):
             f" the network and close other programs on this computer; {way}"
         )
         return [Finding("timing", "failed", text)]
+
+    def left_program(self) -> str:
+        """Return which cellapp started the program that runs on the controller; empty if none did."""
+        from drivers.arms.ur_links import other_user, running_program
+
+        return other_user(running_program(self.host, _PROGRAM_WITHIN_S))
+
+    def end_program(self) -> None:
+        """End the program that runs on the controller, whoever started it. Raises ``LinkLost``."""
+        from drivers.arms.ur_links import stop_program
+
+        stop_program(self.host, _PROGRAM_WITHIN_S)
 
     def excerpt(self, patience_s: float) -> list[dict[str, object]]:
         """Return the next states over RTDE; if the controller stops sending, fewer ones, and the reason at the end."""

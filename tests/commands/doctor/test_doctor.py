@@ -221,7 +221,7 @@ def tight(high: float = 6.2832, speed: float = 3.15) -> UrProbe:
         (replace(E_SERIES, remote_control=False), "remote control", "failed", ["Local to Remote"]),
         (replace(E_SERIES, remote_control=None), "remote control", "warning", ["Remote"]),
         (E_SERIES, "remote control", "ok", ["on"]),
-        (replace(READY, program_running=True), "program", "failed", ["a program runs"]),
+        (replace(READY, program_running=True), "program", "failed", ["not this driver's runs", "pendant"]),
         (replace(READY, ports={30004: False}), "port 30004", "failed", ["firewall"]),
         (replace(READY, sample=None, sample_note="port 30004: silent"), "state", "failed", ["30004: silent"]),
         (reporting(replace(SAMPLE, qd=(0.0, 0.1, 0.0, 0.0, 0.0, 0.0))), "state", "failed", ["the arm moves"]),
