@@ -125,8 +125,8 @@ def opened_run(folder: Path, profile: Profile | None, *, new: bool) -> RunFile:
             " PROFILE and --nominal to test the arms as they are. Nothing was moved"
         )
     run = RunFile.open(folder, write=True)
-    for section in () if profile is None else ("arms", "tracker", "obstacles"):
-        if getattr(run.profile, section) != getattr(profile, section):
+    for section in ("arms", "tracker", "obstacles"):
+        if profile is not None and getattr(run.profile, section) != getattr(profile, section):
             run.close()
             raise InputError(
                 f"{run.path}: its profile differs from '{profile.name}' in section '{section}': it is a run of another"

@@ -178,5 +178,5 @@ def _common(columns: list[Array], draws: list[Array]) -> tuple[Array, Array]:
     """Return the common part (k, S) by the readings' configurations, and what is left (S, n, 3) at the targets."""
     (known, here), (of_known, of_here) = columns, draws
     wanted = of_known.reshape(len(of_known), -1).T
-    common: Array = np.linalg.lstsq(known.reshape(-1, known.shape[2]), wanted, rcond=None)[0]
+    common = np.asarray(np.linalg.lstsq(known.reshape(-1, known.shape[2]), wanted, rcond=None)[0], dtype=np.float64)
     return common, np.asarray(of_here - np.einsum("nck,ks->snc", here, common))
