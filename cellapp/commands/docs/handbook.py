@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -75,7 +76,9 @@ def topic_text(topic: str) -> str:
     """
     kept = chapter_text(topic) if topic in CHAPTERS else effect_sections().get(topic)
     if kept is None:
-        raise InputError(f"docs: '{topic}' is not a topic; topics are {', '.join(topics())}")
+        near = difflib.get_close_matches(topic, topics(), n=1)
+        meant = f"did you mean '{near[0]}'? Topics" if near else "topics"
+        raise InputError(f"docs: '{topic}' is not a topic; {meant} are {', '.join(topics())}")
     return _FOR_TESTS.sub(r"\1", _MARKER.sub("", kept))
 
 

@@ -241,8 +241,7 @@ def design_sentences(design: PlanDesignResult) -> list[str]:
     """State the balance of the factors, travel time, detours, blocks, repeats, and notes."""
     travel = design.travel
     sentences = [
-        f"Travel takes {duration_words(travel.planned_s)}, in random order {duration_words(travel.random_order_s)}:"
-        f" {100.0 * travel.saved:.0f} % are saved.",
+        f"Travel takes {duration_words(travel.planned_s)}, in random order {duration_words(travel.random_order_s)}.",
         f"{counted(design.detours, 'stop is', 'stops are')} reached by a detour,"
         f" {counted(design.repeats, 'stop repeats', 'stops repeat')} an earlier one,"
         f" in {counted(design.blocks, 'block', 'blocks')}.",
