@@ -104,7 +104,8 @@ def lost_sentences(
         return ["The model of this arm is geometry alone: this file holds all of it."]
     turned = "" if together.rms_mrad is None else " and the flange's rotation"
     lines = [
-        f"{'The chain computes without' if listed else 'This file does not hold'} these parts of the model. How far the SMR{turned} is off without them,",
+        f"{'The chain computes without' if listed else 'This file does not hold'} these parts of the model. How"
+        f" far the SMR{turned} is off without them,",
         f"at {POSES} random configurations within the joint ranges of the readings:",
     ]
     rows = [*lost.items()] if len(lost) == 1 else [*lost.items(), (_TOGETHER, together)]

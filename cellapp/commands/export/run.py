@@ -31,6 +31,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, VERIFY
+from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import published_rows
@@ -89,7 +90,11 @@ def _commands_stage(run: RunFile, stages: RunStages, name: str) -> StoredStage:
         raise InputError(f"export: commands are those of the stage {COMPENSATE} or {VERIFY}, not '{name}'")
     known = COMPENSATE if name == COMPENSATE else VERIFY
     stage = stages.current.get(known)
-    verb = f"cellapp compensate {run.folder} TARGETS" if known == COMPENSATE else f"cellapp push {run.folder} TARGETS"
+    verb = (
+        f"cellapp compensate {shell_word(run.folder)} TARGETS"
+        if known == COMPENSATE
+        else f"cellapp push {shell_word(run.folder)} TARGETS"
+    )
     if stage is None:
         raise InputError(f"export: {run.path} has no commands of '{name}'; nothing was written. Run '{verb}' first")
     if known in stages.out_of_date:

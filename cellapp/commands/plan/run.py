@@ -42,6 +42,7 @@ from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
+from cellapp.ground.shell import shell_word
 from cellapp.ground.threads import one_blas_thread
 
 _CHANGED = "plan changed: "
@@ -338,7 +339,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
         if needed <= 0:
             raise InputError(
                 f"{run.path}: every stop is measured, proposed or frozen: nothing is left to design; extend the run"
-                f" with 'cellapp plan --run {run.folder} --add N'"
+                f" with 'cellapp plan --run {shell_word(run.folder)} --add N'"
             )
         kept = stops.take([*parts.fixed, *parts.frozen])
         made, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=needed)

@@ -30,6 +30,7 @@ from cellapp.commands.view.words import display_unit
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
+from cellapp.ground.shell import shell_word
 from cellapp.ground.times import day_of, minute_of
 
 
@@ -220,7 +221,8 @@ def resume_sentence(run: RunSummary) -> str:
     """Offer to continue an interrupted run."""
     return (
         f"{run.run}: collecting was interrupted ({session_words(run)}) with {run.stops_left} of"
-        f" {counted(run.stops_measured + run.stops_left, 'stop')} left; 'cellapp collect {run.run} --resume'"
+        f" {counted(run.stops_measured + run.stops_left, 'stop')} left; 'cellapp collect {shell_word(run.run)}"
+        " --resume'"
         " continues it"
     )
 

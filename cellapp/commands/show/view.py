@@ -26,6 +26,7 @@ from cellapp.commands.view.recordings import recording_tables
 from cellapp.commands.view.table import Table, table_of, with_rows
 from cellapp.ground.profile import Profile
 from cellapp.ground.removed import VERSION
+from cellapp.ground.shell import shell_word
 from cellapp.ground.times import second_of
 
 
@@ -77,7 +78,8 @@ def unseen_sentence(name: str, arm: UnseenArmState, run: str) -> str:
     """State the danger of an arm that was not seen at rest, and how to settle it."""
     return (
         f"arm {name}: NOT SEEN AT REST since {second_of(arm.since)} UTC: treat it as moving ({arm.reason.rstrip('.')})."
-        f" A job that sees it at rest settles this, or a person who has seen it: 'cellapp at-rest {run} {name}'"
+        " A job that sees it at rest settles this, or a person who has seen it: 'cellapp at-rest"
+        f" {shell_word(run)} {name}'"
     )
 
 
