@@ -66,13 +66,11 @@ class Package:
 class EmulatedController:
     """How an emulated UR controller may replace an arm's own.
 
-    ``host`` is its loopback address, None for any free one; ``serial`` is the serial number it reports, None for any;
-    ``trigger_output`` is the digital output that is wired to the tracker's trigger input.
+    ``host`` is its loopback address, None for any free one; ``serial`` is the serial number it reports, None for any.
     """
 
     host: str | None = None
     serial: str | None = None
-    trigger_output: int | None = None
 
 
 class ArmSettings(Section):

@@ -672,7 +672,7 @@ class StreamingBridgeTracker(BridgeTracker):
         track.next = int(
             self._read(lambda fields: wire.read_number(fields, "next", track.next, track.next + 1), answer)
         )
-        if len(packet.device_time_s) or len(packet.triggers_s):
+        if len(packet.device_time_s):
             track.heard_s = now_s
             self._sign_of_life({})
             track.packets.append(packet)

@@ -411,22 +411,17 @@ def read_packet(fields: Fields, now_s: float) -> tuple[Packet, int]:
     except ValueError as error:
         raise BadField(f"points: {error}") from error
     rows = rows.reshape(-1, 5)
-    pulses = [part for part in fields.get("pulses", "").split(";") if part]
-    if not all(_STAMP.fullmatch(part) for part in pulses):
-        raise BadField("pulses are stamps, separated by ';'")
     age_s = read_number(fields, "age", 0.0, 1e6) if len(rows) else 0.0
     waiting = int(read_number(fields, "waiting", 0, 10 * MOST_WAITING))
-    triggers = np.array([float(part) for part in pulses])
-    return Packet(rows[:, 0], rows[:, 1:4], rows[:, 4], now_s - age_s, triggers), waiting
+    return Packet(rows[:, 0], rows[:, 1:4], rows[:, 4], now_s - age_s), waiting
 
 
 @dataclass(frozen=True)
 class _Waiting:
-    """Points of one line, their arrival time at the bridge, and the trigger pulses since the previous line."""
+    """Points of one line, and their arrival time at the bridge."""
 
     points: tuple[str, ...]
     arrived_s: float
-    pulses: tuple[str, ...]
 
 
 class TrackBuffer:
@@ -443,8 +438,6 @@ class TrackBuffer:
         self._first = 0
         self._waiting = 0
         self._last_stamp_s = -math.inf
-        self._pulses: list[str] = []
-        self._heard_pulses = 0
         self._lost: TrackerError | None = None
 
     def received(self, packet: Packet) -> None:
@@ -456,16 +449,12 @@ class TrackBuffer:
             for stamp, p, sigma in zip(packet.device_time_s, packet.p_M, packet.sigma_m, strict=True)
         ]
         with self._lock:
-            self._heard_pulses += len(packet.triggers_s)
-            self._pulses += [f"{stamp:.7f}" for stamp in packet.triggers_s]
-            if self._waiting + len(points) > MOST_WAITING or not (points or self._pulses):
+            if self._waiting + len(points) > MOST_WAITING or not points:
                 return
-            if points:
-                self._last_stamp_s = float(packet.device_time_s[-1])
+            self._last_stamp_s = float(packet.device_time_s[-1])
             self._waiting += len(points)
-            for some in _lines(points) or [()]:
-                self._lines.append(_Waiting(some, self._clock(), tuple(self._pulses)))
-                self._pulses = []
+            for some in _lines(points):
+                self._lines.append(_Waiting(some, self._clock()))
 
     def lost(self, error: TrackerError) -> None:
         """Note that the track was lost: it has ended by itself."""
@@ -475,8 +464,7 @@ class TrackBuffer:
     def ended(self, track: Track) -> None:
         """Buffer the points of a finished track that did not arrive as packets."""
         rest = track.within(track.device_time_s > self._last_stamp_s)
-        pulses = track.triggers_s[self._heard_pulses :]
-        self.received(Packet(rest.device_time_s, rest.p_M, rest.sigma_m, 0.0, pulses))
+        self.received(Packet(rest.device_time_s, rest.p_M, rest.sigma_m, 0.0))
 
     def fields(self, number: int) -> dict[str, str]:
         """Return the answer to ``points from=number``. Raises ``BadField`` for a line that is no longer buffered."""
@@ -495,7 +483,6 @@ class TrackBuffer:
                 "age": f"{max(self._clock() - line.arrived_s, 0.0):.6f}",
                 "waiting": str(self._waiting - len(line.points)),
                 "next": str(number + 1),
-                "pulses": ";".join(line.pulses),
             }
 
 

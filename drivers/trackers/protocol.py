@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -296,15 +296,12 @@ class Packet:
         Standard uncertainty of one coordinate of each point [m]; NaN if not known.
     arrived_s : float
         When they arrived, on the cell's clock [s]: late by up to about 40 ms.
-    triggers_s : array, shape (k,)
-        Timestamps of pulses at the tracker's trigger input since the last packet [s].
     """
 
     device_time_s: NDArray[np.float64]
     p_M: NDArray[np.float64]
     sigma_m: NDArray[np.float64]
     arrived_s: float
-    triggers_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,15 +318,12 @@ class Track:
         Standard uncertainty of one coordinate of each point [m]; NaN if not known.
     arrived_s : array, shape (n,)
         When the packet of each point arrived, on the cell's clock [s].
-    triggers_s : array, shape (k,)
-        Timestamps of pulses at the trigger input [s].
     """
 
     device_time_s: NDArray[np.float64]
     p_M: NDArray[np.float64]
     sigma_m: NDArray[np.float64]
     arrived_s: NDArray[np.float64]
-    triggers_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def of(cls, packets: Sequence[Packet]) -> Self:
@@ -340,7 +334,6 @@ class Track:
             np.concatenate([np.empty((0, 3)), *(packet.p_M for packet in packets)]),
             np.concatenate([np.empty(0), *(packet.sigma_m for packet in packets)]),
             np.repeat([packet.arrived_s for packet in packets], counts).astype(np.float64),
-            np.concatenate([np.empty(0), *(packet.triggers_s for packet in packets)]),
         )
 
     @property
@@ -355,10 +348,8 @@ class Track:
         return np.asarray(self.device_time_s + (self.arrived_s - self.device_time_s).min())
 
     def within(self, rows: NDArray[np.bool_]) -> Track:
-        """Return the points of the mask ``rows`` (n,), with all pulses."""
-        return Track(
-            self.device_time_s[rows], self.p_M[rows], self.sigma_m[rows], self.arrived_s[rows], self.triggers_s
-        )
+        """Return the points of the mask ``rows`` (n,)."""
+        return Track(self.device_time_s[rows], self.p_M[rows], self.sigma_m[rows], self.arrived_s[rows])
 
     def missing(self, interval_s: float) -> int:
         """Return the number of lost points, given one every ``interval_s``: the tracker could not send them."""

@@ -312,11 +312,6 @@ class SimulatedTracker:
         self.measured += len(track.p_M)
         return track
 
-    def trigger(self) -> None:
-        """Register a pulse at the trigger input now."""
-        if self._stream is not None:
-            self._stream.trigger()
-
     def _points(self, p_M: Vector, *, moving: bool) -> tuple[Vector, Vector]:
         """Simulate measured points (n, 3) of true ones; return them and their standard uncertainties (n,)."""
         air = (self._plant.air_temperature_c, self._errors.pressure_hpa, self._errors.humidity_percent)
@@ -563,8 +558,6 @@ class Sight:
 STREAM_LIMITS = StreamLimits(1e-3, 1.0)
 _STILL_M = 1e-9
 """Motion between two packets below which an SMR counts as resting."""
-TRIGGER_S = 5e-6
-"""Largest error of the timestamp of a pulse at the trigger input [s]."""
 
 
 class Measured(Protocol):
@@ -600,7 +593,6 @@ class SimulatedStream:
         self._packet_s = max(interval_s, 1.0 / PACKETS_HZ)
         self._taken = 0
         self._packets: list[Packet] = []
-        self._triggers: list[float] = []
         self._arrived_s = -math.inf
         self._on = True
 
@@ -614,11 +606,6 @@ class SimulatedStream:
             self._take(may_break=False)
         self._on = False
         return Track.of(self._packets)
-
-    def trigger(self) -> None:
-        """Store the timestamp of a pulse."""
-        error_s = self._rng.uniform(-TRIGGER_S, TRIGGER_S)
-        self._triggers.append(float(self._errors.own_time_s(np.array(self._plant.clock_s + error_s))))
 
     def _send(self, number: int) -> None:
         """Send one packet and schedule the next."""
@@ -635,12 +622,11 @@ class SimulatedStream:
             self._on = False
             self._lost(TargetLost(f"tracker: the beam to the SMR of {self._owner} broke while it was followed: {why}"))
             return False
-        triggers, self._triggers = np.array(self._triggers), []
         if self._errors.saturated and self._rng.random() < self._errors.saturated:
             time_s = time_s[:0]
-        if len(time_s) or len(triggers):
+        if len(time_s):
             p_M, sigma_m = self._measured(true_M[: len(time_s)], moving=float(np.ptp(true_M, axis=0).max()) > _STILL_M)
-            self._go(Packet(self._errors.own_time_s(time_s), p_M, sigma_m, math.nan, triggers))
+            self._go(Packet(self._errors.own_time_s(time_s), p_M, sigma_m, math.nan))
         return True
 
     def _broken(self, p_M: Vector, normal_M: Vector, *, may_break: bool) -> str:

@@ -462,19 +462,6 @@ def test_a_slow_receiver_loses_points_and_they_are_counted(plant):
     assert 0.05 * whole < track.missing(INTERVAL_S) < 0.4 * whole
 
 
-def test_pulses_are_stamped_by_the_trackers_clock(plant):
-    tracker = SimulatedTracker(plant, CLOCK)
-    tracker.connect()
-    tracker.start_track(plant.targets()[0].p_M, INTERVAL_S, lambda error: None)
-    pulses = []
-    for _ in range(3):
-        plant.advance(0.05)
-        tracker.trigger()
-        pulses.append(plant.clock_s)
-    track = tracker.end_track()
-    np.testing.assert_allclose(track.triggers_s, CLOCK.own_time_s(np.array(pulses)), atol=1e-5)
-
-
 def test_another_measurement_ends_a_track_and_intervals_are_checked(plant):
     tracker = SimulatedTracker(plant)
     tracker.connect()
