@@ -480,7 +480,7 @@ def test_an_application_that_falls_silent_at_rest_needs_a_person_too(delayed: An
     client, monitor = delayed
     client.q = list(AWAY)
     monitor(0.3)
-    assert monitor(2.0, beats=False)[0]["doubt"] == "stalled"
+    assert "stalled" in [message.get("doubt") for message in monitor(2.0, beats=False)]
     assert monitor(0.1, {"do": "state"})[-1]["ok"]["fault"]["kind"] == "stalled"
 
 
