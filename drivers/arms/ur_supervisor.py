@@ -588,7 +588,7 @@ class Supervisor:
             self._left_rest_s = sample.time_s
         elif sample.time_s - self._left_rest_s >= REST_DWELL_S:
             off, speed = math.degrees(sample.distance(at.q)), math.degrees(sample.speed)
-            text = f"it moves without being asked: {off:.3f} deg from where it rested, at {speed:.2f} deg/s"
+            text = f"it left its rest without being asked: now {off:.3f} deg from there, at {speed:.2f} deg/s"
             self._record_fault(failed(text))
 
     def _answer_settle_requests(self, sample: UrSample, now: float, news: bool) -> None:

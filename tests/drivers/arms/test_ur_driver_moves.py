@@ -467,7 +467,7 @@ def test_a_program_that_was_stopped_in_local_control_says_so(delayed: Any) -> No
     assert "switch it to Remote" in answer["text"]
 
 
-def test_an_application_that_falls_silent_stops_its_arm_only_while_it_moves(delayed: Any) -> None:
+def test_an_application_that_falls_silent_stops_its_arm(delayed: Any) -> None:
     client, monitor = delayed
     client.running, client.q = True, list(AWAY)
     assert monitor(0.4, beats=False) == []
@@ -476,12 +476,12 @@ def test_an_application_that_falls_silent_stops_its_arm_only_while_it_moves(dela
     assert "silent for 0.5 s" in doubt["text"]
 
 
-def test_an_application_that_falls_silent_at_rest_is_no_fault(delayed: Any) -> None:
+def test_an_application_that_falls_silent_at_rest_needs_a_person_too(delayed: Any) -> None:
     client, monitor = delayed
     client.q = list(AWAY)
     monitor(0.3)
-    monitor(2.0, beats=False)
-    assert monitor(0.1, {"do": "state"})[-1]["ok"]["fault"] is None
+    assert "stalled" in [message.get("doubt") for message in monitor(2.0, beats=False)]
+    assert monitor(0.1, {"do": "state"})[-1]["ok"]["fault"]["kind"] == "stalled"
 
 
 @pytest.mark.parametrize(("command", "asked"), COMMANDS)
