@@ -45,8 +45,8 @@ class Divided:
         What is common in the base frame: of a coordinate at the targets, and of the rotation, the rms angle.
     common_significant : bool
         Whether what is common to the corrections is significant against what is common to the uncertainties.
-    significant : array of bool, shape (n,)
-        Whether a correction is significant: what is common, or the target's own part against its own uncertainty.
+    own_significant : bool
+        Whether the own part of some correction is significant against the target's own uncertainty.
     """
 
     whole_m: Array
@@ -58,7 +58,7 @@ class Divided:
     base_m: float
     base_rad: float
     common_significant: bool
-    significant: NDArray[np.bool_]
+    own_significant: bool
 
     def record(self, tcp: Six | None, *, corrected: bool = True) -> CommonUncertainty:
         """Return what is common, for a result; ``corrected`` says whether there were corrections to judge."""
@@ -115,9 +115,7 @@ def divided(
     own_m, whole_m = (np.sqrt(np.mean(one**2, axis=(0, 2)) + of_network) for one in (own, moved[1]))
     own_rad, whole_rad = (np.sqrt(np.mean(np.sum(one**2, axis=2), axis=0)) for one in (own_turns, turned[1]))
     common = _beyond(rigid_shift, rigid) or _beyond(common_turn, angles)
-    significant = (np.linalg.norm(own_shift[0], axis=1) > _LENGTH_95 * own_m) | (
-        np.linalg.norm(own_turn[0], axis=1) > _LENGTH_95 / np.sqrt(3.0) * own_rad
-    )
+    lengths = (np.linalg.norm(one[0], axis=1) for one in (own_shift, own_turn))
     sigma, turn = (np.sqrt(np.mean(one**2, axis=1)) for one in (rigid, angles))
     return Divided(
         whole_m,
@@ -129,7 +127,7 @@ def divided(
         base_m=float(np.sqrt(np.mean(sigma[3:6] ** 2))),
         base_rad=float(np.sqrt(np.sum(turn[3:] ** 2))),
         common_significant=common,
-        significant=significant | common,
+        own_significant=bool(beyond(*lengths, own_m, own_rad).any()),
     )
 
 
@@ -165,6 +163,12 @@ def _columns(arm: ArmModel, q: Array, centre: Array) -> Array:
 
 def _with_identity(rotations: Array) -> Array:
     return np.concatenate([rotations, np.broadcast_to(np.eye(3), rotations.shape)], axis=2)
+
+
+def beyond(shift: Array, turn: Array, own: Array, own_turn: Array) -> NDArray[np.bool_]:
+    """Return where lengths (n,) of shifts and rotations are significant against standard uncertainties, as those of
+    ``Divided``."""
+    return np.asarray((shift > _LENGTH_95 * own) | (turn > _LENGTH_95 / np.sqrt(3.0) * own_turn))
 
 
 def _beyond(values: Array, draws: Array) -> bool:
