@@ -18,6 +18,7 @@ from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import flange_poses
 from cellapp.robot.kinematics.transforms import Array, rotation_vectors, twist_columns
 from cellapp.robot.model import ArmModel
+from cellapp.robot.model.model import PosteriorDraws
 
 MOST_CONFIGURATIONS = 200
 """Largest number of readings whose configurations decide what is common."""
@@ -86,16 +87,11 @@ def divided(
     """Divide the uncertainty of the point ``tcp`` (3,) on the flange at ``q`` (n, N); None if the model states none.
 
     ``conditions`` are those of the targets; ``measured`` (m, N) are the configurations of the readings; ``correction``
-    returns shift [m] and rotation [rad] of the TCP, each (k, 3), at any configurations; none if None. The uncertainty
-    of the SMR's offset does not affect another TCP and is left out there.
+    returns shift [m] and rotation [rad] of the TCP, each (k, 3), at any configurations; none if None.
     """
     if arm.posterior is None:
         return None
-    known = measured[:: max(1, len(measured) // MOST_CONFIGURATIONS)]
-    of_tool = np.array(arm.posterior.columns) >= 6 + 5 * arm.geometry.joints
-    of_tool &= not np.array_equal(tcp, arm.geometry.tool)
-    posterior = replace(arm.posterior, geometry=np.where(of_tool, 0.0, arm.posterior.geometry))
-    at_tcp = replace(arm, geometry=replace(arm.geometry, tool=tcp), posterior=posterior)
+    known, at_tcp = measured[:: max(1, len(measured) // MOST_CONFIGURATIONS)], _with_tcp(arm, arm.posterior, tcp)
     usual = MeasurementConditions(
         payload_kg=None if conditions.payload_kg is None else np.full(len(known), conditions.payload_kg[0])
     )
@@ -129,6 +125,14 @@ def divided(
         common_significant=common,
         own_significant=bool(beyond(*lengths, own_m, own_rad).any()),
     )
+
+
+def _with_tcp(arm: ArmModel, posterior: PosteriorDraws, tcp: Array) -> ArmModel:
+    """Return the arm with the TCP in place of the SMR; draws of the SMR's offset do not move another TCP."""
+    of_tool = np.array(posterior.columns) >= 6 + 5 * arm.geometry.joints
+    of_tool &= not np.array_equal(tcp, arm.geometry.tool)
+    posterior = replace(posterior, geometry=np.where(of_tool, 0.0, posterior.geometry))
+    return replace(arm, geometry=replace(arm.geometry, tool=tcp), posterior=posterior)
 
 
 def _nothing(q: Array, conditions: MeasurementConditions) -> tuple[Array, Array]:
