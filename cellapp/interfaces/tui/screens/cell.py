@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection
-from contextlib import suppress
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -25,7 +24,7 @@ from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import SHOWN, bind
-from cellapp.interfaces.tui.screens.base import READING_RUNS, DayScreen
+from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.cell_views import (
     CellMap,
     DevicesTable,
@@ -35,21 +34,17 @@ from cellapp.interfaces.tui.widgets.cell_views import (
     device_state,
     devices_of,
 )
-from cellapp.interfaces.tui.widgets.tables import TextTable, WrappedTables, explain_tabs, show_next_tab
+from cellapp.interfaces.tui.widgets.tables import TextTable, explain_tabs, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.doctor.result import DoctorResult
     from cellapp.commands.plan.result import StopsResult
-    from cellapp.commands.runs.result import RunsResult
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
 
 _REFRESH_S = 5.0
 """Interval of device queries: slow enough for any controller, fast enough to show that a stop was released."""
-_TODAY_AFTER_S = 0.6
-"""Delay of reading today's work, so that the first screen is drawn before it."""
-_NO_RUNS = "No run is there yet: the day begins with a profile and a plan (key 2)."
 _OLD = timedelta(minutes=10)
 """Age from which the doctor's findings count as old: in that time somebody may have pressed a stop."""
 
@@ -64,7 +59,6 @@ Which cell is calibrated, what the profile says of it, what its devices say, and
 - Choose a profile in the list (Enter while a run is open), or open one by its path.
 - The doctor asks every device and makes every check; nothing moves. The line above the tables is its verdict; failed
   checks come first, and the sentence below the table is that of the selected row, in full.
-- *Today* is what waits: open runs, and for each arm how old its calibration and its check are, and what is due.
 - *Devices* shows what each device said last. UR controllers are asked again every 5 s while no job runs.
 - *Profile* is the profile in words, or what is wrong with it, line by line; your editor opens it, and it is checked
   again when you come back. *Map* shows where bases and tracker stand.
@@ -77,14 +71,6 @@ class DevicesProbed(Message):
     def __init__(self, profile: Profile, result: DoctorResult) -> None:
         super().__init__()
         self.profile, self.result = profile, result
-
-
-class TodayRead(Message):
-    """The folder of runs was read, for the work that waits today."""
-
-    def __init__(self, found: RunsResult) -> None:
-        super().__init__()
-        self.found = found
 
 
 class CellScreen(DayScreen):
@@ -128,7 +114,7 @@ class CellScreen(DayScreen):
         self._written_ns = self._read_ns = 0
         self._problem = ""
         self._states: dict[str, DeviceState] = {}
-        self._probing = self._today = False
+        self._probing = False
         self._drawn: tuple[Profile | None, StopsResult | None] = (None, None)
 
     def body(self) -> ComposeResult:
@@ -136,9 +122,7 @@ class CellScreen(DayScreen):
             yield _tipped(OptionList(id="profiles", markup=False, compact=True), "Profiles of the folder; Enter opens")
             with Vertical(id="cell-middle"):
                 yield Static("", id="cell-verdict", markup=False)
-                with TabbedContent(id="cell-tabs", initial="tab-today" if self._has_runs else "tab-profile"):
-                    with TabPane("Today", id="tab-today"):
-                        yield WrappedTables(READING_RUNS if self._has_runs else _NO_RUNS, id="today")
+                with TabbedContent(id="cell-tabs", initial="tab-profile"):
                     with TabPane("Profile", id="tab-profile"):
                         yield _tipped(TextTable(id="cell-words", cursor_type="row"), "What the profile says")
                     with TabPane("Devices", id="tab-devices"):
@@ -171,7 +155,6 @@ class CellScreen(DayScreen):
             )
         profiles.focus()
         self.set_interval(_REFRESH_S, self._tick)
-        self.set_timer(_TODAY_AFTER_S, self._read_today)
 
     def _highlight_first(self) -> None:
         profiles = self.query_one("#profiles", OptionList)
@@ -235,35 +218,6 @@ class CellScreen(DayScreen):
         from cellapp.interfaces.tui.dialogs.first_run import take_own_readings
 
         take_own_readings(self.cell_app)
-
-    @property
-    def _has_runs(self) -> bool:
-        """Whether the folder of runs is not empty: waiting work is then shown first."""
-        with suppress(OSError):
-            return any(self.cell_app.logs.iterdir())
-        return False
-
-    @work(thread=True, exclusive=True, group="today")
-    def _read_today(self) -> None:
-        from cellapp.commands.runs.history import list_runs
-
-        logs = self.cell_app.logs
-        try:
-            if logs.is_dir():
-                self.post_message(TodayRead(list_runs(logs)))
-        except CellappError:
-            return  # the screen Runs says why
-
-    @on(TodayRead)
-    def show_today(self, event: TodayRead) -> None:
-        """Draw the work that waits."""
-        from cellapp.commands.runs.today import today_sentences, today_tables
-
-        now = datetime.now(UTC)
-        self.query_one("#today", WrappedTables).show(
-            today_tables(event.found, now), after=today_sentences(event.found, now)
-        )
-        self._today = True
 
     def action_map(self) -> None:
         """Show the map."""
@@ -361,8 +315,6 @@ class CellScreen(DayScreen):
             self._show_profile(workspace.profile, workspace.problem)
         drawn = (workspace.profile, workspace.stops)
         if drawn != self._drawn:
-            if self._today:
-                self._read_today()
             self._drawn = drawn
             for plot in self.query(CellMap):
                 plot.show_cell(workspace.profile, () if workspace.stops is None else workspace.stops.stops)
