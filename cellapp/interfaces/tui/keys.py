@@ -50,7 +50,7 @@ KEYS: Mapping[str, Key] = {
     "mark": Key("space", "Space", "mark the row"),
     "undo": Key("ctrl+z", "Ctrl+Z", "take back the last edit"),
     "redo": Key("ctrl+y", "Ctrl+Y", "make it again"),
-    "again": Key("r", "r", "again: ask the devices, read the folder, design the rest of a plan, measure marked stops"),
+    "again": Key("r", "r", "again: read the folder, design the rest of a plan, measure marked stops"),
     "arm": Key("a", "a", "the other arm"),
     "before": Key("comma", ",", "the one before: joint, picture, chart, stop"),
     "after": Key("full_stop", ".", "the next one: joint, picture, chart, stop"),
