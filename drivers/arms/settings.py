@@ -82,8 +82,6 @@ class ArmSettings(Section):
     has_device: ClassVar[bool] = True
     """Whether there is an arm to move; if not, readings come from a file."""
     packages: ClassVar[tuple[Package, ...]] = ()
-    repeatable_probe: ClassVar[bool] = False
-    """Whether a probe may be repeated every few seconds: it only reads, and does not block the device for others."""
 
     @property
     def controller_address(self) -> str:

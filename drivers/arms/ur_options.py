@@ -46,8 +46,6 @@ class UrOptions(ArmSettings):
         """The host, as written."""
         return self.host
 
-    repeatable_probe: ClassVar[bool] = True
-
     def emulated_controller(self) -> EmulatedController | None:
         """Return the loopback address of the controller; None if it is on another machine."""
         host = loopback_ipv4(self.host)

@@ -23,9 +23,7 @@ from numpy.typing import NDArray
 
 from drivers.trackers.protocol import (
     ACCURACIES,
-    Face,
     Halted,
-    Inclination,
     NotReady,
     Packet,
     Point,
@@ -39,7 +37,6 @@ from drivers.trackers.protocol import (
     TrackerLinkLost,
     TrackerRefused,
     TrackerTimeout,
-    TwoFace,
     Unstable,
     WrongTarget,
     stream_limits_of,
@@ -255,7 +252,7 @@ def read_preparation(fields: Fields) -> Preparation:
     )
 
 
-def point_fields(point: Point, prefix: str = "") -> dict[str, str]:
+def point_fields(point: Point) -> dict[str, str]:
     """Return the fields of a measured point. Raises ``BadField`` if it holds a value that is not finite."""
     values: dict[str, float | None] = {
         **dict(zip(_AXES, point.p_M, strict=True)),
@@ -265,31 +262,23 @@ def point_fields(point: Point, prefix: str = "") -> dict[str, str]:
         "temperature": point.temperature_c,
         "pressure": point.pressure_hpa,
         "humidity": point.humidity_percent,
-        "tracker_time": point.tracker_time_s,
-        "host_time": point.host_time_s,
     }
     if point.quaternion_M is not None:
         values |= dict(zip(_QUATERNION, point.quaternion_M, strict=True)) | {"sigma_rad": point.sigma_rad}
-    if point.precision_M is not None:
-        values |= {f"p{axis}": value for axis, value in zip(_AXES, point.precision_M, strict=True)}
     fields = {key: number(value) for key, value in values.items() if value is not None}
-    fields["face"] = str(point.face)
     if point.reflector:
         fields["reflector"] = text(point.reflector, 60)
     if point.quality:
         fields["quality"] = text("; ".join(point.quality), 120)
-    return {prefix + key: value for key, value in fields.items()}
+    return fields
 
 
-def read_point(fields: Fields, prefix: str = "") -> Point:
+def read_point(own: Fields) -> Point:
     """Read a measured point. Raises ``BadField``."""
-    own = {key.removeprefix(prefix): value for key, value in fields.items() if key.startswith(prefix)}
     covariance = np.zeros((3, 3))
     for i, j in _UPPER_TRIANGLE:
         low = 0.0 if i == j else -1.0
         covariance[i, j] = covariance[j, i] = read_number(own, f"c{_AXES[i]}{_AXES[j]}", low, 1.0)
-    face: Face = 1 if read_number(own, "face", 1, 2) == 1 else 2
-    precise = all(f"p{axis}" in own for axis in _AXES)
     turned = _QUATERNION[0] in own
     return Point(
         p_M=np.array([read_number(own, axis, -1e3, 1e3) for axis in _AXES]),
@@ -299,10 +288,6 @@ def read_point(fields: Fields, prefix: str = "") -> Point:
         temperature_c=read_optional(own, "temperature", -100.0, 200.0),
         pressure_hpa=read_optional(own, "pressure", 0.0, 2000.0),
         humidity_percent=read_optional(own, "humidity", 0.0, 100.0),
-        precision_M=np.array([read_number(own, f"p{axis}", 0.0, 1.0) for axis in _AXES]) if precise else None,
-        face=face,
-        tracker_time_s=read_optional(own, "tracker_time"),
-        host_time_s=read_optional(own, "host_time"),
         reflector=own.get("reflector", ""),
         quality=tuple(own["quality"].split("; ")) if own.get("quality") else (),
         quaternion_M=_read_quaternion(own) if turned else None,
@@ -317,41 +302,6 @@ def _read_quaternion(fields: Fields) -> NDArray[np.float64]:
     if abs(length - 1.0) > _UNIT_LENGTH:
         raise BadField(f"{', '.join(_QUATERNION)} has the length {length:.4g}; expected a unit quaternion")
     return values / length if abs(length - 1.0) > _ROUNDED else values
-
-
-def two_face_fields(pair: TwoFace) -> dict[str, str]:
-    """Return the answer to ``two-face``."""
-    return point_fields(pair.first, "a.") | point_fields(pair.second, "b.")
-
-
-def read_two_face(fields: Fields) -> TwoFace:
-    """Read the answer to ``two-face``. Raises ``BadField``."""
-    return TwoFace(read_point(fields, "a."), read_point(fields, "b."))
-
-
-def inclination_fields(level: Inclination | None) -> dict[str, str]:
-    """Return the answer to ``inclination``."""
-    if level is None:
-        return {"fitted": "0"}
-    tilt_x, tilt_y = level.tilt_rad
-    return {
-        "fitted": "1",
-        "tilt_x": number(tilt_x),
-        "tilt_y": number(tilt_y),
-        "drift": number(level.drift_rad),
-        "threshold": number(level.threshold_rad),
-    }
-
-
-def read_inclination(fields: Fields) -> Inclination | None:
-    """Read the answer to ``inclination``. Raises ``BadField``."""
-    if read_number(fields, "fitted", 0, 1) == 0:
-        return None
-    return Inclination(
-        (read_number(fields, "tilt_x", -4, 4), read_number(fields, "tilt_y", -4, 4)),
-        read_number(fields, "drift", 0, 4),
-        read_number(fields, "threshold", 0, 4),
-    )
 
 
 def unmet_fields(unmet: list[str]) -> dict[str, str]:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from drivers.findings import DeviceReport
 
-Face = Literal[1, 2]
 Accuracy = Literal["fast", "standard", "precise"]
 
 ACCURACIES: tuple[Accuracy, ...] = ("fast", "standard", "precise")
@@ -82,13 +81,6 @@ class Point:
         Air temperature of the refraction correction [degC].
     pressure_hpa, humidity_percent : float or None
         Pressure [hPa] and relative humidity [%] of the correction; None: not reported.
-    precision_M : array, shape (3,), or None
-        Standard deviation of each coordinate as reported by the tracker [m]; None: not reported.
-    face : {1, 2}
-        Face of the measurement.
-    tracker_time_s, host_time_s : float or None
-        Time of the result on the tracker's clock and on the clock of its computer [s], each with its own origin; None:
-        not reported.
     reflector : str
         Reflector type whose offset was applied; empty: not reported.
     quality : tuple of str
@@ -106,10 +98,6 @@ class Point:
     temperature_c: float | None
     pressure_hpa: float | None = None
     humidity_percent: float | None = None
-    precision_M: NDArray[np.float64] | None = None
-    face: Face = 1
-    tracker_time_s: float | None = None
-    host_time_s: float | None = None
     reflector: str = ""
     quality: tuple[str, ...] = ()
     quaternion_M: NDArray[np.float64] | None = None
@@ -119,54 +107,6 @@ class Point:
     def orientation(self) -> tuple[NDArray[np.float64], float] | None:
         """Quaternion and its standard uncertainty (0 if not reported); None if no orientation was measured."""
         return None if self.quaternion_M is None else (self.quaternion_M, self.sigma_rad or 0.0)
-
-
-@dataclass(frozen=True)
-class TwoFace:
-    """Measurements of the same SMR in both faces. They differ by systematic errors that averaging does not reduce."""
-
-    first: Point
-    second: Point
-
-    @property
-    def across_m(self) -> float:
-        """Full difference of the two faces perpendicular to the beam [m]; ISO 10360-10 uses half of it."""
-        difference, beam = self._split()
-        return float(np.linalg.norm(difference - (difference @ beam) * beam))
-
-    @property
-    def along_m(self) -> float:
-        """Difference of the distances, second minus first [m]."""
-        difference, beam = self._split()
-        return float(difference @ beam)
-
-    def _split(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        middle = self.first.p_M + self.second.p_M
-        return self.second.p_M - self.first.p_M, middle / np.linalg.norm(middle)
-
-
-@dataclass(frozen=True)
-class Inclination:
-    """Reading of the level.
-
-    Attributes
-    ----------
-    tilt_rad : tuple of two float
-        Tilt relative to gravity about the tracker's x and y axes [rad].
-    drift_rad : float
-        Change of the tilt since monitoring began [rad].
-    threshold_rad : float
-        Drift above which the tracker counts as moved [rad].
-    """
-
-    tilt_rad: tuple[float, float]
-    drift_rad: float
-    threshold_rad: float
-
-    @property
-    def moved(self) -> bool:
-        """Whether the drift exceeds the threshold."""
-        return self.drift_rad > self.threshold_rad
 
 
 class TrackerError(Exception):
@@ -248,12 +188,6 @@ class Tracker(Protocol):
         Raises ``TargetLost``, ``WrongTarget``, ``Unstable``, ``NotReady``, ``Halted``, ``TrackerTimeout`` or
         ``TrackerLinkLost``.
         """
-
-    def measure_two_face(self, expected_M: NDArray[np.float64], averaging_s: float) -> TwoFace:
-        """Measure the SMR at ``expected_M`` (3,) [m] in face 1, then face 2; end in face 1. Raises like ``measure``."""
-
-    def inclination(self) -> Inclination | None:
-        """Return the level's reading, or None if the tracker has no level."""
 
     def halt(self) -> None:
         """End the running measurement, which then raises ``Halted``; harmless if none runs. From any thread."""

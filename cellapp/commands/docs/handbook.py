@@ -110,7 +110,6 @@ _HEADING = re.compile(r"^(#+) (.+)$")
 _PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
 _CAPTION = re.compile(r"(!\[([^\]]+)\]\([^)]+\)\n)\n\*\2\.?\*\n")
 """A picture followed by a caption that repeats its words."""
-_LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(([^)\s]+)\)")
 
 
 @dataclass(frozen=True)
@@ -133,12 +132,6 @@ class Section:
         """Its Markdown with each picture replaced by its words."""
         return _PICTURE.sub(r"*Picture: \1*", _CAPTION.sub(r"\1", self.text))
 
-    @property
-    def links(self) -> tuple[tuple[str, str], ...]:
-        """Words and address of each link, without repetition."""
-        found = dict((place, words) for words, place in reversed(_LINK.findall(_without_fences(self.text))))
-        return tuple((words, place) for place, words in reversed(found.items()))
-
 
 @dataclass(frozen=True)
 class Found:
@@ -158,16 +151,6 @@ def sections(chapter: str) -> tuple[Section, ...]:
         If there is no such chapter.
     """
     return tuple(_split(chapter, topic_text(chapter)))
-
-
-def section_at(address: str, present: str) -> Section | None:
-    """Return the section that a link in the chapter ``present`` leads to; None for other files and pages."""
-    file, _, anchor = address.partition("#")
-    chapter = file.removesuffix(".md") if file else present
-    if chapter not in CHAPTERS or "://" in address:
-        return None
-    its = sections(chapter)
-    return next((one for one in its if one.anchor == anchor), its[0])
 
 
 def search(words: str) -> tuple[Found, ...]:
@@ -202,10 +185,6 @@ def _split(chapter: str, text: str) -> Iterator[Section]:
 def _section(chapter: str, started: tuple[int, str], lines: list[str]) -> Section:
     level, heading = started
     return Section(chapter, anchor_of(heading), heading, level, "\n".join(lines) + "\n")
-
-
-def _without_fences(text: str) -> str:
-    return re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
 
 
 def _line_with(text: str, words: list[str]) -> str:

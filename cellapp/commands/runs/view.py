@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 from rich import filesize
 
 from cellapp.commands.record import Request, View
-from cellapp.commands.runs.request import RunsRequest
 from cellapp.commands.runs.result import (
     CELL_WORDS,
     ArmFigures,
@@ -24,7 +22,6 @@ from cellapp.commands.runs.result import (
     short_name,
     stops_words,
 )
-from cellapp.commands.runs.today import today_sentences, today_tables
 from cellapp.commands.view.table import Column, Table, number_column, table_of, with_rows
 from cellapp.commands.view.words import display_unit
 from cellapp.estimation.discovery.records import BeforeAfter
@@ -88,12 +85,9 @@ _MM = ".3f"
 
 
 def view(result: RunsResult | ArmHistory, request: Request | None = None) -> View:
-    """Show every run below the folder, what is due today, or one arm over its runs."""
+    """Show every run below the folder, or one arm over its runs."""
     if isinstance(result, ArmHistory):
         return View((history_table(result), *history_sentences(result)))
-    if isinstance(request, RunsRequest) and request.today:
-        now = datetime.now(UTC)
-        return View((*today_tables(result, now), *today_sentences(result, now)))
     return View((*runs_tables(result), *runs_sentences(result)))
 
 

@@ -6,7 +6,7 @@ from cellapp.cell.planning.view import check_plan_run, forecast_run
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import recording_states
 from cellapp.commands.collect.state import collection_state
-from cellapp.commands.compensate.details import stored_state
+from cellapp.commands.compensate.target_list import stored_state
 from cellapp.commands.plan.run import stored_plan
 from cellapp.commands.record import Work
 from cellapp.commands.registry import STORING, records

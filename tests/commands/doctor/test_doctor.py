@@ -17,7 +17,7 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.examination import LONGEST_PROBE_S, examine
 from cellapp.cell.profile import load_profile
 from cellapp.commands.doctor.result import DoctorResult
-from cellapp.commands.doctor.run import examine_run, probe_devices, repeatable_devices
+from cellapp.commands.doctor.run import examine_run
 from cellapp.commands.emulate import EmulatedArm, emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
@@ -170,17 +170,6 @@ def test_what_a_device_reports_is_a_value_and_no_text(real: Profile, monkeypatch
     again = DoctorResult.from_json(result.to_json(), "doctor")
     assert again == result
     assert {finding.subject.split(":")[0] for finding in result.failed} <= {"arm right", "tracker"}
-
-
-def test_only_devices_that_nobody_else_needs_are_asked_again_and_again(
-    real: Profile, twin: Profile, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("drivers.arms.ur_probe.probe_ur", one_ready)
-    assert repeatable_devices(real) == ("arm left", "arm right")
-    assert repeatable_devices(twin) == ()
-    found = probe_devices(real, ["arm left"]).findings
-    assert {finding.subject.split(":")[0] for finding in found} == {"arm left"}
-    assert not probe_devices(real, []).findings
 
 
 E_SERIES = replace(READY, series="e-Series", software="5.11.1.1108318", safety_status="NORMAL", remote_control=True)
