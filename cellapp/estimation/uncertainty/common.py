@@ -111,7 +111,7 @@ def divided(
     own_m, whole_m = (np.sqrt(np.mean(one**2, axis=(0, 2)) + of_network) for one in (own, moved[1]))
     own_rad, whole_rad = (np.sqrt(np.mean(np.sum(one**2, axis=2), axis=0)) for one in (own_turns, turned[1]))
     common = _beyond(rigid_shift, rigid) or _beyond(common_turn, angles)
-    lengths = (np.linalg.norm(one[0], axis=1) for one in (own_shift, own_turn))
+    shift, rotation = (np.linalg.norm(one[0], axis=1) for one in (own_shift, own_turn))
     sigma, turn = (np.sqrt(np.mean(one**2, axis=1)) for one in (rigid, angles))
     return Divided(
         whole_m,
@@ -123,7 +123,7 @@ def divided(
         base_m=float(np.sqrt(np.mean(sigma[3:6] ** 2))),
         base_rad=float(np.sqrt(np.sum(turn[3:] ** 2))),
         common_significant=common,
-        own_significant=bool(beyond(*lengths, own_m, own_rad).any()),
+        own_significant=bool(beyond(shift, rotation, own_m, own_rad).any()),
     )
 
 
