@@ -58,6 +58,7 @@ from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.headlines import warnings
 from cellapp.commands.report.scene import cell_maps, typical_stops
 from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
+from cellapp.commands.stored_model import values_in_force
 from cellapp.commands.trials.power.result import power_parts, stored_power
 from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of
@@ -74,6 +75,7 @@ from cellapp.ground.version import __version__
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.plain_dh import hayati_rows
 from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import controller_rows, published_rows
 
 _HASH = "SHA-256"
@@ -504,7 +506,8 @@ def _cell(data: ReportData) -> Section:
 
 
 def _parameters(data: ReportData, lost: list[str]) -> Section:
-    tables = [*nominal_and_identified_tables(data.calibrate, data.calibrated), *merged_tables(data.calibrate)]
+    in_force = values_in_force(data.calibrate, data.model)
+    tables = [*nominal_and_identified_tables(in_force, data.model), *merged_tables(data.calibrate)]
     others = (
         "Other programs read the geometry of the model in force: 'cellapp export DIR --as FORMAT --out FILE', with"
         f" {', '.join(formats_of(ExportFormat))}. No file of a rigid chain holds the rest of the model; without it the"
@@ -513,18 +516,18 @@ def _parameters(data: ReportData, lost: list[str]) -> Section:
     return Section(
         "",
         [others, *tables],
-        _parameters_message(data),
+        _parameters_message(in_force, data.model),
         "Lengths and angles of the chain from tracker to SMR (D-H, with a Hayati angle beta where axes are parallel),"
-        " with one standard error, as identified by the calibration, before effects. A parameter that these data cannot"
+        " with one standard error, in the model in force. A parameter that these data cannot"
         " separate from others keeps its nominal value and is merged into the others.",
     )
 
 
-def _parameters_message(data: ReportData) -> str:
+def _parameters_message(calibrate: CalibrateResult, model: CellModel) -> str:
     """State how many parameters of each arm were identified, and the chain length that differs most from nominal."""
     parts = []
-    for name, arm in data.calibrate.arms.items():
-        nominal = data.calibrated.arms[name].nominal
+    for name, arm in calibrate.arms.items():
+        nominal = model.arms[name].nominal
         values = dict(zip(nominal.names, nominal.vector().tolist(), strict=True))
         changes = {key: arm.identified[key].value - values[key] for key in arm.identified if _CHAIN_LENGTH.match(key)}
         words = f"{len(arm.identified)} parameters of arm {name}"
