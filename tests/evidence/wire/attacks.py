@@ -50,6 +50,8 @@ _AS_NOBODY = (
 )
 """The program of another account, which may not read this one's Python: it has loaded what it needs before."""
 _SIGMAS = 6.0
+_SHOWN = 110
+"""Characters of a message that the table shows."""
 
 
 @dataclass
@@ -305,7 +307,7 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
             [
                 name, str(len(its)), f"{np.median(worst):.0f}; {max(worst):.0f}" if worst else "",
                 *(str(sum(getattr(one, what) for one in its)) for what in ("motions", "programs", "lost", "doubled")),
-                ", ".join(codes), max((one.said for one in its), key=len).replace("|", "/"),
+                ", ".join(codes), _cut(max((one.said for one in its), key=len)),
             ]
         )  # fmt: skip
         limits += [Limit(f"{name}: stop at both arms [ms]", max(worst), most)] if worst else []
@@ -322,6 +324,11 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
     figures = {"attacks": str(len(struck)), "stop": f"{max(stops, default=0.0):.0f} ms", "wrong": str(wrong)}
     said = [f"{result['readings']} readings, compared with an undisturbed run's: false at {result['false']} arms."]
     return Evidence(figures, [Table("", columns, rows)], limits, said)
+
+
+def _cut(said: str) -> str:
+    """Return the first words of a message, for a cell of a table."""
+    return f"{said[:_SHOWN]} ..." if len(said) > _SHOWN else said
 
 
 def _host(scene: Scene) -> str:
