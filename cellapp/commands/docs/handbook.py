@@ -9,6 +9,7 @@ from functools import cache
 from importlib import resources
 
 from cellapp.ground.errors import InputError
+from cellapp.ground.removed import removed_command
 
 PARTS: Mapping[str, Mapping[str, str]] = {
     "begin here": {
@@ -75,7 +76,9 @@ def topic_text(topic: str) -> str:
     """
     kept = chapter_text(topic) if topic in CHAPTERS else effect_sections().get(topic)
     if kept is None:
-        raise InputError(f"docs: '{topic}' is not a topic; topics are {', '.join(topics())}")
+        raise InputError(
+            removed_command(f"docs {topic}") or f"docs: '{topic}' is not a topic; topics are {', '.join(topics())}"
+        )
     return _FOR_TESTS.sub(r"\1", _MARKER.sub("", kept))
 
 
