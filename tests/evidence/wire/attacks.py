@@ -37,6 +37,8 @@ from tests.evidence.wire.storm_operator import Stored, stored
 
 TITLE = "Attacks on the wire"
 ALONE = True
+HOSTS, TRACKER = ("127.0.46.2", "127.0.46.3"), "socket://127.0.46.4:50946"
+"""Addresses of the arms and the tracker, which no profile and no test has."""
 KEY_MS, COMMAND_MS, LOST_MS, SILENT_MS = 50.0, 300.0, 100.0, 350.0
 _BY_WATCHDOG_MS = 350.0
 """Limit of a stop that only the watchdog gives: its period, some control cycles, and what waits for a processor."""
@@ -160,7 +162,7 @@ ATTACKS: dict[str, Attack] = {
     "malformed packet, size 0": Attack(_command("send", "rtde", "000055"), LOST_MS),
     "network 0.1 s late": Attack(_command("network", 0.1)),
     "network loses 5 %": Attack(_command("network", 0.005, 0.05)),
-    "stopped on the pendant": Attack(lambda scene: stop_program(_host(scene), 1.0)),
+    "stopped on the pendant": Attack(lambda scene: stop_program(HOSTS[0], 1.0)),
     "protective stop": Attack(_command("protective", "now"), LOST_MS),
     "driver process killed": Attack(_kill_worker, _BY_WATCHDOG_MS),
     "program killed": Attack(_signal(signal.SIGKILL), LOST_MS),
@@ -272,11 +274,10 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
 def attacks(profile: Profile, names: Sequence[str], repeats: int) -> dict[str, Any]:
     """Attack the collecting of one run ``repeats`` times with each; compare its readings with an undisturbed run's."""
     profile = wire_profile(profile, stops=12 + 2 * len(names) * repeats)
-    arms = {
-        name: arm.model_copy(update={"driver": arm.driver.model_copy(update={"watchdog_hz": 5.0})})
-        for name, arm in profile.arms.items()
-    }
-    profile = profile.model_copy(update={"arms": arms})
+    for host, arm in zip(HOSTS, profile.arms, strict=True):
+        profile = _with_driver(profile, arm, host=host, watchdog_hz=5.0)
+    driver = profile.tracker.driver.model_copy(update={"url": TRACKER})
+    profile = profile.model_copy(update={"tracker": profile.tracker.model_copy(update={"driver": driver})})
     with tempfile.TemporaryDirectory(prefix="cellapp-wire-") as folder, in_real_time():
         parent = Path(folder)
         parent.chmod(0o755)  # another account looks
@@ -292,6 +293,12 @@ def attacks(profile: Profile, names: Sequence[str], repeats: int) -> dict[str, A
             readings = sum(len(run.readings(name).configuration) for name in run.arms())
     false = sum(one.max_sigmas > _SIGMAS or one.joints_max_rad > SAME_RAD for one in found)
     return {"struck": [asdict(one) for one in struck], "readings": readings, "false": false, "complete": code}
+
+
+def _with_driver(profile: Profile, name: str, **changes: object) -> Profile:
+    arm = profile.arms[name]
+    driver = arm.driver.model_copy(update=changes)
+    return profile.model_copy(update={"arms": {**profile.arms, name: arm.model_copy(update={"driver": driver})}})
 
 
 def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidence:
@@ -329,8 +336,3 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
 def _cut(said: str) -> str:
     """Return the first words of a message, for a cell of a table."""
     return f"{said[:_SHOWN]} ..." if len(said) > _SHOWN else said
-
-
-def _host(scene: Scene) -> str:
-    driver: Any = load_profile(ROOT / "profiles" / "twin-rtde.yaml").arms[scene.cell.arms[0]].driver
-    return str(driver.host)
