@@ -18,11 +18,11 @@ from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.measured_again import earlier_readings, missing_share, reference_drifts
 from cellapp.estimation.readings import Reading
-from cellapp.ground.control import Aborted, JobControl, Request, Stopped
+from cellapp.ground.control import JobControl, Request, Stopped
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Collection, Reference, Repeat, Suspend, Suspension
-from cellapp.ground.progress import CellLive, Progress, ReferenceReport, StateChange
+from cellapp.ground.progress import Progress, ReferenceReport, StateChange
 from drivers.arms.protocol import ArmError, HostStalled, LinkLost
 from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.protocol import TrackerLinkLost
@@ -141,19 +141,6 @@ def test_stops_are_measured_again_as_planned_and_nothing_else_is_visited(bench: 
     assert [one.again for one in bench.run.sessions()] == ["", "3, 6"]
 
 
-def test_stopped_while_it_measures_again_a_stop_keeps_what_it_had(bench: Bench) -> None:
-    bench.collect()
-    old = bench.run.readings("left").p_M
-    bench.shift_M, measured = np.array([1e-3, 0.0, 0.0]), bench.measured
-    bench.before_measuring[measured + 4] = lambda bench: bench.control.ask("stop")
-    with pytest.raises(Stopped):
-        bench.collect(again=[1, 3])
-    moved = np.linalg.norm(bench.run.readings("left").p_M - old, axis=1) > 5e-4
-    assert np.flatnonzero(moved).tolist() == [1], "the second stop was not finished"
-    assert earlier_readings(bench.run, "left").readings.configuration.tolist() == [1]
-    assert complete(bench)
-
-
 @pytest.mark.parametrize(
     ("stops", "message"),
     [
@@ -204,30 +191,6 @@ def test_stop_holds_where_a_person_attends_and_resume_measures_the_stop_again(be
     assert bench.requests == ["stop", "resume"]
     assert complete(bench)
     assert len(bench.run.sessions()) == 1
-
-
-@pytest.mark.parametrize(("verb", "error"), [("stop", Stopped), ("abort", Aborted)])
-def test_stop_and_abort_are_recorded_with_their_own_words(bench: Bench, verb: Any, error: type[Exception]) -> None:
-    bench.before_measuring[5] = lambda bench: bench.control.ask(verb)
-    with pytest.raises(error):
-        bench.collect()
-    assert bench.run.stops_done() == {0, 1}
-    session = bench.run.sessions()[-1]
-    assert session.outcome == error.__name__.lower()
-    assert [kind for _, kind, _ in session.requests] == [verb]
-    bench.control = JobControl()
-    bench.collect(resume=True)
-    assert complete(bench)
-    assert [one.outcome for one in bench.run.sessions()] == [error.__name__.lower(), "complete"]
-
-
-def test_a_held_job_can_be_aborted(bench: Bench) -> None:
-    bench.control = Person(lambda request: bench.control.abort())
-    bench.before_measuring[4] = lambda bench: bench.control.stop()
-    with pytest.raises(Aborted):
-        bench.collect()
-    assert bench.requests == ["stop"]
-    assert bench.run.sessions()[-1].outcome == "aborted"
 
 
 def test_a_safety_stop_waits_for_the_repair_and_for_the_person(bench: Bench) -> None:
@@ -373,21 +336,6 @@ def test_a_coarse_precision_takes_two(bench: Bench) -> None:
     assert bench.measured == 2 * 2 * STOPS
 
 
-def test_the_arms_exercise_before_the_first_measurement(bench: Bench) -> None:
-    practise(bench, warm_up=120.0)
-    started: list[float] = []
-
-    def begins(bench: Bench) -> None:
-        assert bench.cell is not None
-        started.append(plant_of(bench.cell).clock_s)
-
-    bench.before_measuring[1] = begins
-    bench.collect()
-    assert started[0] > 120.0
-    assert any("warming up" in event.note for event in bench.heard)
-    assert complete(bench)
-
-
 def test_stops_that_the_controller_forbids_are_left_out_before_anything_moves(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -506,21 +454,6 @@ def test_a_safety_stop_during_the_retry_needs_a_person(bench: Bench) -> None:
     with pytest.raises(HardwareError, match=r"silent for 0.4 s"):
         bench.collect()
     assert "resume" not in bench.requests
-
-
-def test_an_arm_that_was_not_seen_at_rest_after_a_persons_stop_is_named(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def lost(self: SimulatedArm) -> None:
-        raise ArmError(f"arm {self.name}: it could not be seen at rest")
-
-    def strike(bench: Bench) -> None:
-        monkeypatch.setattr(SimulatedArm, "stop", lost)
-        bench.control.stop()
-
-    bench.before_measuring[3] = strike
-    with pytest.raises(HardwareError, match="NOT SEEN AT REST: arm left"):
-        bench.collect()
 
 
 def test_a_point_that_was_measured_through_a_stop_is_not_stored(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -653,19 +586,6 @@ def test_no_motion_begins_while_a_link_is_unconfirmed(bench: Bench, monkeypatch:
     with pytest.raises(HardwareError, match=r"no answer|does not answer"):
         bench.collect()
     assert began == []
-
-
-def test_the_open_cell_tells_what_is_known_without_the_job(bench: Bench) -> None:
-    seen: list[CellLive | None] = []
-    bench.before_measuring[1] = lambda bench: seen.append(bench.control.live())
-    bench.collect()
-    live = seen[0]
-    assert live is not None
-    assert list(live.arms) == ["left", "right"]
-    assert live.arms["left"].age_s == live.tracker_age_s == 0.0
-    assert not live.arms["left"].moving
-    assert live.causes == ()
-    assert bench.control.live() is None, "no cell is open any more"
 
 
 def test_a_stop_while_the_cell_is_opened_ends_the_job(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,41 +3,40 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.stats import ks_2samp
 
 from cellapp.cell.planning.candidates import (
     CandidatePool,
-    draw_joints,
     draw_pool,
     exclusions,
-    joint_ranges,
-    random_configurations,
-    workspace_configurations,
 )
-from cellapp.cell.planning.designed import design_stops, free_ways, hubs_of, within_reach
+from cellapp.cell.planning.designed import free_ways, hubs_of, within_reach
+from cellapp.cell.planning.records import ViewResult
+from cellapp.cell.planning.view import arm_view, view_workspace
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.bodies import ArmBodies, place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_alone, refuse_motion, visible
 from cellapp.cell.safety.visibility import TrackerField, sight_of
+from cellapp.commands.plan.charts import SHADES, view_chart, view_charts
+from cellapp.commands.plan.check_view import AS_IT_IS, arm_sentences, view_sentences, worst_constraint
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, Placement
-from cellapp.ground.progress import Cancelled, CancelToken
+from cellapp.ground.progress import Cancelled, CancelToken, Progress
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import transform
+from tests.interfaces.cli.test_cli import exit_code
 from tests.twin import PROFILES, small_twin, with_arms
 
 COUNT = 400
-FACING = math.radians(20.0)
 TRACKER = TrackerField(
     transform(np.diag([-1.0, -1.0, 1.0]), np.array([3.5, 0.3, 0.5])), (-7.0, 7.0), (-0.9, 0.9), (1.0, 40.0)
 )
@@ -90,13 +89,6 @@ def pool_of(cell: CellBodies, name: str, seed: int = 3, count: int = COUNT, **pl
     return draw_pool(cell, small_twin(COUNT, plan=plan), name, count, np.random.default_rng(seed))
 
 
-def plain_rejection(cell: CellBodies, name: str, draws: int) -> np.ndarray:
-    low, high = joint_ranges(cell, small_twin(), name).T
-    q = np.random.default_rng(77).uniform(low, high, (draws, len(low)))
-    q = q[visible(cell, name, q)]
-    return np.asarray(q[clear_alone(cell, place(cell.arms[name], q))])
-
-
 @pytest.mark.parametrize("which", CELLS)
 def test_every_candidate_can_be_measured(which: str) -> None:
     cell, name = CELLS[which]
@@ -113,56 +105,6 @@ def test_every_candidate_can_be_measured(which: str) -> None:
     assert pool.rejected["gate"] == 0, "the named constraints are all that the gate asks for"
 
 
-@pytest.mark.parametrize("which", ["UR10", "SMR across the flange axis", "four joints"])
-def test_each_joint_is_spread_like_plain_rejection(which: str) -> None:
-    """Kolmogorov-Smirnov: without a preference for small incidence, both are draws from one distribution."""
-    cell, name = CELLS[which]
-    expected = plain_rejection(cell, name, 120_000)
-    found = pool_of(cell, name, count=3000, incidence=HALF_TURN).q
-    for j in range(found.shape[1]):
-        assert ks_2samp(found[:, j], expected[:, j]).pvalue > 1e-3, f"joint {j + 1}"
-    for i, k in ((0, -1), (1, -1), (0, 1)):  # sums of first joints and wrist: their combinations too
-        assert ks_2samp(found[:, i] + found[:, k], expected[:, i] + expected[:, k]).pvalue > 1e-3
-
-
-def test_small_incidence_is_preferred_and_no_joint_loses_its_range() -> None:
-    cell, name = CELLS["UR10"]
-    plain, pool = plain_rejection(cell, name, 120_000), pool_of(cell, name, count=4000)
-    assert cell.field is not None
-    before = np.mean(sight_of(cell.field.T_C_M, place(cell.arms[name], plain)).incidence <= FACING)
-    after = np.mean(pool.incidence <= FACING)
-    assert before < 0.65
-    assert 0.8 < after < 0.95, "some are left for effects of the incidence"
-    for level in (0.02, 0.98):
-        np.testing.assert_allclose(np.quantile(pool.q, level, axis=0), np.quantile(plain, level, axis=0), atol=0.25)
-
-
-def test_random_configurations_are_independent() -> None:
-    cell, name = CELLS["UR10"]
-    configurations = random_configurations(cell, small_twin(), name, np.random.default_rng(5))
-    q = np.array([next(configurations) for _ in range(600)])
-    for j in range(6):
-        assert len(np.unique(q[:, j])) == 600
-    assert visible(cell, name, q).all()
-
-
-def test_the_seed_makes_the_pool() -> None:
-    cell, name = CELLS["UR10"]
-    first, again, other = (pool_of(cell, name, seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(first.q, again.q)
-    assert (first.drawn, first.rejected) == (again.drawn, again.rejected)
-    assert not np.any(np.all(first.q == other.q, axis=1))
-
-
-def test_joints_that_may_not_move_give_no_copies() -> None:
-    cell, name = CELLS["UR10"]
-    start = pool_of(cell, name).q[0]
-    free = (tuple((value, value) for value in start[:3]), tuple((value - 0.3, value + 0.3) for value in start[3:]))
-    for ranges in ((*free[0], *free[1]), (*((v - 0.3, v + 0.3) for v in start[:3]), *((v, v) for v in start[3:]))):
-        q = pool_of(cell, name, count=100, ranges=ranges).q
-        assert len(np.unique(q, axis=0)) == 100
-
-
 def test_a_pool_may_be_smaller_than_asked_for_but_not_than_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_DRAWS", 60_000)
     monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_DRAWS_PER_CANDIDATE", 1)
@@ -170,29 +112,6 @@ def test_a_pool_may_be_smaller_than_asked_for_but_not_than_the_plan(monkeypatch:
     assert COUNT <= len(pool_of(cell, name, count=5000).q) < 5000
     with pytest.raises(InputError, match=rf"[0-9]+ of [0-9]+ random .* can be measured, {COUNT * 10} are needed"):
         draw_pool(cell, small_twin(COUNT * 10), name, 5000, np.random.default_rng(0))
-
-
-def test_drawing_can_be_cancelled() -> None:
-    token = CancelToken()
-    token.cancel()
-    with pytest.raises(Cancelled):
-        draw_pool(*CELLS["UR10"][:1], small_twin(), "left", 10, np.random.default_rng(0), token)
-
-
-@settings(max_examples=12, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), which=st.sampled_from(sorted(CELLS)))
-def test_what_is_seen_of_combined_joints_is_what_placing_them_gives(seed: int, which: str) -> None:
-    cell, name = CELLS[which]
-    arm = cell.arms[name]
-    rng = np.random.default_rng(seed)
-    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    T_C_M = transform(rotation * np.sign(np.linalg.det(rotation)), rng.normal(size=3) * 3.0)
-    draws = draw_joints(arm, T_C_M, arm.limits, rng)
-    chosen = rng.random(draws.sight.distance.shape) < 0.01
-    expected = sight_of(T_C_M, place(arm, draws.q(chosen)))
-    np.testing.assert_allclose(draws.sight.smr_M[:, chosen], expected.smr_M, atol=1e-12)
-    np.testing.assert_allclose(draws.sight.distance[chosen], expected.distance, atol=1e-12)
-    np.testing.assert_allclose(draws.sight.cosine[chosen], expected.cosine, atol=1e-9)
 
 
 # -- cells in which nothing can be measured ---------------------------------------------------------------------------
@@ -256,17 +175,6 @@ def test_what_cannot_be_measured_names_its_constraint(cause: str, monkeypatch: p
 # -- Points of the workspace: clear, inside the ranges, seen by the tracker or not -------------------------------------
 
 
-def test_targets_are_clear_wherever_the_smr_looks() -> None:
-    profile = small_twin()
-    cell = cell_bodies(profile)
-    q = workspace_configurations(profile, cell, "left", 200, np.random.default_rng(5))
-    assert q.shape == (200, 6)
-    assert clear_alone(cell, place(cell.arms["left"], q)).all()
-    assert visible(cell, "left", q).mean() < 0.2
-    again = workspace_configurations(profile, cell, "left", 200, np.random.default_rng(5))
-    np.testing.assert_array_equal(q, again)
-
-
 # -- Candidates within easy reach: what lies behind a wall that no way passes is none, and free ways are free ----------
 
 
@@ -298,17 +206,132 @@ def test_poses_beyond_a_locked_range_are_out_of_reach() -> None:
     assert ways(q[reached][8:28]) > 2.0 * ways(q[~reached][:20])
 
 
-def test_a_design_is_the_same_by_seed_and_keeps_what_it_is_given() -> None:
-    profile = small_twin(12, plan={"candidates": 200})
-    first, again = design_stops(profile, 12), design_stops(profile, 12)
-    other = design_stops(profile.model_copy(update={"seed": 8}), 12)
-    for name, q in first.stops.q.items():
-        np.testing.assert_array_equal(q, again.stops.q[name])
-        assert not np.array_equal(q, other.stops.q[name])
-    longer = design_stops(profile, 3, kept=first.stops)
-    assert len(longer.stops) == 15
-    for name, q in first.stops.q.items():
-        np.testing.assert_array_equal(longer.stops.q[name][:12], q)
-        np.testing.assert_array_equal(longer.stops.approach_from[name][:12], first.stops.approach_from[name])
-    assert longer.stops.block[12:].min() > first.stops.block.max()
-    assert all(pool.rejected for pool in first.pools.values())
+# -- What the tracker sees of a cell -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_draws():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cellapp.cell.planning.view._BATCHES", 10)
+        patch.setattr("cellapp.cell.planning.view._CHANGE_BATCHES", 3)
+        yield
+
+
+@pytest.fixture(scope="module")
+def view() -> ViewResult:
+    return view_workspace(small_twin())
+
+
+def with_tracker_at(profile: Profile, *position: float, elevation: tuple[float, float] = (-0.96, 0.96)) -> Profile:
+    assert profile.tracker.pose is not None
+    pose = profile.tracker.pose.model_copy(update={"position": position})
+    tracker = profile.tracker.model_copy(update={"pose": pose, "elevation": elevation})
+    return profile.model_copy(update={"tracker": tracker})
+
+
+def test_the_counts_add_up(view: ViewResult) -> None:
+    assert list(view.arms) == ["left", "right"]
+    for arm in view.arms.values():
+        assert sum(arm.lost.values()) + arm.share == pytest.approx(1.0)
+        assert sum(cube.seen for cube in arm.cells) == arm.seen > arm.small_incidence > 0.4 * arm.seen
+        assert all(0 <= cube.seen <= cube.reachable for cube in arm.cells)
+        assert sum(cube.reachable for cube in arm.cells) < arm.drawn, "cubes below the floor are left out"
+        assert 0.1 <= arm.edge_m <= 0.4
+        assert min(cube.centre_C[2] for cube in arm.cells) > -0.2
+        assert arm.facing_at_random == pytest.approx(0.5 * (1.0 - math.cos(math.radians(27.0))))
+    assert ViewResult.from_json(view.to_json(), "view") == view
+
+
+def test_the_workspace_is_where_the_arm_is(view: ViewResult) -> None:
+    for name, arm in view.arms.items():
+        base = small_twin().arms[name].base
+        assert base is not None
+        centres, weights = np.array([cube.centre_C for cube in arm.cells]), [cube.reachable for cube in arm.cells]
+        middle = np.average(centres[:, :2], axis=0, weights=weights)
+        np.testing.assert_allclose(middle, base.position[:2], atol=0.5 * arm.edge_m)
+        assert np.linalg.norm(centres - base.position, axis=1).max() < 1.6 + arm.edge_m
+
+
+def test_it_is_the_same_each_time_and_can_be_cancelled(view: ViewResult) -> None:
+    heard: list[Progress] = []
+    assert view_workspace(small_twin(), heard.append) == view
+    assert (heard[-1].done, heard[-1].total) == (2, 2)
+    token = CancelToken()
+    token.cancel()
+    with pytest.raises(Cancelled):
+        view_workspace(small_twin(), cancel=token)
+
+
+def test_one_arm_without_a_tracker_is_told() -> None:
+    cell = cell_bodies(small_twin())
+    object.__setattr__(cell, "field", None)
+    with pytest.raises(InputError, match=r"no tracker .* give tracker\.pose"):
+        arm_view(cell, small_twin(), "left", CancelToken())
+
+
+def test_in_a_good_cell_the_mounting_is_not_to_blame(view: ViewResult) -> None:
+    sentences = " ".join(view_sentences(view))
+    assert "so its mounting is not to blame" in sentences
+    assert "changes that were tried (tracker moved, SMR turned) gains a tenth" in sentences
+    for arm in view.arms.values():
+        worst = worst_constraint(arm)
+        assert worst is not None
+        assert worst.constraint in {"own bodies", "floor"}
+
+
+def test_a_tracker_that_stands_too_high_is_told_to_come_down() -> None:
+    high = with_tracker_at(small_twin(), 3.0, 0.0, 3.0, elevation=(-0.6, 0.96))
+    view = view_workspace(high)
+    for name, arm in view.arms.items():
+        worst = worst_constraint(arm)
+        assert worst is not None
+        assert worst.constraint == "elevation"
+        assert "allowed are -34.38 to 55 deg" in worst.extent
+        assert arm.changes[0].change in {"the tracker 0.5 m lower", "the tracker 1 m farther away"}
+        now = next(one.seen for one in arm.changes if one.change == AS_IT_IS)
+        assert arm.changes[0].seen > 1.1 * now
+        assert "raise or lower the tracker" in " ".join(arm_sentences(name, arm))
+
+
+def test_an_smr_that_looks_at_its_own_arm_is_told_to_be_turned() -> None:
+    smr = small_twin().arms["left"].smr.model_copy(update={"normal": (0.0, 0.0, -1.0)})
+    view = view_workspace(with_arms(small_twin(), smr=smr))
+    for arm in view.arms.values():
+        assert "looking along" in arm.changes[0].change
+
+
+def test_charts_shade_columns_and_directions(view: ViewResult) -> None:
+    charts = view_charts(small_twin(), view)
+    assert [chart.equal for chart in charts] == [True, False, True, False]
+    for chart, name in zip(charts, ("left", "left", "right", "right"), strict=True):
+        assert name in chart.message
+        shaded = [one for one in chart.series if one.mark in SHADES]
+        assert {one.mark for one in shaded} >= {"░", "█"}
+    above = charts[0]
+    cells = view.arms["left"].cells
+    columns = {cube.centre_C[:2] for cube in cells}
+    assert sum(len(one.x) for one in above.series if one.mark in SHADES) == len(columns)
+    assert {one.name for one in above.series} >= {"base", "tracker"}
+    blind = {cube.centre_C[:2] for cube in cells if cube.seen}
+    (dark,) = [one for one in above.series if one.mark == SHADES[0]]
+    assert len(dark.x) == len(columns) - len(blind)
+
+
+def test_a_chart_without_places_says_so(view: ViewResult) -> None:
+    profile = small_twin()
+    profile = profile.model_copy(update={"tracker": profile.tracker.model_copy(update={"pose": None})})
+    chart = view_chart(profile, view, "left")
+    assert chart.is_empty
+    assert "does not say where base and tracker are" in chart.message
+
+
+def test_the_command_prints_and_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "view.json"
+    with pytest.MonkeyPatch.context() as patch:
+        code = exit_code(patch, "plan", PROFILES / "twin.yaml", "--view", "--json", out)
+    said = capsys.readouterr().out
+    assert code == 0
+    assert "Arm left: the tracker can measure" in said
+    assert "Arm right: workspace in cubes of" in said
+    assert json.loads(out.read_text("utf-8"))["schema"] == "cellapp-view"
+    assert list(tmp_path.iterdir()) == [out], "nothing else is stored"

@@ -6,18 +6,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
 
 from cellapp.cell.planning.plan_csv import read_plan_csv, write_plan_csv
 from cellapp.cell.planning.planned_stops import straight_stops
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile.schema import Payload
-from tests.cell.planning.hand_made import same_stops, some_stops
+from tests.cell.planning.planned_cells import same_stops, some_stops
 from tests.twin import small_twin, with_arm, with_arms
 
 PROFILE = with_arms(small_twin(4), limits=((-6.0, 6.0),) * 6)
@@ -38,18 +34,6 @@ def test_a_plan_comes_back_bit_for_bit(tmp_path: Path) -> None:
         assert back.configurations == tuple(range(len(stops)))
         write_plan_csv(back.stops, tmp_path / "again.csv", RENEWED)
         assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "plan.csv").read_bytes()
-
-
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(q=arrays.arrays(np.float64, (3, 6), elements=st.floats(-6.0, 6.0)), dwell_s=st.floats(0.0, 600.0))
-def test_every_number_comes_back_bit_for_bit(q: np.ndarray, dwell_s: float, tmp_path: Path) -> None:
-    stops = straight_stops({"left": q, "right": -q})
-    stops.dwell_s["right"][:] = dwell_s
-    write_plan_csv(stops, tmp_path / "plan.csv", RENEWED)
-    back = read_plan_csv(tmp_path / "plan.csv", PROFILE).stops
-    assert back.q["left"].tobytes() == q.tobytes()
-    assert back.q["right"].tobytes() == (-q).tobytes()
-    assert back.dwell_s["right"].tobytes() == stops.dwell_s["right"].tobytes()
 
 
 def test_the_order_is_that_of_the_configurations_and_optional_columns_may_lack(tmp_path: Path) -> None:

@@ -122,11 +122,6 @@ def test_every_arm_type_is_complete(path: Path) -> None:
     assert all(joint.mass > 0.0 for joint in found.joints)
 
 
-def test_joints_faster_than_600_degrees_a_second_are_taken() -> None:
-    fastest = {name: max(joint.speed for joint in arm_type(name).joints) for name in ("lrmate-200id", "rx160")}
-    assert min(fastest.values()) > np.radians(600.0)
-
-
 UR_PUBLISHED = {
     # d1, a2, a3, d4, d5, d6 [m], total mass [kg]; Universal Robots, "DH parameters for calculations of kinematics and
     # dynamics"
@@ -220,12 +215,6 @@ def test_bad_obstacles_are_named_with_their_line(line: str, words: str, tmp_path
     assert f"cell.yaml:{number}: obstacles.{words}" in str(caught.value)
 
 
-def test_the_same_name_twice_is_refused(tmp_path: Path) -> None:
-    sphere = "a: {shape: sphere, radius: 0.1}"
-    with pytest.raises(InputError, match=r"obstacles\.a: duplicate key \(first in line \d+\); keep one"):
-        load_profile(written(tmp_path, sphere, sphere))
-
-
 # -- Starter profiles: an empty folder gets a profile that loads; nothing that a person wrote is overwritten -----------
 
 NAMES = [path.stem for path in offered_profiles(starters_folder())]
@@ -238,13 +227,6 @@ def test_the_twin_is_first_and_each_has_a_sentence() -> None:
     assert all(starter.sentence.endswith(".") for starter in starters)
     without_device = {starter.name for starter in starters if not starter.has_device}
     assert without_device == {"ur10-6d", "ur10-real", "ur10-real-d", "ur5-real"}
-
-
-def test_the_small_twin_is_the_twin_with_fewer_stops() -> None:
-    twin, small = (load_profile(starters_folder() / f"{name}.yaml") for name in ("twin", "twin-small"))
-    assert small.plan.stops < twin.plan.stops
-    assert twin == small.model_copy(update={"name": twin.name, "plan": twin.plan, "splits": twin.splits})
-    assert twin.plan == small.plan.model_copy(update={"stops": twin.plan.stops})
 
 
 def test_an_installed_package_brings_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -260,15 +242,6 @@ def test_an_installation_without_them_is_named(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr("cellapp.ground.starters.files", lambda package: tmp_path / package)
     with pytest.raises(InputError, match="lacks its starter profiles; install it again"):
         starters_folder()
-
-
-def test_a_cell_with_targets_gets_all_example_lists(tmp_path: Path) -> None:
-    write_starter("twin", tmp_path)
-    for folder in ("targets", "paths"):
-        brought = {path.name for path in (starters_folder() / folder).iterdir()}
-        assert {path.name for path in (tmp_path / "profiles" / folder).iterdir()} == brought
-    write_starter("ur10-real", tmp_path / "other")
-    assert not (tmp_path / "other" / "profiles" / "targets").exists()
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -8,7 +8,6 @@ import re
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -70,46 +69,6 @@ def test_units_become_si() -> None:
     assert profile.plant is not None
     assert profile.plant.geometry.length == pytest.approx(0.3e-3, rel=1e-15)
     assert profile.tracker.transverse.proportional == pytest.approx(6e-6, rel=1e-15)
-
-
-def test_splits_of_the_imported_arm() -> None:
-    profile = load_profile(PROFILES / "ur10-real.yaml")
-    assert (profile.splits.identify, profile.splits.train, profile.splits.validate_) == (300, 0, "rest")
-    assert profile.arms["left"].smr.offset == "unknown"
-
-
-@pytest.mark.parametrize(("name", "top"), [("left", 1.427), ("right", 1.001)])
-def test_bodies_of_an_upright_arm_stand_above_its_base_and_touch(name: str, top: float) -> None:
-    arm = load_profile(PROFILES / "twin.yaml").arms[name].type
-    frames = [np.eye(4)]
-    for angle, joint in zip(np.radians([0, -90, 0, -90, 0, 0]), arm.joints, strict=True):
-        c, s, ca, sa = math.cos(angle), math.sin(angle), math.cos(joint.alpha), math.sin(joint.alpha)
-        step = [
-            [c, -s * ca, s * sa, joint.a * c],
-            [s, c * ca, -c * sa, joint.a * s],
-            [0, sa, ca, joint.d],
-            [0, 0, 0, 1],
-        ]
-        frames.append(frames[-1] @ np.array(step))
-    assert [capsule.frame for capsule in arm.capsules] == sorted(capsule.frame for capsule in arm.capsules)
-    along = np.linspace(0.0, 1.0, 101)[:, None]
-    before = None
-    for capsule in arm.capsules:
-        start, end = (frames[capsule.frame] @ [*point, 1.0] for point in (capsule.start, capsule.end))
-        line = (start + along * (end - start))[:, :3]
-        assert np.all(np.abs(line[:, 0]) < 1e-9)
-        assert np.all(np.abs(line[:, 1]) < 0.35)
-        assert line[:, 2].min() > -1e-9
-        if before is not None:
-            gap = np.linalg.norm(line[:, None] - before[0][None], axis=2).min() - capsule.radius - before[1]
-            assert gap < 0.0
-        before = (line, capsule.radius)
-    assert before is not None
-    assert before[0][:, 2].max() == pytest.approx(top, abs=1e-3)
-    # the two long links are as long as the arm's D-H table says
-    for number in (2, 3):
-        (link,) = [capsule for capsule in arm.capsules if capsule.frame == number]
-        assert math.dist(link.start, link.end) == pytest.approx(abs(arm.joints[number - 1].a), abs=1e-12)
 
 
 WRONG = [
@@ -271,13 +230,6 @@ def test_several_errors_one_a_line_in_the_order_of_the_file(twin: Path) -> None:
         edit(twin, old, new)
     lines = refusal(twin).splitlines()
     assert [line.split(": ")[1] for line in lines] == ["plan.stops", "calibration.robust", "discovery.null_simulations"]
-
-
-def test_many_errors_are_counted(twin: Path) -> None:
-    edit(twin, "plan:\n", "plan:\n" + "".join(f"  {letter}{letter}q: 1\n" for letter in "abcdefgh"))
-    lines = refusal(twin).splitlines()
-    assert len(lines) == 6
-    assert lines[-1] == "and 3 more"
 
 
 @pytest.mark.parametrize(

@@ -24,17 +24,12 @@ from cellapp.cell.run.measurement_order import in_measured_order
 from cellapp.cell.run.records import ArmOrder
 from cellapp.commands.import_ import ImportRequest, import_new_run
 from cellapp.commands.import_ import run as import_run
-from cellapp.commands.show.overview import run_overview
-from cellapp.commands.show.view import overview_sentences
-from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.readings import Reading, Readings, joined
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
 from cellapp.robot.kinematics.transforms import rotation_vectors
-from tests.cell.run.csv_rows import Rows, written
-from tests.cell.run.small_runs import add_stop, planned_run
-from tests.cell.run.two_arm_cell import assert_same, two_arms
+from tests.cell.run.small_runs import Rows, add_stop, assert_same, planned_run, two_arms, written
 from tests.commands.quiet_work import quiet_work
 from tests.twin import PROFILES, small_twin
 
@@ -119,24 +114,6 @@ def reading(number: int, **more: object) -> Readings:
     return Reading(**values).as_readings(number)  # type: ignore[arg-type]
 
 
-def test_rows_stand_one_after_the_other_and_what_one_part_lacks_is_missing_there():
-    parts = [
-        reading(4, payload_kg=1.5, split="validate"),
-        reading(2, approach=np.array([1, -1, 0], dtype=np.int8), covariance_M=np.eye(3)),
-    ]
-    whole = joined(parts)
-    assert whole.configuration.tolist() == [4, 2]
-    assert whole.p_M[:, 0].tolist() == [4.0, 2.0]
-    assert whole.approach.tolist() == [[0, 0, 0], [1, -1, 0]]
-    assert whole.split == ("validate", None)
-    assert whole.payload_kg is not None
-    assert whole.covariance_M is not None
-    np.testing.assert_equal(whole.payload_kg, [1.5, np.nan])
-    assert np.isnan(whole.covariance_M[0]).all()
-    assert whole.step is None
-    np.testing.assert_array_equal(joined([whole]).q, whole.q)
-
-
 def test_arms_of_other_joints_do_not_join():
     with pytest.raises(ValueError, match="dimension"):
         joined([reading(1), Reading(q=np.zeros(4), p_M=np.zeros(3)).as_readings(2)])
@@ -214,11 +191,6 @@ def test_with_times_the_order_is_by_time_and_without_the_flag_nothing_is_derived
     assert plain.step is None
 
 
-def test_equal_times_stand_in_the_order_of_the_rows(path: Path) -> None:
-    write(path, HEADER.replace("arm,", "arm,time_s,"), *(f"{k},left,60,{q},0,1,2,3" for k, q in ((4, 0.1), (1, 0.4))))
-    np.testing.assert_array_equal(left(path).approach, [[1, 0], [0, 0]])
-
-
 def test_contradictory_orders_are_refused(path: Path) -> None:
     header = HEADER.replace("arm,", "arm,time_s,sequence,")
     write(path, header, "0,left,1,,0,0,1,2,3", "1,left,,,0,0,1,2,3")
@@ -234,42 +206,6 @@ def test_contradictory_orders_are_refused(path: Path) -> None:
     write(path, header, "0,left,,0,0,0,1,2,3", "1,left,,,0,0,1,2,3")
     with pytest.raises(InputError, match=r"readings\.csv:3: sequence: the value is missing"):
         left(path)
-
-
-def test_a_single_row_has_no_motion() -> None:
-    found, derived = in_measured_order(some([[0.1, 0.2]]))
-    assert found.step is None
-    assert derived == ArmOrder(by="rows", approach=0, step=0)
-
-
-def test_the_run_keeps_what_was_derived_and_says_so(path: Path, tmp_path: Path) -> None:
-    profile = two_arms()
-    profile = profile.model_copy(update={"arms": {"left": profile.arms["left"]}})
-    write(path, HEADER, "0,left,0.1,0.5,1,2,3", "1,left,0.3,0.2,1,2,3")
-    result = import_new_run(profile, path, tmp_path / "run", in_order=True)
-    said = (
-        "arm left: measured in the order of the rows; 2 approach signs and 2 steps of joints derived from the reading"
-        " before"
-    )
-    assert result.in_order == {"left": ArmOrder(by="rows", approach=2, step=2)}
-    assert result.notes == (said,)
-    with RunFile.open(tmp_path / "run") as run:
-        overview = run_overview(run)
-    assert overview.in_order == result.in_order
-    assert said in overview_sentences(overview)
-    assert import_new_run(profile, path, tmp_path / "plain").in_order == {}
-
-
-def test_conditions_have_the_order_in_stops_and_no_made_up_time() -> None:
-    found, _ = in_measured_order(some([[0.0, 0.0], [0.5, 0.1], [0.2, 0.3]]))
-    conditions = measurement_conditions(found.take([2, 0]))
-    assert conditions.time_s is None
-    assert conditions.order is not None
-    np.testing.assert_array_equal(measurement_conditions(found).order, [0, 1, 2])
-    np.testing.assert_array_equal(conditions.order, [1, 0])
-    assert measurement_conditions(some([[0.0, 0.0]])).order is None
-    timed = some([[0.0, 0.0], [0.5, 0.1]], time_s=np.array([50.0, 20.0]))
-    np.testing.assert_array_equal(measurement_conditions(timed).order, [1, 0])
 
 
 @settings(max_examples=40, deadline=None)
@@ -382,15 +318,6 @@ def test_position_and_rotation_are_as_good_as_their_covariances_say(
             assert one.covariance_M is None
     assert 0.7 < np.mean(chi_of_turns) < 1.3
     assert not more or 0.7 < np.mean(chi_of_points) < 1.3
-
-
-def test_the_frame_of_the_rotation_lies_in_the_smrs(tmp_path: Path) -> None:
-    """x points from the first SMR to the second one, z is normal to the first three: as the places are written here."""
-    truth = measured()
-    with imported(truth.rows, tmp_path) as run:
-        quaternion = run.readings("left").quaternion_M
-    turned = rotation_vectors(Rotation.from_quat(quaternion, scalar_first=True).as_matrix().swapaxes(1, 2) @ truth.R_M)
-    assert np.abs(turned).max() < 8.0 * SIGMA_M / 0.09
 
 
 def test_what_was_made_is_said_stored_and_taken_again(tmp_path: Path) -> None:

@@ -20,9 +20,8 @@ from cellapp.cell.targets.compensate import (
     compensate_result,
     invert_model,
     with_approach,
-    without_effects,
 )
-from cellapp.cell.targets.ranges import ConditionRanges, MeasuringNoise
+from cellapp.cell.targets.ranges import MeasuringNoise
 from cellapp.cell.targets.targets import Partner, Target, WorkingConditions, load_targets
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
@@ -143,15 +142,6 @@ def test_the_side_that_a_joint_arrives_from_is_made_good(model: CellModel) -> No
     np.testing.assert_allclose(with_approach(arm, command, command), command, atol=1e-12)
 
 
-def test_effects_are_taken_out_to_the_last_bit_that_counts(model: CellModel) -> None:
-    strong = term("joint_compliance", compliance2=1e-4, compliance3=1e-4)  # 10 mrad: far beyond any sound arm
-    arm = with_effects(model, "left", strong, ECCENTRICITY)
-    true = np.random.default_rng(1).uniform(-2.0, 2.0, (50, 6))
-    q = without_effects(arm, true, np.zeros((50, 6)))
-    assert np.abs(q - true).max() > 5e-3
-    np.testing.assert_allclose(arm.true_joints(q), true, atol=1e-11)
-
-
 def one(arm: str, position: tuple[float, float, float], rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Target:
     return Target(name="it", arm=arm, position=position, rpy=rpy)
 
@@ -197,11 +187,6 @@ def test_whole_turns_bring_a_joint_into_its_limits(run: RunFile, model: CellMode
         else:
             assert command.refusal
     assert reached >= 3
-
-
-def test_the_same_seed_gives_the_same_commands(run: RunFile, model: CellModel, commands: tuple[Command, ...]) -> None:
-    for first, again in zip(commands[:4], compensate(run.profile, model, TARGETS[:4])):
-        np.testing.assert_array_equal(first.q_compensated, again.q_compensated)
 
 
 def test_a_profile_or_calibration_that_does_not_fit(run: RunFile, model: CellModel) -> None:
@@ -347,26 +332,6 @@ def test_if_one_arm_cannot_both_are_refused(run: RunFile, model: CellModel) -> N
     assert "arms left and right" in meeting.refusal or "arm right" in meeting.refusal
 
 
-def test_any_rotation(run: RunFile, model: CellModel) -> None:
-    free = [target.model_copy(update={"rpy": None}) for target in TARGETS[:6]]
-    bound = compensate(run.profile, model, TARGETS[:6])
-    homes = home_positions(run.profile)
-    nearer = seen = 0
-    for command, with_rotation in zip(compensate(run.profile, model, free), bound, strict=True):
-        assert command.refusal == ""
-        assert command.residual_urad is None
-        assert_reached(model, command)
-        assert command.q_nominal is not None
-        nominal = smr_positions(model.arms["left"].nominal, command.q_nominal[None])[0]
-        np.testing.assert_allclose(nominal, np.asarray(command.nominal_M), atol=1e-8)
-        seen += bool(command.visible)
-        if with_rotation.q_nominal is not None:
-            reach = [np.abs(one - homes["left"]).max() for one in (command.q_nominal, with_rotation.q_nominal)]
-            nearer += int(reach[0] <= reach[1])
-    assert seen >= 5, "the tracker sees each with some rotation"
-    assert nearer >= 3, "freedom is used"
-
-
 def test_one_arm_and_three(run: RunFile, model: CellModel) -> None:
     alone = run.profile.model_copy(update={"arms": {"left": run.profile.arms["left"]}})
     own = [target for target in TARGETS if target.arm == "left"][:4]
@@ -395,23 +360,6 @@ def with_third_arm(profile: Profile, model: CellModel) -> tuple[Profile, CellMod
         profile.model_copy(update={"arms": {**profile.arms, "third": third}}),
         dataclasses.replace(model, arms={**model.arms, "third": moved}),
     )
-
-
-def test_reasons_name_joints_and_sizes(run: RunFile, model: CellModel) -> None:
-    narrow = with_arms(run.profile, limits=((-0.1, 0.1),) * 6, home=(0.0,) * 6)
-    (command,) = compensate(narrow, model, TARGETS[:1])
-    assert command.refusal.startswith("beyond limits: joint ")
-    assert "outside its limits -5.7 to 5.7 deg" in command.refusal
-    assert command.branches == 0
-    arm = model.arms["left"]
-    q = np.array([0.3, -1.2, 0.9, -1.0, 1e-4, 0.2])  # axes 4 and 6 all but parallel
-    T = np.linalg.inv(arm.nominal.T_M_B())
-    R = T[:3, :3] @ rotation_of(arm.nominal, q)
-    position = T[:3, :3] @ smr_positions(arm.nominal, q[None])[0] + T[:3, 3]
-    target = Target(name="it", arm="left", position=tuple(position.tolist()), rpy=rpy_of(pose(position, R)))
-    (singular,) = compensate(run.profile, model, [target])
-    assert singular.refusal == "" or singular.refusal.startswith("singular: joints ")
-    assert compensate(run.profile, model, []) == ()
 
 
 def rotation_of(geometry: Geometry, q: np.ndarray) -> np.ndarray:
@@ -443,15 +391,6 @@ def test_stated_conditions_are_used_and_kept_for_the_way(run: RunFile, model: Ce
         reached = arm.predict(sent[None], conditions=driven)[0]
         np.testing.assert_allclose(reached, np.asarray(command.expected_M), atol=1e-9)
     assert compensate_result([sided]).targets[0].approach == (0, 1, 0, 0, 0, 0)
-
-
-def test_outside_the_readings_is_a_note(run: RunFile, model: CellModel) -> None:
-    q = run.readings("left").q
-    ranges = {"left": ConditionRanges(q=np.stack([q.min(axis=0), np.minimum(q.max(axis=0), -0.5)]))}
-    commands = compensate(run.profile, model, TARGETS[:8], ranges=ranges)
-    notes = [command.note for command in commands if not command.refusal]
-    assert any(note.startswith("outside the calibrated joint ranges: joint ") for note in notes)
-    assert any("this adds" in note for note in notes)
 
 
 def test_nominal_and_compensated_commands_are_of_the_same_branch(run: RunFile, model: CellModel) -> None:
@@ -518,21 +457,6 @@ def readings(points: np.ndarray, covariance: np.ndarray | None) -> Readings:
         p_M=points,
         covariance_M=covariance,
     )
-
-
-def test_the_statement_is_found_again_and_scatter_beyond_it_is_added() -> None:
-    covariance = stated(POINTS)
-    noise = MeasuringNoise.of(readings(POINTS, covariance))
-    assert noise is not None
-    as_stated = float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean() / 3.0))
-    elsewhere = POINTS[:10] * 1.2
-    np.testing.assert_allclose(noise.covariance(elsewhere, as_stated), stated(elsewhere), rtol=1e-6, atol=1e-16)
-    more = noise.covariance(elsewhere, np.hypot(as_stated, 2e-5))
-    np.testing.assert_allclose(more - stated(elsewhere), np.tile(4e-10 * np.eye(3), (10, 1, 1)), atol=1e-16)
-    assert noise.excess(np.hypot(as_stated, 2e-5)) == pytest.approx(4e-10, rel=1e-6)
-    assert noise.excess(0.5 * as_stated) == 0.0
-    less = noise.covariance(elsewhere, 0.5 * as_stated)
-    np.testing.assert_allclose(less, 0.25 * stated(elsewhere), rtol=1e-6, atol=1e-16)
 
 
 def test_readings_that_state_nothing_or_stand_at_one_distance() -> None:

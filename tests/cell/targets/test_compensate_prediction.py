@@ -76,22 +76,6 @@ def test_a_verdict_is_about_the_true_position() -> None:
     ]
 
 
-def test_parts_add_up_and_a_measurement_strays_further_than_the_smr(arm: ArmModel) -> None:
-    q = configurations(50)
-    known = predictions(arm, q, NOTHING, [0.1] * 50, HOME, ConditionRanges())
-    for one, size in zip(known, arm.uncertainty(q), strict=True):
-        assert one is not None
-        parts = one.parts
-        own = (parts.parameters, parts.effects, parts.network, parts.extrapolation, parts.conditions)
-        assert np.linalg.norm(own) == pytest.approx(size * 1e3)
-        assert parts.noise == pytest.approx(0.015)
-        assert one.uncertainty_mm == pytest.approx(np.hypot(size * 1e3, 0.015))
-        assert 1.959 * np.sqrt(3.0) <= one.within_mm / one.uncertainty_mm * np.sqrt(1.5) <= 1.96 * 3.0
-        assert one.unknown == ()
-    silent = replace(arm, posterior=None)
-    assert predictions(silent, q, NOTHING, [None] * 50, HOME, ConditionRanges()) == [None] * 50
-
-
 def test_stated_distances_hold_for_errors_drawn_from_the_model(arm: ArmModel) -> None:
     q = configurations(40)
     assert arm.posterior is not None

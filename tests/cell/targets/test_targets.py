@@ -13,11 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate
-from cellapp.cell.targets.prediction import _with_noise, length_bounds, predicted_verdict
+from cellapp.cell.targets.prediction import _with_noise, length_bounds
 from cellapp.cell.targets.target_text import TypedTarget, targets_text, typed_target, typed_texts
 from cellapp.cell.targets.targets import Target, load_targets
 from cellapp.estimation.calibration.weights import readings_noise
-from cellapp.estimation.uncertainty.budget import target_verdict
 from cellapp.ground.errors import InputError
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.model import PosteriorDraws, posterior_from_json, posterior_to_json
@@ -137,13 +136,6 @@ def typed(**texts: str) -> TypedTarget:
     return typed_target({**typed_texts(ONE), **texts}, ONE, [other], PROFILE)
 
 
-def test_fields_that_are_not_touched_keep_their_value() -> None:
-    assert typed() == TypedTarget(ONE, {})
-    changed = typed(position="250 mm, 0, 1").target
-    assert changed == ONE.model_copy(update={"position": (0.25, 0.0, 1.0)})
-    assert typed(tolerance="").target == ONE.model_copy(update={"tolerance": None})
-
-
 @pytest.mark.parametrize(
     ("field", "text", "says"),
     [
@@ -170,21 +162,6 @@ def test_a_field_is_judged_while_it_is_typed(field: str, text: str, says: str) -
     assert found.target is None
     assert list(found.problems) == [field]
     assert says in found.problems[field]
-
-
-def test_what_is_predicted_and_what_is_measured() -> None:
-    assert [predicted_verdict(0.006, 0.034, size) for size in (0.04, 0.0339, 0.006, 0.0059, None)] == [
-        "in",
-        "cannot say",
-        "cannot say",
-        "out",
-        "",
-    ]
-    guarded = [target_verdict(0.1, 0.02, size, "guarded") for size in (0.121, 0.119, 0.081, 0.0799, None)]
-    assert guarded == ["in", "cannot say", "cannot say", "out", ""]
-    assert target_verdict(0.1, None, 0.2, "guarded") == "cannot say"
-    assert [target_verdict(0.1, None, size, "simple") for size in (0.1, 0.09)] == ["in", "out"]
-    assert target_verdict(None, 0.02, 0.1, "guarded") == ""
 
 
 # -- The example lists of the twin: they load, keep what they say when they are written, and can be compensated --------

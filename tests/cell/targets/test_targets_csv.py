@@ -179,19 +179,6 @@ def test_a_row_that_is_refused(path: Path, more: str, row: str, says: str) -> No
     assert says in refusal(path, HEADER + more, row)
 
 
-def test_a_unit_that_is_missing_is_said_once(path: Path) -> None:
-    assert refusal(path, "name,arm,x,y_mm,z_mm") == "targets.csv:1: x: has no unit; name it x_mm or x_m"
-
-
-def test_many_problems_are_counted(path: Path) -> None:
-    rows = [f"t{number},left,x,0,0" for number in range(9)]
-    lines = refusal(path, HEADER, *rows).splitlines()
-    assert [line.split(":")[1] for line in lines[:-1]] == ["2", "3", "4", "5", "6"]
-    assert lines[-1] == "and 4 more"
-    far = [f"t{number},left,1e6,0,0" for number in range(9)]
-    assert refusal(path, HEADER, *far).splitlines()[-1] == "and 4 more"
-
-
 def test_a_file_that_is_missing_or_no_text(path: Path) -> None:
     with pytest.raises(InputError, match="file not found; give a CSV file of targets"):
         load_targets(path, PROFILE)

@@ -14,9 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.targets.goals import work_frame_pose
 from cellapp.cell.targets.target_text import (
-    FIELDS,
     TypedTarget,
-    frame_choices,
     new_texts,
     targets_text,
     typed_target,
@@ -257,12 +255,6 @@ def test_a_list_that_is_refused(path: Path, text: str, says: str) -> None:
     assert says in refusal(path, text)
 
 
-def test_numbers_with_an_exponent_and_merged_keys(path: Path) -> None:
-    first = one(position="[1e-3, 2.5E2 mm, 0.0]", rpy="[0, 0, 0]").replace("- {", "- &first {")
-    (_, two) = loaded(path, first + "  - {<<: *first, name: two}\n")
-    assert two.position == (1e-3, 0.25, 0.0)
-
-
 def test_conditions_of_the_file_hold_where_a_target_states_none(path: Path) -> None:
     usual = "conditions: {left: {payload: 2 kg, temperature: 23}, right: {dwell: 1}}\n"
     partner = "{arm: right, position: [0, 0, 0.1]}"
@@ -270,13 +262,6 @@ def test_conditions_of_the_file_hold_where_a_target_states_none(path: Path) -> N
     assert target.conditions == WorkingConditions(payload=1.0, temperature=23.0)
     assert target.partner is not None
     assert target.partner.conditions == WorkingConditions(dwell=1.0)
-
-
-def test_what_is_wrong_in_many_places_is_counted(path: Path) -> None:
-    lines = "".join(one(name=f"t{number}", position="[0, 0, 500]").removeprefix("targets:\n") for number in range(9))
-    message = refusal(path, "targets:\n" + lines).splitlines()
-    assert [line.split(":")[1] for line in message[:-1]] == ["4", "5", "6", "7", "8"]
-    assert message[-1] == "and 4 more"
 
 
 # -- written again ----------------------------------------------------------------------------------------------------
@@ -360,38 +345,6 @@ def typed(before: Target | None = FULL, **texts: str) -> TypedTarget:
     return typed_target({**shown, **texts}, before, [FULL.model_copy(update={"name": "two"})], PROFILE)
 
 
-def test_what_is_not_touched_keeps_its_value() -> None:
-    assert set(typed_texts(FULL)) == {field.name for field in FIELDS} == set(new_texts("left"))
-    assert typed() == TypedTarget(FULL, {})
-
-
-def test_every_field_can_be_typed() -> None:
-    found = typed(partner="right: 0, 0, 200 mm", approach="", frame="tracker")
-    assert found.target == FULL.model_copy(
-        update={
-            "frame": "tracker",
-            "work_frame": None,
-            "approach": None,
-            "partner": FULL.partner and FULL.partner.model_copy(update={"position": (0.0, 0.0, 0.2), "rpy": None}),
-        }
-    )
-    assert typed(partner="", rpy="", approach="0, 0, 0, 0, 0, +1").target == FULL.model_copy(
-        update={"partner": None, "rpy": None, "approach": (0, 0, 0, 0, 0, 1)}
-    )
-    assert typed(partner="right: 0, 0, 100 mm; 180 deg, 0, 0").problems == {}
-    assert typed(frame="").target == FULL.model_copy(update={"frame": "base", "work_frame": None})
-
-
-def test_a_new_target_takes_work_frames_and_conditions_of_the_list() -> None:
-    found = typed(None, position="0, 0, 1", frame=TABLE.name, partner="right: 0, 0, 0.1")
-    assert found.target is not None
-    assert found.target.work_frame is TABLE
-    assert found.target.conditions == FULL.conditions
-    assert found.target.partner is not None
-    assert found.target.partner.conditions == WorkingConditions(dwell=1.0)
-    assert frame_choices([FULL], PROFILE) == ("base", "tracker", "left", "right", TABLE.name)
-
-
 @pytest.mark.parametrize(
     ("field", "text", "says"),
     [
@@ -414,12 +367,6 @@ def test_what_is_typed_wrongly(field: str, text: str, says: str) -> None:
     assert found.target is None
     assert list(found.problems) == [field]
     assert found.problems[field].startswith(says)
-
-
-def test_a_far_position_in_a_base_frame_is_said_at_its_field() -> None:
-    assert typed(frame="left", position="20, 0, 0").problems == {
-        "position": "20 m is farther from the base than any arm reaches; is it 20 mm?"
-    }
 
 
 # -- results ----------------------------------------------------------------------------------------------------------

@@ -314,9 +314,6 @@ Thread 0x00007f2 (most recent call first):
 """
 
 
-MAIN_THREAD = 'File "/a/ur_control.py", line 7 in tcp File "/a/ur_supervisor.py", line 9 in begin'
-
-
 @pytest.mark.parametrize(
     ("written", "words"),
     [

@@ -682,6 +682,3 @@ def test_a_slider_moved_to_zero_while_the_arm_brakes_does_not_prolong_the_stop()
     bench.controller.set_slider(1.0)
     bench.cycles(300)
     assert bench.controller.q == stands
-
-
-# -- programs of others ------------------------------------------------------------------------------------------------

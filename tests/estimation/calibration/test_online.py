@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from cellapp.estimation.calibration import normal_equations
 from cellapp.estimation.calibration.identification import identify_with_excess, start_from_nominal
 from cellapp.estimation.calibration.online import OnlineFit, online_fit
 from cellapp.ground.errors import InputError
@@ -57,16 +56,6 @@ def test_after_all_stops_it_agrees_with_the_identification_of_the_same_readings(
     assert report.standard_error_mm == pytest.approx(rms * 1e3, rel=0.05)
 
 
-def test_readings_of_several_chunks_give_the_same_fit(readings, monkeypatch):
-    one = readings["left"]
-    whole, _ = fitted("left", one)
-    monkeypatch.setattr(normal_equations, "_CHUNK", 64)
-    chunked, _ = fitted("left", one)
-    assert whole.geometry is not None
-    assert chunked.geometry is not None
-    np.testing.assert_allclose(chunked.geometry.vector(), whole.geometry.vector(), rtol=0.0, atol=1e-9)
-
-
 def test_it_converges_from_centimetres_within_a_few_stops(readings):
     one = readings["right"]
     fit = online_fit(twin(), "right", one.q)
@@ -95,15 +84,6 @@ def test_the_stated_uncertainty_of_predictions_covers_the_next_readings(readings
             squares.append(fit.innovation.off_M @ np.linalg.solve(fit.innovation.covariance_M, fit.innovation.off_M))
             assert np.linalg.norm(fit.innovation.off_M) < 8.0 * expected.sigma_m
     assert np.mean(squares) / 3.0 == pytest.approx(1.0, abs=0.35)
-
-
-def test_gravity_is_known_to_predictions(readings):
-    one = readings["left"]
-    fit, _ = fitted("left", one)
-    assert fit.innovation is not None
-    assert fit.scatter_m is not None
-    assert fit.scatter_m > 0.3e-3  # what compliance leaves to the geometry alone
-    assert fit.innovation.scatter_m < 0.05e-3
 
 
 def test_a_fit_from_stored_readings_is_the_same(readings):
@@ -171,16 +151,6 @@ def test_an_unknown_offset_and_points_without_noise_are_found(rows):
     assert report is not None
     assert report.residual_mm < 0.01
     assert error_m(fit, q, p_M) < 5e-6
-
-
-def test_robust_weights_and_the_full_set_are_those_of_the_profile(readings):
-    one = readings["right"]
-    arm = nominal_arm(twin().arms["right"])
-    fit = OnlineFit("right", arm, one.q, parameter_set="full", robust="huber")
-    for stop in range(60):
-        report = fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop])
-    assert report is not None
-    assert report.standard_error_mm < 0.1
 
 
 def test_a_parameter_set_of_another_arm_is_refused_before_anything_moves():

@@ -26,10 +26,8 @@ from tests.arms import true_geometry
 from tests.evidence.shared.estimates import merged_values
 from tests.evidence.shared.series import draw_rows, load_entrant
 from tests.series import twin
-from tests.twin import PROFILES
 
 SIGMA_M, SIGMA_RAD = 3e-5, 8e-5
-FIXTURES = PROFILES.parent / "tests" / "fixtures"
 PROBE = np.array([0.4, -1.2, 2.0])
 
 
@@ -121,15 +119,6 @@ def test_orientation_parameters_lie_within_their_stated_intervals():
     assert inside[:, rotations].mean() > 0.85  # of 36
     assert np.mean([one for one, _ in scatter]) == pytest.approx(SIGMA_RAD, rel=0.05)
     assert max(excess for _, excess in scatter) < 0.7 * SIGMA_M
-
-
-def test_positions_alone_are_the_readings_as_they_are():
-    _, geometry = truth()
-    readings = replace(measured(geometry, 12, 0), quaternion_M=None)
-    its = measured_quantities(readings)
-    assert its.readings is readings
-    assert its.R_M_S is None
-    assert its.stated is readings.sigma_m
 
 
 WRONG = {

@@ -8,7 +8,6 @@ import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -27,7 +26,6 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_motion
 from cellapp.commands.discover.run import proposal_result, propose_after
 from cellapp.commands.discover.view import proposal_lines
-from cellapp.estimation.discovery import posterior
 from cellapp.estimation.discovery.joint_fit import ProjectedResidual
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.posterior import posteriors
@@ -37,10 +35,8 @@ from cellapp.estimation.discovery.terms import UNKNOWN, CandidateLaw, LawScore, 
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import Channel, EffectColumn
-from cellapp.robot.effects.periodic import LINES
 from drivers.no_driver import NoDriver
-from tests.estimation.discovery.linear_problem import PLAIN, problem
-from tests.estimation.discovery.searched import calibrated_and_searched, proposed
+from tests.estimation.discovery.problems import PLAIN, calibrated_and_searched, problem, proposed
 from tests.program import app
 from tests.twin import small_twin, with_arms
 
@@ -308,13 +304,6 @@ def test_a_score_at_the_threshold_leaves_it_open():
     assert posteriors([], {"backlash": THRESHOLD}, THRESHOLD, COORDINATES).effects["backlash"] == pytest.approx(0.5)
 
 
-def test_evidence_far_from_the_threshold_decides():
-    found = posteriors([review("backlash", 5000.0)], {"base_step": -6.0}, THRESHOLD, COORDINATES)
-    assert found.terms[0] == pytest.approx(1.0, abs=1e-3)
-    assert found.effects["base_step"] < 0.001
-    assert sum(found.effects.values()) < 1.01
-
-
 def test_rivals_that_tie_share_the_probability():
     tied = review("backlash", 900.0, unsettled_measurement=900.0, friction_windup=300.0, base_step=-math.inf)
     found = posteriors([tied, review("joint_compliance", 400.0)], {}, THRESHOLD, COORDINATES)
@@ -370,45 +359,6 @@ def test_a_cause_outside_the_library_may_be_in_the_place_of_a_name():
     np.testing.assert_allclose(found.terms, (1.02 / 2.52, 2.5 / 2.52))
     tied = posteriors([review("backlash", 900.0, base_step=900.0)], {}, THRESHOLD, COORDINATES, {"backlash": 0.0})
     np.testing.assert_allclose((tied.terms[0], tied.effects["base_step"]), 1.0 / 3.0, rtol=1e-6)
-
-
-def found_by(reviews) -> Any:
-    return SimpleNamespace(fit=SimpleNamespace(terms=[None]), data=None, reviews=reviews, threshold=THRESHOLD)
-
-
-def test_a_name_just_above_the_threshold_is_less_likely_than_not(monkeypatch):
-    """Effects so small are rarer than noise of that score."""
-    monkeypatch.setattr(posterior, "possible_free_parts", lambda *_: [])
-    monkeypatch.setattr(posterior, "_share_of_a_larger", lambda fit, number: math.inf)
-
-    def accepted(score):
-        reviews = posterior.cautious_reviews(found_by([review("backlash", score, base_step=score - 6.0)]))
-        return posteriors(reviews, {}, THRESHOLD, COORDINATES).terms[0]
-
-    assert accepted(THRESHOLD + 6.0) < 0.2
-    assert accepted(THRESHOLD + 30.0) > 0.9
-
-
-def cycles_of(*counts: int) -> Any:
-    """A fit with one term of lines at some cycle counts of joint 1."""
-    columns = [SimpleNamespace(joint=0, cycles=count) for count in counts for _ in range(2)]
-    term = ModelTerm("transmission_error", LINES.law(), ())
-    return SimpleNamespace(terms=[term], term_columns=lambda number: columns)
-
-
-def test_a_row_of_the_lowest_cycles_of_a_joint_is_a_free_function():
-    assert posterior.is_free_function(cycles_of(2, 3, 4, 5), 0)
-    assert not posterior.is_free_function(cycles_of(2, 4, 50, 100, 150), 0)
-
-
-def test_a_rival_loses_what_the_effect_loses_beside_a_larger_one(monkeypatch):
-    """Else a worse rival would take the place of what other laws may have left over."""
-    monkeypatch.setattr(posterior, "possible_free_parts", lambda *_: [])
-    monkeypatch.setattr(posterior, "_share_of_a_larger", lambda fit, number: 0.01)
-    reviews = [review("backlash", 637.0, friction_windup=580.0)]
-    (cautious,) = posterior.cautious_reviews(found_by(reviews))
-    assert THRESHOLD < cautious.score < 637.0
-    assert cautious.alternatives["friction_windup"] == pytest.approx(cautious.score - 57.0)
 
 
 def test_data_driven_terms_are_effects_of_their_own_and_not_among_the_names():

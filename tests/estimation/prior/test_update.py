@@ -104,14 +104,6 @@ def test_orientation_of_few_stops_names_changes_that_their_positions_do_not_prov
     assert np.linalg.norm(rotation_vectors(off), axis=1).mean() < 2e-5
 
 
-def test_another_base_and_tool_do_not_leak_into_the_arm(arm: SimulatedArm, earlier: Earlier) -> None:
-    outcome = again(arm.mounted(ELSEWHERE, TOOL), earlier, 25)
-    assert outcome.changes == ()
-    assert all(part.used for part in outcome.parts.values())
-    assert error_um(arm.mounted(ELSEWHERE, TOOL), outcome) < 12.0
-    np.testing.assert_allclose(outcome.found.model.geometry.T_M_B()[:3, 3], ELSEWHERE[:3, 3], atol=5e-3)
-
-
 def test_few_readings_with_the_earlier_calibration_are_as_good_as_many(arm: SimulatedArm, earlier: Earlier) -> None:
     moved = arm.mounted(ELSEWHERE, TOOL)
     few = error_um(moved, again(moved, earlier, 30))
@@ -155,16 +147,6 @@ def test_an_arm_that_is_another_one_is_not_believed(arm: SimulatedArm, earlier: 
     assert error_um(other.mounted(ELSEWHERE, TOOL), outcome) < 30.0
 
 
-def test_the_belief_has_no_say_in_base_and_tool(arm: SimulatedArm, earlier: Earlier) -> None:
-    readings = arm.readings(20, seed=2)
-    model = first_model(arm.profile, "left", Measured.of(readings, measurement_conditions(readings)), earlier.belief)
-    prior = earlier.belief.prior(model.nominal, np.zeros(0))
-    free = [place for place, column in enumerate(prior.columns) if column < 6 or column >= 36]
-    assert len(free) == 9
-    assert not prior.precision[free].any()
-    assert len(Measured(readings, measurement_conditions(readings), np.ones(20)).take(np.arange(5))) == 5
-
-
 def test_an_effect_that_appeared_is_found_beside_what_was_carried_over(arm: SimulatedArm, earlier: Earlier) -> None:
     law = EFFECTS["encoder_eccentricity"].forms[0].law()
     readings = arm.readings(70, seed=6, learn=40)
@@ -182,15 +164,6 @@ def test_an_effect_that_appeared_is_found_beside_what_was_carried_over(arm: Simu
     assert "joint 2 has appeared since 2026-03-01" in found.result.sentence
     assert [term.slug for term in found.model.effects] == ["joint_compliance", "encoder_eccentricity"]
     np.testing.assert_allclose(found.model.effects[1].values, 1e-4, atol=3e-5)
-
-
-def test_a_wrong_effect_of_the_earlier_calibration_is_left_out(arm: SimulatedArm, earlier: Earlier) -> None:
-    free = replace(arm, model=replace(arm.model, effects=())).mounted(ELSEWHERE, TOOL)
-    outcome = again(free, earlier, 40)
-    assert outcome.used
-    assert outcome.parts["geometry"].used
-    assert not outcome.parts["effects"].used or outcome.changes
-    assert error_um(free, outcome) < 15.0
 
 
 def test_of_a_quite_different_arm_nothing_is_used(arm: SimulatedArm, earlier: Earlier) -> None:
