@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import socket
 import struct
 import threading
@@ -14,6 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from drivers.emulators.ur_controller import (
     FREE_PORTS,
@@ -232,6 +235,22 @@ def test_other_protocol_versions_are_refused(emulator: UrControllerServer) -> No
         assert client.receive()[0] == "M"
         with pytest.raises(ConnectionResetError):
             client.receive()
+
+
+@settings(deadline=None)
+@given(st.lists(st.binary(max_size=80), max_size=10))
+def test_no_bytes_break_the_rtde_server(pieces: list[bytes]) -> None:
+    sent: list[bytes] = []
+    server = RtdeServer(Bench().controller)
+    session = RtdeSession(server, sent.append, sent.append, lambda: sent.append(b"closed"))
+    session.received(struct.pack(">HBH", 5, ord("V"), 2))
+    for kind, piece in enumerate(pieces):
+        session.received(piece)
+        session.received(struct.pack(">HB", 3 + len(piece), b"VvMOISPU"[kind % 8]) + piece)
+        session.cycle()
+    session.closed()
+    assert sent[0] == struct.pack(">HBB", 4, ord("V"), 1)
+    assert not server._owners, "a closed session keeps its inputs"
 
 
 # -- the other ports ---------------------------------------------------------------------------------------------------
@@ -464,13 +483,29 @@ def test_the_true_load_is_the_operators_and_the_believed_one_the_clients(make_ar
         (("old", "drop", "rtde"), "expected one of fin, rst"),
         (("old", "drop", "usb", "fin"), "expected one of dashboard, primary, script, rtde"),
         (("old", "fault", "rtde", "silent", "soon"), "argument 3: expected a number"),
+        (("old", "start-delay", "inf"), "inf is not between 0 and 1e+06"),
+        (("old", "drop", "rtde", "fin", "inf"), "argument 3: inf is not between 0 and 1e+06"),
+        (("old", "fault", "rtde", "silent", "1e7"), "argument 3: 10000000.0 is not between"),
+        (("old", "protective", "travel", "nan"), "argument 2: nan is not between"),
+        (("*", "pace", "inf"), "inf is not between 0 and 1000"),
+        (("*", "pace", "0"), "expected more than 0"),
+        (("old", "journal", "inf"), "inf is not between"),
+        (("old", "load", "1", "0", "0", "1e9"), "each coordinate between -10 and 10 m"),
         (("old", "load", "1", "2"), "MASS"),
     ],
 )
 def test_commands_that_make_no_sense_are_refused(control: Control, words: tuple[str, ...], why: str) -> None:
-    with pytest.raises(Refused, match=why.replace("*", r"\*")):
+    with pytest.raises(Refused, match=re.escape(why)):
         control(*words)
     assert control("old", "status")["robot_mode"] == "RUNNING"
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sampled_from(["dashboard", "primary", "script", "rtde"]), st.binary(min_size=1, max_size=200))
+def test_no_bytes_break_a_port(emulator: UrControllerServer, control: Control, port: PortName, junk: bytes) -> None:
+    with socket.create_connection(at(emulator, "new", port), PATIENT_S) as link:
+        link.sendall(junk + b"\n")
+    assert control("new", "status")["robot_mode"] in ("RUNNING", "POWER_OFF", "BOOTING", "IDLE")
 
 
 # -- the server --------------------------------------------------------------------------------------------------------

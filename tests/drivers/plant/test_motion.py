@@ -37,16 +37,6 @@ def speed(moved: Motion, time_s: float) -> np.ndarray:
     return moved.velocity(np.array([time_s]))[0]
 
 
-def test_a_scaled_motion_follows_the_same_path_more_slowly() -> None:
-    full = motion()
-    slow = full.scaled(11.0, 0.25)
-    assert np.array_equal(at(slow, 11.0), at(full, 11.0))
-    assert np.allclose(speed(slow, 11.2), 0.25 * speed(full, 11.05))
-    assert slow.end_s == pytest.approx(11.0 + (full.end_s - 11.0) / 0.25)
-    assert np.array_equal(at(slow, slow.end_s), END)
-    assert np.allclose(slow.mean_speed, 0.25 * full.mean_speed)
-
-
 def test_a_motion_scaled_to_zero_stands_and_goes_on() -> None:
     full = motion()
     stands = full.scaled(11.0, 0.0)
@@ -130,15 +120,6 @@ def test_a_uniformly_warmer_arm_is_larger(make_arm, make_plant):
     assert np.abs(found - make_plant(make_arm(rows=rows)).smr_positions("left", Q)).max() < 1e-13
 
 
-def test_a_link_takes_its_share_of_the_rise_of_its_two_joints(make_arm, make_plant):
-    joints_c = np.full((5, 6), 20.0)
-    joints_c[:, 2] += 12.0  # the elbow warms both beams by half
-    found = _positions(make_arm, make_plant, {"thermal_growth": GROWTH}, joints_c=joints_c, air_c=np.full(5, 20.0))
-    rows = make_arm().rows.copy()
-    rows[1:3, 2] *= 1.0 + 0.8 * 6.0 * 23e-6
-    assert np.abs(found - make_plant(make_arm(rows=rows)).smr_positions("left", Q)).max() < 1e-13
-
-
 def test_links_follow_a_jump_of_temperature_with_their_lag(make_arm, make_plant):
     time_s = np.array([0.0, 1.0, 901.0, 1801.0, 1e5])
     air_c = np.array([20.0, 30.0, 30.0, 30.0, 30.0])
@@ -157,25 +138,6 @@ def test_links_follow_a_jump_of_temperature_with_their_lag(make_arm, make_plant)
     assert grown == pytest.approx([0.0, 0.0, 1.0 - np.exp(-1.0), 1.0 - np.exp(-2.0), 1.0], abs=2e-3)
 
 
-def test_a_given_history_agrees_with_a_simulated_one(make_arm, make_plant):
-    values = GROWTH | {"motor": 1e-6}
-    lived = make_plant(make_arm(effects={"thermal_growth": values}), holding_k=10.0)
-    told = make_plant(make_arm(effects={"thermal_growth": values}), holding_k=10.0)
-    q, seen, time_s, air_c, joints_c = lived.q("left"), [], [], [], []
-    for _ in range(60):
-        time_s.append(lived.clock_s)
-        air_c.append(lived.air_temperature_c)
-        joints_c.append(lived.joint_temperatures_c("left"))
-        seen.append(lived.targets()[0].p_M)
-        lived.advance(60.0)
-    found = told.smr_positions(
-        "left", np.tile(q, (60, 1)), time_s=np.array(time_s), air_c=np.array(air_c), joints_c=np.array(joints_c)
-    )
-    growth = np.linalg.norm(found[-1] - found[0])
-    assert growth > 50e-6
-    assert np.abs(found - np.array(seen)).max() < 0.02 * growth
-
-
 def test_the_zeros_of_joints_drift_as_they_warm_up(make_arm, make_plant):
     drift, tau = np.array([5e-5, -4e-5, 3e-5, 0.0, 2e-5, -6e-5]), 1800.0
     values = {"drift": drift.tolist(), "time_constant": [tau] * 6}
@@ -183,15 +145,6 @@ def test_the_zeros_of_joints_drift_as_they_warm_up(make_arm, make_plant):
     found = _positions(make_arm, make_plant, {"joint_drift": values}, time_s=time_s)
     joints = Q + (1.0 - np.exp(-time_s / tau))[:, None] * drift
     assert np.abs(found - make_plant().smr_positions("left", joints)).max() < 1e-13
-
-
-def test_or_by_the_temperature_of_each_joint(make_arm, make_plant):
-    joints_c = 20.0 + np.random.default_rng(0).uniform(0, 15, (5, 6))
-    values = {"per_kelvin": [4e-6] * 6}
-    found = _positions(make_arm, make_plant, {"joint_drift": values}, joints_c=joints_c)
-    assert np.abs(found - make_plant().smr_positions("left", Q + 4e-6 * (joints_c - 20.0))).max() < 1e-13
-    moved = _positions(make_arm, make_plant, {"joint_drift": values | {"reference": 30.0}}, joints_c=joints_c)
-    assert np.abs(moved - make_plant().smr_positions("left", Q + 4e-6 * (joints_c - 30.0))).max() < 1e-13
 
 
 # -- what walks and slips ----------------------------------------------------------------------------------------------
@@ -213,15 +166,6 @@ def test_the_base_drifts_by_its_law(make_arm, make_plant, law, shares):
     assert np.abs(found - _moved_base(make_plant, shares)).max() < 1e-13
 
 
-def test_a_drifting_tracker_sees_the_arm_drift_the_opposite_way(make_arm, make_plant):
-    values = {"shift": SHIFT, "turn": TURN, "law": "exponential", "time": 1000.0}
-    found = _positions(make_arm, make_plant, {"tracker_drift": values}, time_s=TIMES)
-    p_M, share = make_plant().smr_positions("left", Q), (1.0 - np.exp(-TIMES / 1000.0))[:, None]
-    first_order = p_M - share * (np.array(SHIFT) + np.cross(TURN, p_M))
-    assert np.abs(found - first_order).max() < 1e-6
-    assert np.array_equal(found[0], p_M[0])
-
-
 def test_a_bolt_slips_once(make_arm, make_plant):
     values = {"shift": SHIFT, "turn": TURN, "time": 1000.0}
     found = _positions(make_arm, make_plant, {"base_step": values}, time_s=TIMES)
@@ -232,24 +176,6 @@ def test_a_bolt_slips_once(make_arm, make_plant):
     assert np.array_equal(plant.targets()[0].p_M, before)
     plant.advance(2.0)
     assert np.linalg.norm(plant.targets()[0].p_M - before) > 1e-4
-
-
-def test_the_seat_slips_with_the_flange(make_arm, make_plant):
-    found = _positions(make_arm, make_plant, {"target_slip": {"shift": SHIFT, "time": 1000.0}}, time_s=TIMES)
-    slipped = make_plant(make_arm(smr_offset=make_arm().smr_offset + SHIFT)).smr_positions("left", Q)
-    expected = np.where((TIMES >= 1000.0)[:, None], slipped, make_plant().smr_positions("left", Q))
-    assert np.abs(found - expected).max() < 1e-13
-
-
-def test_the_floor_sways_with_its_period(make_arm, make_plant):
-    values = {"shift": SHIFT, "period": 2820.0, "phase": 0.4}
-    found = _positions(make_arm, make_plant, {"base_sway": values}, time_s=TIMES)
-    swing = np.sin(2 * np.pi * TIMES / 2820.0 + 0.4)
-    pose = make_plant().true_T_M_B("left")
-    expected = make_plant().smr_positions("left", Q) + np.outer(swing, pose[:3, :3] @ SHIFT)
-    assert np.abs(found - expected).max() < 1e-13
-    later = _positions(make_arm, make_plant, {"base_sway": values}, time_s=TIMES + 2820.0)
-    assert np.abs(found - later).max() < 1e-13
 
 
 # -- A sweep on record: lag of the joints, play along the path, two clocks, samples and beams that are lost ------------
@@ -292,13 +218,6 @@ def test_joints_lag_behind_their_commands_and_rest_at_both_ends() -> None:
     np.testing.assert_allclose(np.gradient(record.q[:, 0], time_s), record.qd[:, 0], atol=2e-3)
 
 
-def test_points_are_those_of_the_arm_at_the_same_joints() -> None:
-    plant = plant_with({"joint_compliance": {"stiffness": [9e4, 6e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]}})
-    record = record_sweep(plant, EXACT, "left", swing(plant, seconds=24.0), CYCLE_S)  # slow: next to no inertia
-    expected = plant.smr_positions("left", at_points(record, EXACT))
-    np.testing.assert_allclose(record.p_M, expected, atol=5e-6)
-
-
 def test_inertia_is_that_of_virtual_work():
     mechanism, rng, h = plant_with({}).true_mechanism("left"), np.random.default_rng(1), 1e-3
     q, qd, qdd = rng.uniform(-1.0, 1.0, (3, 5, 6))
@@ -338,16 +257,6 @@ def test_a_struck_arm_swings_at_its_natural_frequency_and_comes_to_rest():
     assert frequency[np.argmax(power)] == pytest.approx(first_hz, rel=0.05)
     assert np.abs(along[:50]).max() > 5e-6
     assert np.abs(along[-50:]).max() < 0.05 * np.abs(along[:50]).max()
-
-
-def test_a_late_drive_follows_by_its_time_constant_and_delay():
-    plant = plant_with({"drive_lag": {"time_constant": [0.02] * 6, "delay": [0.0, 0.01, 0.0, 0.0, 0.0, 0.0]}})
-    for joint, late_s in ((0, 0.0225), (1, 0.0325)):
-        record = record_sweep(plant, EXACT, "left", swing(plant, joint=joint), CYCLE_S)
-        q = at_points(record, EXACT)
-        delayed = np.column_stack([np.interp(record.point_time_s - late_s, record.point_time_s, c) for c in q.T])
-        miss = np.linalg.norm(record.p_M - plant.smr_positions("left", delayed), axis=1)
-        assert miss.max() < 0.2 * np.linalg.norm(record.p_M - plant.smr_positions("left", q), axis=1).max()
 
 
 def test_play_lags_behind_each_reversal_by_its_width() -> None:
