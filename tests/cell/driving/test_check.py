@@ -308,24 +308,6 @@ def test_a_moved_base_is_named_and_its_model_not_used(run: RunFile, monkeypatch:
     assert read_results(run).locate == found
 
 
-def test_a_remounted_smr_is_named(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
-    smr = run.profile.arms["left"].smr
-    assert smr.offset != "unknown"
-    x, y, z = smr.offset
-    moved = smr.model_copy(update={"offset": (x + 0.4e-3, y, z - 0.3e-3)})
-    changed_plant(monkeypatch, lambda profile: with_left(profile, smr=moved))
-    found = locate_run(run)
-    assert found.verdict == "smr moved"
-    first = found.other_motions[0]
-    assert (first.kind, first.arm, first.others_still) == ("smr", "left", True)
-    arm = model_of(run, read_stages(run).current[DISCOVER]).arms["left"]
-    one_point_mm = 1e3 * arm.measured_uncertainty(run.readings("left").q).mean()
-    # four points halve the noise of one, the station that the other arm's four points fix adds no more than as much
-    assert first.shift_mm == pytest.approx(0.5, abs=3.0 * one_point_mm)
-    (complaint,) = found.complaints()
-    assert complaint.startswith(f"the SMR of arm left sits {first.shift_mm:.3f} mm from where it was")
-
-
 def test_one_arm_only_locates_the_tracker_for_itself(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
     """The right SMR is covered: all points come from the left arm."""
     monkeypatch.setattr(LocatingStops, "best", _only("left", LocatingStops.best), raising=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,7 +16,7 @@ from cellapp.cell.driving.cell import Cell, arm_context, open_cell
 from cellapp.cell.driving.cell_checks import check_controllers
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, ControllerIdentity, recorded_controllers
+from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, recorded_controllers
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import predicted_smr
 from cellapp.ground.errors import HardwareError, InputError
@@ -69,19 +68,6 @@ def left(cell: Cell) -> Known:
     arm = cell.arms["left"]
     assert isinstance(arm, Known)
     return arm
-
-
-def test_the_controllers_are_recorded_once(run: RunFile, cell: Cell) -> None:
-    found = check_controllers(run, cell)
-    assert found.notes == ()
-    assert found.identities["left"] == ControllerIdentity("UR10", "20153012345", "3.15.8", "0000000a")
-    recorded = json.loads(run.read_result(CONTROLLERS_RESULT) or "")
-    assert recorded["left"] == {
-        "model": "UR10", "serial": "20153012345", "software": "3.15.8", "dh_checksum": "0000000a"
-    }  # fmt: skip
-    left(cell).says = replace(Known.says, software="3.15.9")
-    assert check_controllers(run, cell).notes == ()
-    assert json.loads(run.read_result(CONTROLLERS_RESULT) or "") == recorded
 
 
 def test_a_changed_checksum_is_refused_by_name_and_noted_where_one_insists(run: RunFile, cell: Cell) -> None:

@@ -262,24 +262,6 @@ def test_both_arms_are_driven_at_once_and_the_joints_of_both_recorded(swinging: 
         assert max(off) < 0.01, "at each sample both are at one time of their motions"
 
 
-def test_where_the_beam_breaks_both_arms_slow_down_and_go_on(
-    swinging: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cells: list[Cell] = []
-    crossed_beam(monkeypatch, cells, "left", 2.0)
-    with copied(swinging, tmp_path) as run:
-        collect_run(run, opened=driven_cell(CLOCK, cells.append))
-        first, second = recording_states(run)
-        assert first.reached_s is not None
-        assert second.reached_s is None
-        _, at = plan_of(run)
-        ends = [read_stream(run, state, "joints")[0] for state in (first, second)]
-        still = [np.abs(np.diff(its["other_q1"][-20:])).max() for its in ends]
-        assert max(still) < 1e-6, "the other arm rests meanwhile"
-        assert abs(ends[0]["other_q1"][-1] - ends[1]["other_q1"][0]) < 1e-3
-        assert ends[1]["other_q1"][-1] == pytest.approx(at["right"][0], abs=2e-3)
-
-
 def test_an_arm_that_falls_behind_the_other_stops_both(swinging: Path, tmp_path: Path) -> None:
     def prepare(cell: Cell) -> None:
         late = cell.arms["right"]

@@ -133,19 +133,6 @@ def test_a_refused_leg_is_never_driven_and_the_stop_is_reached_straight(driven: 
     assert driven.places("left", into_the_floor, np.full(6, 50.0)) == [-1, -1]
 
 
-def test_arms_go_home_before_a_stop_is_left_out(driven: Driven, plan: PlannedStops) -> None:
-    homes = home_positions(driven.run.profile)
-
-    def refuse(start: Mapping[str, np.ndarray], end: Mapping[str, np.ndarray]) -> str:
-        to_begin = np.allclose(end["left"], plan.approach_from["left"][3])
-        return "a column" if to_begin and not np.allclose(start["left"], homes["left"]) else ""
-
-    driven.refuse = refuse
-    assert driven.collect() == ()
-    arrived_by_the_planned_step(driven.run)
-    assert sum(np.allclose(goal, homes["left"]) for name, goal in driven.goals if name == "left") == 2
-
-
 def test_a_last_motion_that_is_refused_defers_the_stop_then_leaves_it_out(driven: Driven, plan: PlannedStops) -> None:
     driven.refuse = lambda start, end: "a column" if np.allclose(end["left"], plan.q["left"][1]) else ""
     (note,) = driven.collect()

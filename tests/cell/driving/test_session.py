@@ -141,24 +141,6 @@ def test_stops_are_measured_again_as_planned_and_nothing_else_is_visited(bench: 
     assert [one.again for one in bench.run.sessions()] == ["", "3, 6"]
 
 
-@pytest.mark.parametrize(
-    ("stops", "message"),
-    [
-        ([-1], r"there is no stop 0; there are 1 to 11"),
-        ([99], r"there is no stop 100; there are 1 to 11"),
-        ([9], r"stop 10 was not measured yet; 'cellapp collect .* --resume' measures what is left"),
-        ([], "no stop is named"),
-    ],
-)
-def test_what_cannot_be_measured_again_is_said_and_nothing_moves(bench: Bench, stops: list[int], message: str) -> None:
-    bench.collect()
-    measured = bench.measured
-    with pytest.raises(InputError, match=message):
-        bench.collect(again=stops)
-    assert bench.measured == measured
-    assert len(bench.run.sessions()) == 1
-
-
 # -- persons ----------------------------------------------------------------------------------------------------------
 
 
@@ -272,25 +254,6 @@ def test_a_stalled_computer_resumes_only_where_the_profile_allows_it(bench: Benc
     bench.collect(resume=True)
     assert bench.requests == ["host stalled", "suspend", "resume"]
     assert complete(bench)
-
-
-def test_a_tracker_that_warms_up_is_waited_for(bench: Bench) -> None:
-    practise(bench, suspend=Suspend(tracker_warm_up=Suspension(times=1, wait=600.0)))
-    bench.before_measuring[3] = lambda bench: bench.tracker.obstacles.append("it warms up")
-    bench.before_measuring[4] = lambda bench: bench.tracker.obstacles.clear()
-    unmet = SimulatedTracker.unmet
-    polls: list[int] = []
-
-    def ready_later(self: SimulatedTracker) -> list[str]:
-        polls.append(1)
-        if len(polls) > 12:
-            self.obstacles.clear()
-        return unmet(self)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SimulatedTracker, "unmet", ready_later)
-        assert bench.collect().outcome == "complete"
-    assert bench.requests == ["suspend", "resume"]
 
 
 # -- measuring practice -----------------------------------------------------------------------------------------------
@@ -521,26 +484,6 @@ def test_a_motion_that_is_not_confirmed_is_not_made(bench: Bench, monkeypatch: p
     monkeypatch.setattr(SimulatedArm, "start_move", lambda *arguments: pytest.fail("an arm was moved"))
     with pytest.raises(InputError, match="the first motion was not confirmed; nothing was moved"):
         bench.collect(confirm=lambda start, targets: False)
-
-
-def test_noise_of_the_encoders_is_no_motion(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """At the reference stop the arms stand where the first stop is: its readings keep the way they came."""
-    practise(bench, reference=Reference(every=4, drift=0.001))
-    rng, now = np.random.default_rng(5), SimulatedArm._now
-
-    def noisy(self: SimulatedArm) -> Any:
-        state = now(self)
-        return replace(state, q=state.q + rng.normal(0.0, 1e-5, len(state.q)))
-
-    monkeypatch.setattr(SimulatedArm, "_now", noisy)
-    bench.collect()
-    plan = bench.run.read_plan()
-    for name, q in plan.items():
-        home = np.array(bench.run.profile.arms[name].home)
-        readings = bench.run.readings(name)
-        np.testing.assert_array_equal(readings.approach[0], np.sign(q[0] - home))
-        assert readings.step is not None
-        np.testing.assert_allclose(readings.step[0], q[0] - home, atol=1e-4)
 
 
 def test_arms_that_are_not_at_home_are_confirmed_to_go_there_before_a_reference(bench: Bench) -> None:

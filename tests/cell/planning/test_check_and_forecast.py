@@ -12,19 +12,17 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.records import SweepCount
 from cellapp.cell.planning.candidates import CandidatePool, draw_pool
 from cellapp.cell.planning.designed import select_stops
 from cellapp.cell.planning.duration import planned_time
 from cellapp.cell.planning.information import (
-    POTENTIAL_CYCLES,
     InformationModel,
     drawn_conditions,
     information_model,
 )
-from cellapp.cell.planning.planned_stops import read_planned_stops, straight_stops, write_planned_stops
+from cellapp.cell.planning.planned_stops import read_planned_stops, straight_stops
 from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
-from cellapp.cell.planning.sweeps import PlannedSweep, SweepDesign, forecast_sweeps
+from cellapp.cell.planning.sweeps import PlannedSweep, forecast_sweeps
 from cellapp.cell.planning.view import check_plan_run, forecast_run
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
@@ -33,15 +31,11 @@ from cellapp.commands.plan.check_view import (
     check_sentences,
     forecast_sentences,
     forecast_tables,
-    sweep_sentences,
-    sweep_tables,
 )
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken, Progress
-from cellapp.robot.paths.sweep import Sweep
-from tests.cell.planning.planned_cells import drivable_stops
 from tests.twin import PROFILES, small_twin, with_arms
 
 STOPS = 24
@@ -139,21 +133,6 @@ def test_the_estimated_time_is_that_of_a_simulated_collection(tmp_path: Path) ->
         taken_s = float(run.readings("right").time_s.max())
     parts = (estimated.moving_s, estimated.resting_s, estimated.measuring_s, estimated.references_s)
     assert estimated.total_s == pytest.approx(sum(parts))
-    assert taken_s == pytest.approx(estimated.total_s, rel=0.25)
-
-
-def test_the_time_of_approaches_legs_and_dwells_is_foreseen(tmp_path: Path) -> None:
-    stops = drivable_stops(6, np.full(6, 0.06))
-    between = {name: 0.5 * (q[2] + q[3]) for name, q in stops.q.items()}
-    stops.dwell_s["left"][4] = 20.0
-    legs = tuple((between,) if stop == 3 else () for stop in range(6))
-    profile = small_twin(6)
-    with RunFile.create(tmp_path / "run", profile) as run:
-        write_planned_stops(run, replace(stops, legs=legs))
-        estimated = planned_time(profile, read_planned_stops(run))
-        collect_run(run)
-        taken_s = float(run.readings("left").time_s.max())
-    assert estimated.resting_s > 20.0
     assert taken_s == pytest.approx(estimated.total_s, rel=0.25)
 
 
@@ -283,42 +262,6 @@ def test_an_arm_whose_place_is_not_known_is_named(profile, planned_of_sweeps):
         forecast_sweeps(profile.model_copy(update={"arms": unknown}), *planned_of_sweeps)
 
 
-def test_tables_have_every_source_and_the_sentences_say_what_they_rest_on(profile, planned_of_sweeps):
-    count = SweepCount(n=6, seconds=120.0, forecast=forecast_sweeps(profile, *planned_of_sweeps)["left"])
-    errors, laws = sweep_tables({"left": count, "right": SweepCount(n=1, seconds=20.0)})
-    assert [column.title for column in errors.columns[1:4]] == list(SOURCES)
-    assert {row[0] for row in laws.rows} >= {"tracking lag"}
-    assert len({row[0] for row in laws.rows}) == len(laws.rows) == 6
-    said = " ".join(sweep_sentences({"left": count}))
-    assert "arm left: 6 sweeps about its stops, 2.0 min" in said
-    assert "half second" in said
-    assert sweep_sentences(None) == []
-    assert sweep_tables(None) == []
-
-
-def test_what_a_sweep_tells_is_of_the_effects_that_the_plan_is_for(profile, planned_of_sweeps):
-    """A joint that turns far and evenly tells of its lines; one that hardly moves tells nothing of them."""
-    stops, _ = planned_of_sweeps
-    q = stops.q["left"]
-    rows = np.zeros((4, 6))
-    still, lively = rows.copy(), rows.copy()
-    still[0, 5] = 0.3
-    lively[:, 0] = 0.3
-    told = {}
-    for slugs in ((), ("transmission_error",), ("transmission_error", "backlash")):
-        plan = profile.plan.model_copy(update={"effects": slugs})
-        design = SweepDesign.of(profile.model_copy(update={"plan": plan}), "left")
-        before = design.before(q, np.ones_like(q))
-        assert np.isfinite(before).all()
-        gains = [
-            np.linalg.slogdet(before + design.told(Sweep(q[0], sine, rows, 20.0)))[1] - np.linalg.slogdet(before)[1]
-            for sine in (still, lively)
-        ]
-        told[slugs] = gains[1] - gains[0]
-        assert gains[1] > gains[0] > 0.0
-    assert told[()] < told["transmission_error",] < told["transmission_error", "backlash"]
-
-
 # -- The choice of stops -----------------------------------------------------------------------------------------------
 
 
@@ -402,17 +345,6 @@ def test_any_cell_can_be_designed(cell: Any) -> None:
     assert {name: len(set(found.tolist())) for name, found in rows.items()} == dict.fromkeys(profile.arms, 20)
     coupled = any(one.startswith("pedestal_coupling") for one in model_of(profile, pools, next(iter(pools))).names)
     assert coupled == (len(profile.arms) == 2)
-
-
-def test_the_columns_are_geometry_listed_effects_and_potential_terms(twin: Profile, pools: Pools) -> None:
-    model = model_of(twin, pools)
-    slugs = [name.split(": ")[0] for name in model.names[len(model.parameters.columns) :]]
-    assert set(slugs[: model.wanted - len(model.parameters.columns)]) == set(FEW["effects"])
-    assert model.potential == 2 * len(POTENTIAL_CYCLES) * 6
-    everything = model_of(small_twin(COUNT), pools)
-    assert {"joint_compliance", "base_step", "tracker_scale"} <= {name.split(": ")[0] for name in everything.names}
-    assert not any(name.startswith(("unknown", "payload_compliance")) for name in everything.names)
-    assert model_of(small_twin(COUNT, plan={"effects": ()}), pools).wanted == len(model.parameters.columns)
 
 
 @pytest.mark.parametrize(

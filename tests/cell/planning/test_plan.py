@@ -18,7 +18,6 @@ from cellapp.cell.planning.planned_stops import (
     STOP_CONDITIONS_RESULT,
     PlannedStops,
     StopConditions,
-    last_motions,
     proposed_stops,
     read_planned_stops,
     read_stop_conditions,
@@ -28,7 +27,7 @@ from cellapp.cell.planning.planned_stops import (
 )
 from cellapp.cell.planning.proposal.propose import ProposedStop, append_proposed_stops
 from cellapp.cell.planning.view import check_stops
-from cellapp.cell.run import Outcome, RunFile
+from cellapp.cell.run import RunFile
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import predicted_smr, refuse_motion
@@ -301,17 +300,6 @@ def test_a_plan_is_stored_with_all_documents_or_not_at_all(tmp_path: Path) -> No
         assert (run.read_result(PLANNED_STOPS_RESULT), run.read_result(STOP_CONDITIONS_RESULT)) == before
 
 
-def test_outcomes_of_stops_that_are_replaced_are_forgotten(tmp_path: Path) -> None:
-    stops = some_stops(4)
-    with RunFile.create(tmp_path / "run", small_twin(4)) as run:
-        write_planned_stops(run, stops)
-        for stop in (1, 2):
-            run.add_stop(stop, {}, [Outcome(stop, "left", "left out", "a column")])
-        stops.q["left"][2] += 0.01
-        write_planned_stops(run, stops)
-        assert [one.stop for one in run.outcomes()] == [1]
-
-
 def test_proposed_stops_follow_designed_ones_and_replace_earlier_proposals(tmp_path: Path) -> None:
     designed, further = some_stops(4), some_stops(9)
     with RunFile.create(tmp_path / "run", small_twin(4)) as run:
@@ -327,12 +315,3 @@ def test_proposed_stops_follow_designed_ones_and_replace_earlier_proposals(tmp_p
     same_stops(stops.take(range(4)), designed)
     assert stops.block.tolist() == [0, 0, 1, 1, 2, 2]
     assert stops.legs[4:] == ((), ())
-
-
-def test_last_motions_are_planned_or_straight_from_the_stop_before() -> None:
-    stops = some_stops(5)
-    homes = {name: np.full(6, 0.5) for name in stops.q}
-    motions = last_motions(stops, homes)
-    np.testing.assert_array_equal(motions["right"], stops.q["right"] - stops.approach_from["right"])
-    np.testing.assert_array_equal(motions["left"][0], stops.q["left"][0] - 0.5)
-    np.testing.assert_array_equal(motions["left"][3], stops.q["left"][3] - stops.q["left"][2])

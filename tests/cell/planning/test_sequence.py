@@ -20,7 +20,6 @@ from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.sequence import Sequenced, nearest_turns, sequenced
 from cellapp.cell.planning.transit_paths import (
-    ArmRoadmap,
     TransitPath,
     TransitPlanner,
     random_tree_path,
@@ -291,22 +290,6 @@ def test_arms_that_would_meet_go_another_way() -> None:
     assert any(isinstance(way, TransitPath) for way in found)
     for (here, there), way in zip(meeting, found, strict=True):
         assert not isinstance(way, TransitPath) or replay(cell, here, way, there) == []
-
-
-def test_roadmaps_know_what_the_limits_shut_off() -> None:
-    """With limits of half a turn, wrist 1 beyond a quarter turn is on the other side of the forearm."""
-    profile = one_arm()
-    left = profile.arms["left"].model_copy(update={"limits": ((-math.pi, math.pi),) * 6})
-    profile = profile.model_copy(update={"arms": {"left": left}})
-    roadmap = ArmRoadmap(profile, cell_bodies(profile), "left", np.random.default_rng(0))
-    home = roadmap.rest
-    beyond = home + np.array([0.0, 0.0, 0.0, math.radians(240.0), 0.0, 0.0])
-    near = home + np.array([0.5, 0.2, 0.1, 0.3, 0.0, 0.0])
-    below = home + np.array([0.0, 2.4, 0.0, 0.0, 0.0, 0.0])
-    np.testing.assert_array_equal(roadmap.reaches(np.array([near, beyond, below, home])), [True, False, False, True])
-    path = roadmap.path(near, home)
-    assert path is not None
-    assert len(path) == 0
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])

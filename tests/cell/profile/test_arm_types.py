@@ -229,15 +229,6 @@ def test_the_twin_is_first_and_each_has_a_sentence() -> None:
     assert without_device == {"ur10-6d", "ur10-real", "ur10-real-d", "ur5-real"}
 
 
-def test_an_installed_package_brings_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A folder ``profiles`` beside an installed package is another package's."""
-    for folder in ("cellapp/starters", "profiles"):
-        (tmp_path / folder).mkdir(parents=True)
-        (tmp_path / folder / "twin.yaml").touch()
-    monkeypatch.setattr("cellapp.ground.starters.files", lambda package: tmp_path / package)
-    assert starters_folder() == tmp_path / "cellapp" / "starters"
-
-
 def test_an_installation_without_them_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cellapp.ground.starters.files", lambda package: tmp_path / package)
     with pytest.raises(InputError, match="lacks its starter profiles; install it again"):

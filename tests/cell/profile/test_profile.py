@@ -9,12 +9,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from cellapp.cell.profile import load_profile, profile_from_json, profile_to_json
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Traceability
 
 PROFILES = Path(__file__).parents[3] / "profiles"
@@ -286,38 +283,6 @@ def test_short_forms_of_numbers(twin: Path) -> None:
     assert profile_from_json(profile_to_json(profile)) == profile
 
 
-@settings(deadline=None)
-@given(
-    offset=st.tuples(*[st.floats(-10.0, 10.0)] * 3),
-    angle=st.floats(-12.5, 12.5),
-    number=st.floats(allow_nan=False),
-    name=st.text(min_size=1).filter(lambda text: text.isprintable()),
-)
-def test_json_gives_back_every_float_and_text(
-    offset: tuple[float, float, float], angle: float, number: float, name: str
-) -> None:
-    data = {
-        "schema": "cellapp-profile",
-        "version": 1,
-        "name": name,
-        "arms": {
-            name: {
-                "type": {"model": name, "joints": [{"theta": angle}, {"alpha": -angle}]},
-                "driver": {"kind": "simulated"},
-                "smr": {"offset": offset},
-                "base": {"position": offset},
-                "home": (angle, 0.0),
-            }
-        },
-        "tracker": {"driver": {"kind": "none"}, "pose": {"position": offset}},
-        "plant": {"effects": {name: {"e": {"p": number}}}},
-    }
-    profile = Profile.model_validate(data)
-    again = profile_from_json(profile_to_json(profile))
-    assert again == profile
-    assert repr(again) == repr(profile)  # equality takes -0.0 for 0.0
-
-
 @pytest.mark.parametrize("text", ["", "{}", "[1]", "{", '{"schema": "cellapp-profile", "version": 2}'])
 def test_stored_text_that_is_no_profile(text: str) -> None:
     with pytest.raises(InputError, match="stored profile: "):
@@ -327,24 +292,6 @@ def test_stored_text_that_is_no_profile(text: str) -> None:
 def test_limits_of_the_air_need_a_station(twin: Path) -> None:
     edit(twin, "splits:", "collection: {air: {temperature: [18.0, 24.0]}}\nsplits:")
     assert "collection.air: limits of the air need a weather station; add 'sensors.air'" in refusal(twin)
-
-
-@pytest.mark.parametrize(
-    ("section", "says"),
-    [
-        ("{air: {temperature: [24.0, 18.0]}}", "the lower limit must be below the upper one"),
-        ("{reference: {every: -1}}", "expected at least 0"),
-        ("{suspend: {weather: {times: 1}}}", "weather"),
-        ("{slow_start: {speed: 0.0}}", "expected more than 0"),
-        ("{repeat: {precision: '8 deg'}}", "length"),
-        ("{tolerated: 2.0}", "expected at most 1"),
-    ],
-)
-def test_a_wrong_collection_section_is_refused(twin: Path, section: str, says: str) -> None:
-    edit(twin, "splits:", f"collection: {section}\nsplits:")
-    found = refusal(twin)
-    assert "collection" in found
-    assert says in found
 
 
 def test_keys_that_came_later_do_not_change_the_text_of_earlier_profiles() -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.profile.files import controller_file_text, controller_table
-from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, ReadProgram
+from cellapp.cell.programs.records import CorrectedTarget, ReadProgram
 from cellapp.cell.programs.script_targets import read_script, read_urp
 from cellapp.cell.programs.solving import (
     Workplace,
@@ -28,11 +28,11 @@ from cellapp.cell.programs.solving import (
     solve_targets,
     true_flange,
 )
-from cellapp.cell.programs.urscript import Unreadable, parse_expression, pose_matrix, pose_numbers, tokens_of
+from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.correct import correct_run, correct_table
+from cellapp.commands.correct import correct_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.sections import controllers_section
@@ -208,20 +208,10 @@ def test_any_text_is_read_or_refused_in_words(text: str) -> None:
         assert program.encode(program.text) == text.encode()
 
 
-@pytest.mark.parametrize("text", ["(" * 5000 + "1" + ")" * 5000, "[" * 5000, "1" + "+1" * 5000, "x" + "[0]" * 5000])
-def test_very_deep_expressions_are_unreadable_and_no_crash(text: str) -> None:
-    with pytest.raises(Unreadable):
-        parse_expression(list(tokens_of(text)))
-
-
 def test_very_long_chains_of_variables_are_named() -> None:
     chain = "".join(f"x{k} = x{k - 1}\n" for k in range(1, 3000))
     found = reasons(f"x0 = {POSE}\n{chain}movel(x2999)")
     assert "stands behind more than 40 other variables" in found[3001]
-
-
-def test_a_byte_order_mark_is_no_word() -> None:
-    assert len(read_script(f"\ufeffdef a():\nmovej({JOINTS})\nend".encode(), "a").targets) == 1
 
 
 # -- A controller with its factory's calibration: nominal in the profile, read back, compared, its programs corrected --
@@ -436,43 +426,6 @@ def test_targets_without_a_correction_say_why(source: str, words: str) -> None:
     (result,) = solved(source, place(arm_model()))
     assert result.new is None
     assert words in result.reason
-
-
-def test_a_shorter_arm_does_not_reach_what_the_published_one_just_does() -> None:
-    arm = arm_model(None)
-    rows = arm.geometry.rows.copy()
-    rows[1, 2] += 2e-3
-    short = replace(arm, geometry=replace(arm.geometry, rows=rows))
-    (result,) = solved("movej([0.3, -1.4, 0.0, -1.7, 1.2, 0.4])", place(short, extrapolate=True))
-    assert "edge of the reach: the calibrated arm stays" in result.reason
-
-
-def test_only_the_position_of_the_point_on_the_way_changes() -> None:
-    q = HOME + np.array([0.1, 0.05, 0, 0, 0, 0])
-    via = [*tcp_pose(q)[:3], 0.0, 0.0, 0.0]
-    first, second = solved(f"movec(p{via}, {pose_text(HOME)})", place(arm_model()))
-    assert first.new is not None
-    assert first.new[3:] == (0.0, 0.0, 0.0)
-    assert first.correction_mm is not None
-    assert 0.1 < first.correction_mm < 20.0
-    assert second.new is not None
-
-
-def test_the_payload_of_the_program_counts() -> None:
-    source, arm = f"movej({HOME.tolist()})", arm_model(6, COMPLIANCE)
-    none, same, heavy = (solved(source, place(arm, payload_kg=mass))[0].new for mass in (None, 2.0, 9.0))
-    assert none == same
-    assert heavy != same
-
-
-def test_the_table_has_old_and_new_numbers() -> None:
-    targets = solved(f"movej({HOME.tolist()})\nmovel(p[3, 0, 0, 0, 0, 0])", place(arm_model()))
-    result = CorrectResult(program="a", out=None, arm="left", targets=tuple(targets), left=(), assumptions=())
-    rows = correct_table(result).text_rows()
-    assert [row[0] for row in rows] == ["1", "", "2", ""]
-    assert rows[0][2] == "0.300,-1.400,1.600,-1.700,1.200,0.400"
-    assert float(rows[1][3]) == pytest.approx(targets[0].correction_mm, abs=6e-4)
-    assert rows[3][2] == "not corrected, see below"
 
 
 # -- Programs of the pendant (.urp) ------------------------------------------------------------------------------------

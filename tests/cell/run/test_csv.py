@@ -32,8 +32,6 @@ from cellapp.cell.run import (
     sqlite_file,
     write_readings_csv,
 )
-from cellapp.cell.run.recorded_csv import converted, read_recorded
-from cellapp.cell.run.stations import STATIONS_RESULT, stored_tie_sentences
 from cellapp.commands.import_ import import_new_run
 from cellapp.commands.stages import readings_digest
 from cellapp.estimation.readings import Reading, Readings, joined
@@ -41,7 +39,7 @@ from cellapp.estimation.readings import readings as readings_module
 from cellapp.estimation.readings.columns import COLUMNS, Column, Fault
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import apply, invert, transform
-from tests.cell.run.small_runs import Rows, assert_same, older_reading_table, two_arms, written
+from tests.cell.run.small_runs import Rows, assert_same, two_arms, written
 from tests.cell.run.test_measured_again import change, left_alone
 
 ROOT = Path(__file__).parents[3]
@@ -259,19 +257,6 @@ def test_a_missing_file_and_a_folder(path: Path) -> None:
     assert "file not found" in refusal(path)
     path.mkdir()
     assert "cannot be read" in refusal(path)
-
-
-def test_an_import_is_a_whole_run(path: Path, tmp_path: Path) -> None:
-    write(path, *ROWS)
-    with import_csv(two_arms(), path, tmp_path / "run") as run:
-        assert run.arms() == ["left", "right"]
-        assert run.stops_done() == {0, 1}
-        texts = [(event.level, event.text) for event in run.events()]
-        run.add_stop(2, {"left": Reading(q=np.zeros(2), p_M=np.zeros(3))})
-    assert ("info", f"imported {path}: 2 of arm left, 2 of arm right") in texts
-    assert ("note", f"{path}: column 'mood' is unknown; it is kept and not used") in texts
-    with pytest.raises(InputError, match="already holds a run"):
-        import_csv(two_arms(), path, tmp_path / "run")
 
 
 def test_a_text_is_no_formula_of_a_spreadsheet(path: Path, tmp_path: Path) -> None:
@@ -535,15 +520,6 @@ def test_a_stop_of_two_stations_is_named(tmp_path: Path) -> None:
         import_new_run(left_alone(), table, tmp_path / "run", reference_nests=floor)
 
 
-def test_the_words_are_kept_for_calibration(tmp_path: Path) -> None:
-    table, floor = written(tmp_path / "in.csv", readings()), written(tmp_path / "floor.csv", nests())
-    import_new_run(left_alone(), table, tmp_path / "run", reference_nests=floor)
-    with RunFile.open(tmp_path / "run") as run:
-        (sentence,) = stored_tie_sentences(run.read_result(STATIONS_RESULT))
-    assert sentence.startswith("station south is tied to north")
-    assert stored_tie_sentences(None) == ()
-
-
 # -- All quantities of a reading as columns ----------------------------------------------------------------------------
 
 
@@ -638,13 +614,6 @@ def with_torques(path: Path) -> Path:
     return written_of_quantities(path, *rows, header=f"configuration,arm,q1,q2,x_m,y_m,z_m,{UNREAD[0]}")
 
 
-def test_torques_and_currents_are_kept_and_not_used(tmp_path: Path) -> None:
-    readings, notes = read_readings_csv(with_torques(tmp_path / "in.csv"), {"left": 2})
-    assert notes[0].endswith("column 'tau1' is unknown; it is kept and not used")
-    assert readings["left"].extras["tau1"] == ("10.5", "", "11.0")
-    assert readings_digest(readings["left"]) == HASH_BEFORE
-
-
 def test_a_run_that_stored_torques_gives_them_back_and_keeps_its_hash(tmp_path: Path) -> None:
     readings, _ = read_readings_csv(with_torques(tmp_path / "in.csv"), {"left": 2})
     with RunFile.create(tmp_path / "run", two_arms()) as run:
@@ -702,19 +671,6 @@ def test_names_that_say_what_they_are_are_understood(names: str, tmp_path: Path)
     assert not readings["left"].extras
 
 
-def test_a_line_of_comment_is_no_row(tmp_path: Path) -> None:
-    path = table(tmp_path / "in.csv", "rotvec_x,rotvec_y,rotvec_z", TURNS.as_rotvec())
-    path.write_text(path.read_text("utf-8") + "# measured by hand\n", "utf-8")
-    assert len(read_readings_csv(path, {"left": 2})[0]["left"]) == 3
-
-
-def test_empty_rows_have_no_orientation(tmp_path: Path) -> None:
-    names = "rotvec_x,rotvec_y,rotvec_z"
-    readings, _ = read_readings_csv(table(tmp_path / "in.csv", names, TURNS.as_rotvec(), row1=",,"), {"left": 2})
-    assert readings["left"].quaternion_M is not None
-    assert np.isnan(readings["left"].quaternion_M[:, 0]).tolist() == [False, True, False]
-
-
 @pytest.mark.parametrize(
     ("names", "row", "words"),
     [
@@ -732,13 +688,6 @@ def test_what_is_no_rotation_is_named_by_row(names: str, row: str, words: str, t
     assert words in str(refused.value)
 
 
-@pytest.mark.parametrize("names", ["qw,qx,qy,qz,qx", "qw,qx,qy,qz,sigma_m,sigma_m"])
-def test_columns_beside_an_orientation_that_are_there_twice_are_named(names: str, tmp_path: Path) -> None:
-    row = np.array([[1.0, 0.0, 0.0, 0.0, *[1e-5] * (names.count(",") - 3)]])
-    with pytest.raises(InputError, match=f"{names.rsplit(',', 1)[1]}: the column is there twice"):
-        read_readings_csv(table(tmp_path / "in.csv", names, row), {"left": 2})
-
-
 @pytest.mark.parametrize(
     ("names", "words"),
     [
@@ -753,17 +702,6 @@ def test_names_that_say_too_little_are_kept_with_a_note(names: str, words: str, 
     assert readings["left"].quaternion_M is None
     assert any(words in note for note in notes)
     assert list(readings["left"].extras) == names.split(",")
-
-
-def test_a_table_of_ones_own_is_read_in_the_same_way(tmp_path: Path) -> None:
-    path = tmp_path / "own.csv"
-    rows = [f"{k * 10},20,{k},2,3,{','.join(map(repr, row))}" for k, row in enumerate(TURNS.as_euler("ZYX").tolist())]
-    path.write_text("\n".join(["A1 [deg];A2 [deg];X;Y;Z;yaw_rad;pitch_rad;roll_rad", *rows]).replace(",", ";"), "utf-8")
-    names, cells = converted(read_recorded(path), "deg", "m", "left")
-    found = np.array([[float(row[names.index(f"quat_{axis}")]) for axis in "xyzw"] for row in cells])
-    assert (Rotation.from_quat(found) * TURNS.inv()).magnitude().max() < 1e-7
-    path.write_text(path.read_text("utf-8").replace("yaw_rad", "yaw").replace("pitch_rad", "pitch"), "utf-8")
-    assert not any(name.startswith("quat_") for name in converted(read_recorded(path), "deg", "m", "left")[0])
 
 
 # -- A new column of readings is one declaration -----------------------------------------------------------------------
@@ -815,40 +753,6 @@ def test_a_new_column_is_stored_exported_and_imported(tmp_path: Path) -> None:
     for found in (stored, imported):
         np.testing.assert_array_equal(found.torque_nm, [[1.5, np.nan], [np.nan, np.nan]])
         np.testing.assert_array_equal(found.humidity, [0.5, 0.25])
-
-
-@pytest.mark.usefixtures("toy_columns")
-def test_a_new_column_is_checked(tmp_path: Path) -> None:
-    path = tmp_path / "in.csv"
-    path.write_text(
-        "configuration,arm,q1,q2,x_m,y_m,z_m,torque1,torque2,humidity\n"
-        "0,left,0,0,0,0,0,1,2,0.25\n"
-        "1,left,0,0,0,0,0,1,-2,\n"
-    )
-    with pytest.raises(InputError, match=r"in\.csv:3: torque2: expected a torque above 0 Nm"):
-        read_readings_csv(path, {"left": 2})
-    path.write_text(path.read_text().replace("0.25", "0.3"))
-    with pytest.raises(InputError, match=r"in\.csv:2: humidity: expected a quarter, got 0\.3"):
-        read_readings_csv(path, {"left": 2})
-    with RunFile.create(tmp_path / "run", two_arms()) as run, pytest.raises(ValueError, match="is not a quarter"):
-        run.add_stop(0, {"left": ToyReading(q=np.zeros(2), p_M=np.zeros(3), humidity=0.3)})
-
-
-@pytest.mark.usefixtures("toy_columns")
-def test_an_older_file_without_the_column_gets_it_with_the_first_change(tmp_path: Path) -> None:
-    with RunFile.create(tmp_path / "run", two_arms()) as run:
-        run.log("info", "made")
-    with contextlib.closing(sqlite3.connect(tmp_path / "run" / "run.sqlite")) as connection:
-        older_reading_table(connection, 1)
-        connection.execute("ALTER TABLE reading DROP COLUMN torque_nm")
-        for table in ("stage", "session", "request", "outcome", "reference", "recording", "stream"):
-            connection.execute(f"DROP TABLE {table}")
-        connection.execute("PRAGMA user_version=1")
-        connection.commit()
-    with RunFile.open(tmp_path / "run", write=True) as run:
-        assert run.readings("left").torque_nm is None  # type: ignore[attr-defined]
-        run.add_stop(0, {"left": ToyReading(q=np.zeros(2), p_M=np.zeros(3), torque_nm=np.array([1.0, 2.0]))})
-        np.testing.assert_array_equal(run.readings("left").torque_nm, [[1.0, 2.0]])  # type: ignore[attr-defined]
 
 
 def test_every_column_is_an_attribute_and_no_attribute_is_forgotten() -> None:

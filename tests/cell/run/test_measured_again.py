@@ -24,7 +24,7 @@ from cellapp.cell.run.measurement_order import in_measured_order
 from cellapp.cell.run.records import ArmOrder
 from cellapp.commands.import_ import ImportRequest, import_new_run
 from cellapp.commands.import_ import run as import_run
-from cellapp.estimation.readings import Reading, Readings, joined
+from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
@@ -78,13 +78,6 @@ def test_an_arm_without_a_new_reading_keeps_what_it_has_and_one_that_had_none_ge
     assert [(one.stop, one.reason) for one in run.outcomes()] == [(3, "still hidden")]
 
 
-def test_what_cannot_be_stored_leaves_the_stop_as_it_was(run: RunFile) -> None:
-    with pytest.raises(ValueError, match="not finite"):
-        replace_stop(run, 1, {"left": replace(seen(2, 2.0), p_M=np.full(3, np.nan))})
-    assert run.readings("left").p_M[1, 0] == 1.0
-    assert replaced_counts(run) == {}
-
-
 def test_a_file_of_the_eighth_schema_has_none_and_takes_some(run: RunFile) -> None:
     session = run.begin_session()
     run.end_session(session, "complete", "")
@@ -112,11 +105,6 @@ def test_a_file_of_the_eighth_schema_has_none_and_takes_some(run: RunFile) -> No
 def reading(number: int, **more: object) -> Readings:
     values = {"q": np.full(3, 0.1 * number), "p_M": np.full(3, float(number)), **more}
     return Reading(**values).as_readings(number)  # type: ignore[arg-type]
-
-
-def test_arms_of_other_joints_do_not_join():
-    with pytest.raises(ValueError, match="dimension"):
-        joined([reading(1), Reading(q=np.zeros(4), p_M=np.zeros(3)).as_readings(2)])
 
 
 # -- Import in the order of measurement: each joint's last motion from the row before, and what contradicts it ---------
@@ -158,15 +146,6 @@ def test_motions_follow_from_the_row_before_not_from_the_number_of_the_stop(path
     plain = left(path, in_order=False)
     assert plain.sequence is plain.step is None
     assert not plain.approach.any()
-
-
-def test_a_joint_at_rest_keeps_the_sign_of_its_motion_before() -> None:
-    encoder_noise = 4e-5
-    found, derived = in_measured_order(some([[0.0, 0.0], [0.5, encoder_noise], [0.5 - encoder_noise, 0.3], [0.1, 0.3]]))
-    assert found.step is not None
-    np.testing.assert_array_equal(found.approach, [[0, 0], [1, 0], [1, 1], [-1, 1]])
-    np.testing.assert_allclose(found.step, [[np.nan, np.nan], [0.5, 0.0], [0.0, 0.3], [-0.4, 0.0]], atol=2e-4)
-    assert derived == ArmOrder(by="rows", approach=5, step=6)
 
 
 def test_values_that_are_given_stay_and_a_detour_leaves_the_step_unknown() -> None:

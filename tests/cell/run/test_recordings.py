@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from scipy.spatial.transform import Rotation
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.columns import understood
@@ -354,22 +353,6 @@ def test_degrees_millimetres_and_decimal_commas(
 
 
 @pytest.mark.parametrize(
-    ("q", "p", "angles", "lengths"),
-    [
-        (0.01 * Q, P, None, "m"),  # degrees, if the arm hardly moved
-        (4.0 * Q, P, None, "m"),  # beyond a revolution, as some controllers count
-        (Q, 1e-4 * P, "rad", None),
-        (Q, 10.0 * P, "rad", None),
-    ],
-)
-def test_what_is_not_sure_is_said_so(
-    tmp_path: Path, q: np.ndarray, p: np.ndarray, angles: str | None, lengths: str | None
-) -> None:
-    found = read_recorded(written(tmp_path, text_of("q1,q2,q3,x,y,z", q, p)))
-    assert (found.angles, found.lengths) == (angles, lengths)
-
-
-@pytest.mark.parametrize(
     ("text", "words"),
     [
         ("", "is empty; expected a header row"),
@@ -400,7 +383,6 @@ def test_files_that_cannot_be_understood(tmp_path: Path, text: str, words: str) 
 J, P_STRANGE = joint_columns(), point_columns()
 STAMPS, Q_STRANGE, QD = J["time_s"], np.column_stack([J["q1"], J["q2"]]), np.column_stack([J["qd1"], J["qd2"]])
 TIMES, POINTS = P_STRANGE["time_s"], np.column_stack([P_STRANGE["x_m"], P_STRANGE["y_m"], P_STRANGE["z_m"]])
-SURE = Q_STRANGE + np.array([9.0, -9.0])  # further from zero in degrees than any joint in radians
 
 
 def columns_of(head: str, table: np.ndarray, separator: str = ",", *, comma: bool = False, end: str = "") -> str:
@@ -473,17 +455,6 @@ def test_one_family_of_numbered_columns_are_the_joints() -> None:
         assert not {"q1", "q2"} & set(understood(names, "joints", own).names)
 
 
-def test_what_a_name_leaves_open_is_decided_only_where_it_is_sure(tmp_path: Path) -> None:
-    points = columns_of("time_s,x_m,y_m,z_m", joints(TIMES, POINTS))
-    one, notes = read(tmp_path, columns_of("t,A1,A2", joints(1e3 * STAMPS, np.degrees(SURE / 10))), points)
-    assert one.joints.columns["q1"] == pytest.approx(SURE[:, 0] / 10)
-    assert "stamps in milliseconds, by the step between them; joint positions in degrees, by their size" in notes[0]
-    one, notes = read(tmp_path, columns_of("t,A1,A2", joints(STAMPS, Q_STRANGE)), points)
-    assert one.joints.columns["q1"] == pytest.approx(Q_STRANGE[:, 0])
-    _, notes = read(tmp_path, columns_of("t,target_q1,target_q2", joints(STAMPS, Q_STRANGE)), points)
-    assert "positions that were commanded" in notes[0]
-
-
 def test_stamps_may_be_dates_and_lost_beams_nan_or_zero(tmp_path: Path) -> None:
     rows = joints(TIMES, POINTS).tolist()
     clock = [f"2026-05-03T10:00:{row[0]:09.6f}" for row in rows]
@@ -512,27 +483,6 @@ def test_data_frames_and_files_of_windows_are_read(tmp_path: Path) -> None:
         file.write_bytes(degrees.encode(encoding))
         (one,), _ = read_recordings(two_arms(), [file], [tmp_path / "points.txt"], "left")
         assert one.joints.columns["q2"] == pytest.approx(Q_STRANGE[:, 1])
-
-
-TURNS = Rotation.from_rotvec(np.outer(np.linspace(0.1, 1.0, len(TIMES)), [1.0, -0.5, 0.2]))
-ORIENTATIONS = {
-    "q0,q1,q2,q3": TURNS.as_quat(scalar_first=True),
-    "field.orientation.x,field.orientation.y,field.orientation.z,field.orientation.w": TURNS.as_quat(),
-    "rotvec_x_deg,rotvec_y_deg,rotvec_z_deg": np.degrees(TURNS.as_rotvec()),
-    "Roll [deg],Pitch [deg],Yaw [deg]": TURNS.as_euler("xyz", degrees=True),
-    "tool_qw,tool_qx,tool_qy,tool_qz,smr_qw,smr_qx,smr_qy,smr_qz": np.hstack(
-        [np.tile([1.0, 0.0, 0.0, 0.0], (len(TIMES), 1)), TURNS.as_quat(scalar_first=True)]
-    ),
-}
-
-
-@pytest.mark.parametrize("names", ORIENTATIONS)
-def test_orientations_are_read_as_those_of_readings(names: str, tmp_path: Path) -> None:
-    points = columns_of(f"time_s,x_m,y_m,z_m,{names}", joints(TIMES, POINTS, ORIENTATIONS[names]))
-    one, notes = read(tmp_path, columns_of("time_s,q1,q2", joints(STAMPS, Q_STRANGE)), points)
-    found = np.column_stack([one.points.columns[f"quat_{axis}"] for axis in "xyzw"])
-    assert (Rotation.from_quat(found) * TURNS.inv()).magnitude().max() < 1e-7
-    assert any("of the probe's orientation in the tracker frame" in note for note in notes)
 
 
 BAD_STRANGE = {

@@ -138,37 +138,6 @@ def test_every_bit_of_a_stop_comes_back(data: st.DataObject, tmp_path_factory: p
     shutil.rmtree(folder)
 
 
-def test_a_stop_with_all_its_values(profile: Profile, folder: Path) -> None:
-    full = Reading(
-        q=np.array([0.1, -0.2]),
-        p_M=np.array([1.0, 2.0, 3.0]),
-        time_s=12.5,
-        approach=np.array([-1, 1], dtype=np.int8),
-        payload_kg=0.3,
-        temperature_c=21.5,
-        joint_temperature_c=np.array([30.0, np.nan]),
-        covariance_M=np.diag([1e-10, 2e-10, 3e-10]),
-        sigma_m=1.5e-5,
-        split="train",
-        extras={"operator": "Köhler"},
-    )
-    with RunFile.create(folder, profile) as run:
-        run.add_stop(7, {"left": full})
-        run.add_stop(3, {"left": reading(3), "right": reading(4, 3)})
-        left = run.readings("left")
-    np.testing.assert_array_equal(left.configuration, [3, 7])
-    np.testing.assert_array_equal(left.time_s, [3.0, 12.5])
-    np.testing.assert_array_equal(left.approach, [[0, 0], [-1, 1]])
-    np.testing.assert_array_equal(left.payload_kg, [np.nan, 0.3])
-    np.testing.assert_array_equal(left.joint_temperature_c, [[np.nan, np.nan], [30.0, np.nan]])
-    assert left.covariance_M is not None
-    np.testing.assert_array_equal(left.covariance_M[1], np.diag([1e-10, 2e-10, 3e-10]))
-    assert np.all(np.isnan(left.covariance_M[0]))
-    assert left.split == (None, "train")
-    assert left.extras == {"operator": ("", "Köhler")}
-    np.testing.assert_array_equal(left.in_split("train"), [1])
-
-
 def test_a_stop_is_stored_for_all_arms_or_for_none(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(0, {"right": reading(0, 3)})
@@ -446,29 +415,6 @@ def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lac
         np.testing.assert_array_equal(left.dwell_s, [np.nan, 1.5])
 
 
-def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_stages(
-    profile: Profile, folder: Path
-) -> None:
-    with RunFile.create(folder, profile) as run:
-        run.append_stage("calibrate", None, "{}", None)
-    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
-        older_reading_table(connection, 3)
-        for table in ("session", "request", "outcome", "reference", "recording", "stream"):
-            connection.execute(f"DROP TABLE {table}")
-        connection.execute("PRAGMA user_version=3")
-        connection.commit()
-    with RunFile.open(folder) as run:
-        assert (run.sessions(), run.outcomes(), run.references()) == ([], [], [])
-    with RunFile.open(folder, write=True) as run:
-        session = run.begin_session()
-        run.record_request(session, "pause", "by a person")
-        run.end_session(session, "stopped", "by a person")
-        assert [row.name for row in run.stage_rows()] == ["calibrate"]
-        (found,) = run.sessions()
-    assert (found.outcome, found.reason) == ("stopped", "by a person")
-    assert [request[1:] for request in found.requests] == [("pause", "by a person")]
-
-
 def test_a_file_of_the_seventh_schema_takes_several_rows_of_a_stop(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(1, {"left": reading(1)})
@@ -487,23 +433,6 @@ def test_a_file_of_the_seventh_schema_takes_several_rows_of_a_stop(profile: Prof
         assert run.rows("left").smr == (None, "B", "A")
         with pytest.raises(InputError, match="arm 'left': readings of several SMRs at a stop were removed in"):
             run.readings("left")
-
-
-def test_an_outcome_counts_until_the_stop_is_measured(profile: Profile, folder: Path) -> None:
-    with RunFile.create(folder, profile) as run:
-        run.add_stop(1, {"left": reading(1)}, [Outcome(1, "right", "not measured", "hidden")])
-        run.add_stop(2, {}, [Outcome(2, "left", "left out", "too near"), Outcome(2, "right", "left out", "too near")])
-        assert [(one.stop, one.arm, one.kind) for one in run.outcomes()] == [
-            (1, "right", "not measured"),
-            (2, "left", "left out"),
-            (2, "right", "left out"),
-        ]
-        assert run.stops_done() == {1}
-        run.add_stop(2, {"left": reading(2)}, [Outcome(2, "right", "not measured", "hidden")])
-        assert [(one.stop, one.arm, one.reason) for one in run.outcomes()] == [
-            (1, "right", "hidden"),
-            (2, "right", "hidden"),
-        ]
 
 
 # -- Arms that were not seen at rest -----------------------------------------------------------------------------------

@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, refuse_stop, visible
-from cellapp.cell.safety.shapes import RoundedBox, load_mesh
+from cellapp.cell.safety.shapes import load_mesh
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, CylinderObstacle, MeshObstacle, Placement
 from tests.cell.safety.collision_check import CollisionCheck
 from tests.cell.safety.test_gate import crowded, random_segments
-from tests.twin import PROFILES, small_twin
+from tests.twin import small_twin
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("fcl")
@@ -45,15 +44,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 # -- meshes -----------------------------------------------------------------------------------------------------------
-
-
-def test_a_mesh_of_a_box_is_as_far_as_the_box(folder: Path) -> None:
-    mesh, centre = load_mesh(str(folder / "box.stl"), 0.001)
-    assert centre == pytest.approx([0.1, 0.0, -0.05])
-    start, end = random_segments(np.random.default_rng(1), 400)
-    box = RoundedBox(np.array([0.2, 0.15, 0.1]))
-    assert mesh.segment_distance(start, end) == pytest.approx(box.segment_distance(start, end), abs=1e-9)
-    assert not mesh.segment_distance(0.05 * start, 0.05 * end).any(), "all inside"
 
 
 def test_meshes_are_as_far_as_the_other_library_says(folder: Path) -> None:
@@ -99,19 +89,6 @@ def test_bad_meshes_are_named(folder: Path, name: str, words: str) -> None:
     assert "obstacles.part.file: " in str(caught.value)
     assert name in str(caught.value)
     assert words in str(caught.value)
-
-
-def test_a_mesh_that_is_missing_is_told_with_its_line(tmp_path: Path, folder: Path) -> None:
-    text = (PROFILES / "twin.yaml").read_text("utf-8").replace("type: arms/", f"type: {PROFILES}/arms/")
-    path = tmp_path / "cell.yaml"
-    path.write_text(f"{text}\nobstacles:\n  part: {{shape: mesh, file: part.stl, scale: 0.001}}\n", "utf-8")
-    line = len(text.splitlines()) + 3
-    with pytest.raises(InputError, match=rf"cell\.yaml:{line}: obstacles\.part\.file: file not found: .*part\.stl"):
-        load_profile(path)
-    (tmp_path / "part.stl").write_bytes((folder / "box.stl").read_bytes())
-    part = load_profile(path).obstacles["part"]
-    assert isinstance(part, MeshObstacle)
-    assert Path(part.file) == tmp_path / "part.stl"
 
 
 def test_without_the_libraries_a_mesh_is_refused_with_what_to_install(

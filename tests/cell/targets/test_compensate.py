@@ -21,13 +21,11 @@ from cellapp.cell.targets.compensate import (
     invert_model,
     with_approach,
 )
-from cellapp.cell.targets.ranges import MeasuringNoise
 from cellapp.cell.targets.targets import Partner, Target, WorkingConditions, load_targets
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm
-from cellapp.robot.kinematics.chain import Geometry, flange_poses, frame_poses, smr_positions
+from cellapp.robot.kinematics.chain import flange_poses
 from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
 from tests.postures import far_from_singular
@@ -332,40 +330,6 @@ def test_if_one_arm_cannot_both_are_refused(run: RunFile, model: CellModel) -> N
     assert "arms left and right" in meeting.refusal or "arm right" in meeting.refusal
 
 
-def test_one_arm_and_three(run: RunFile, model: CellModel) -> None:
-    alone = run.profile.model_copy(update={"arms": {"left": run.profile.arms["left"]}})
-    own = [target for target in TARGETS if target.arm == "left"][:4]
-    for command in compensate(alone, CellModel(arms={"left": model.arms["left"]}), own):
-        assert_reached(model, command)
-    profile, three = with_third_arm(run.profile, model)
-    for command in compensate(profile, three, [*own, own[0].model_copy(update={"name": "third", "arm": "third"})]):
-        assert command.refusal == ""
-        assert_reached(three, command)
-
-
-def with_third_arm(profile: Profile, model: CellModel) -> tuple[Profile, CellModel]:
-    """A copy of the left arm, ten metres to the side."""
-    left = profile.arms["left"]
-    assert left.base is not None
-    x, y, z = left.base.position
-    third = left.model_copy(update={"base": left.base.model_copy(update={"position": (x, y + 10.0, z)})})
-    T = model.arms["left"].geometry.T_M_B()
-    T[1, 3] -= 10.0
-    moved = dataclasses.replace(
-        model.arms["left"],
-        geometry=model.arms["left"].geometry.with_T_M_B(T),
-        nominal=model.arms["left"].nominal.with_T_M_B(T),
-    )
-    return (
-        profile.model_copy(update={"arms": {**profile.arms, "third": third}}),
-        dataclasses.replace(model, arms={**model.arms, "third": moved}),
-    )
-
-
-def rotation_of(geometry: Geometry, q: np.ndarray) -> np.ndarray:
-    return np.asarray(flange_poses(geometry, q[None])[0][0])
-
-
 def test_stated_conditions_are_used_and_kept_for_the_way(run: RunFile, model: CellModel) -> None:
     arm = dataclasses.replace(
         model.arms["left"],
@@ -393,58 +357,7 @@ def test_stated_conditions_are_used_and_kept_for_the_way(run: RunFile, model: Ce
     assert compensate_result([sided]).targets[0].approach == (0, 1, 0, 0, 0, 0)
 
 
-def test_nominal_and_compensated_commands_are_of_the_same_branch(run: RunFile, model: CellModel) -> None:
-    for command in compensate(run.profile, model, TARGETS[:10]):
-        if command.q_nominal is None or command.q_compensated is None:
-            continue
-        assert np.abs(command.q_nominal - command.q_compensated).max() < 0.2
-        assert command.target.rpy is not None
-        roll, pitch, yaw = command.target.rpy
-        nominal = model.arms[command.arm].nominal
-        wanted = nominal.T_M_B()[:3, :3] @ rotation_zyx(yaw, pitch, roll)
-        np.testing.assert_allclose(rotation_of(nominal, command.q_nominal), wanted, atol=1e-9)
-        assert command.branches is not None
-        assert 1 <= command.branches <= 8
-
-
-@pytest.mark.parametrize("rpy", [(0.0, 0.0, 0.0), None], ids=["pose", "position"])
-def test_out_of_reach_by_how_much(run: RunFile, model: CellModel, rpy: tuple[float, float, float] | None) -> None:
-    """A position three times as far from the shoulder as a stretched arm is."""
-    nominal = model.arms["left"].nominal
-    q = np.array([[0.3, -0.7, 1e-9, -1.5, 1.1, 0.4]])
-    _, origins = frame_poses(nominal, q)
-    smr = smr_positions(nominal, q)[0]
-    outwards = smr - origins[1, 0]
-    far = nominal.T_M_B()
-    position = np.linalg.inv(far) @ np.append(smr + 2.0 * outwards, 1.0)
-    target = Target(name="far", arm="left", position=tuple(position[:3].tolist()), rpy=rpy)
-    (command,) = compensate(run.profile, model, [target])
-    missed_mm = float(command.refusal.split(" mm")[0].split()[-1])
-    assert command.refusal.startswith("out of reach")
-    shortest = 1e3 * (3.0 * np.linalg.norm(outwards) - longest_reach(nominal))
-    assert shortest - 1.0 < missed_mm
-    if rpy is None:
-        assert missed_mm < 1e3 * 2.0 * np.linalg.norm(outwards) + 1.0
-
-
-def longest_reach(geometry: Geometry) -> float:
-    """Upper bound on the distance of the SMR from the shoulder [m]: the length of the chain beyond it."""
-    lengths = np.hypot(geometry.rows[1:, 1], geometry.rows[1:, 2])
-    return float(lengths.sum() + np.linalg.norm(geometry.tool))
-
-
 # -- Noise of measuring: the tracker's shape, the readings' size -------------------------------------------------------
-
-POINTS = np.random.default_rng(0).uniform([2.0, -2.0, -1.0], [6.0, 2.0, 1.0], (50, 3))
-
-
-def stated(points: np.ndarray) -> np.ndarray:
-    """Half of 15 um + 6 um/m across the beam and of 0.5 um/m along it, squared."""
-    distance = np.linalg.norm(points, axis=1)
-    beam = points / distance[:, None]
-    along, across = 2.5e-7 * distance, 7.5e-6 + 3e-6 * distance
-    outer = beam[:, :, None] * beam[:, None]
-    return np.asarray(along[:, None, None] ** 2 * outer + across[:, None, None] ** 2 * (np.eye(3) - outer))
 
 
 def readings(points: np.ndarray, covariance: np.ndarray | None) -> Readings:
@@ -457,11 +370,3 @@ def readings(points: np.ndarray, covariance: np.ndarray | None) -> Readings:
         p_M=points,
         covariance_M=covariance,
     )
-
-
-def test_readings_that_state_nothing_or_stand_at_one_distance() -> None:
-    assert MeasuringNoise.of(readings(POINTS, None)) is None
-    ring = POINTS / np.linalg.norm(POINTS, axis=1)[:, None] * 3.0
-    noise = MeasuringNoise.of(readings(ring, stated(ring)))
-    assert noise is not None
-    assert noise.across == pytest.approx((1.65e-5, 0.0))

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.cell.run import RunFile
 from cellapp.cell.targets.invert import Inverted
 from cellapp.cell.targets.prediction import length_bounds, outside_notes, predicted_verdict, predictions, spread_of
 from cellapp.cell.targets.ranges import (
@@ -213,15 +212,3 @@ def test_what_a_measurement_finds_is_judged_with_all_of_its_scatter(arm: ArmMode
     (met,) = predictions(arm, q, NOTHING, bound, HOME, ConditionRanges(noise=exact))
     assert met is not None
     assert met.verdict == "in", "the bound that the row states decides"
-
-
-def test_ranges_of_a_run(run: RunFile) -> None:
-    readings = run.readings("left")
-    ranges = ConditionRanges.of(readings)
-    assert ranges.q is not None
-    np.testing.assert_array_equal(ranges.q[1], readings.q.max(axis=0))
-    assert ranges.time_s is not None
-    assert ranges.time_s[0] < ranges.time_s[1]
-    assert ranges.step is not None
-    assert np.all(ranges.step > 0.0)
-    assert ConditionRanges.of(readings.take(np.empty(0, dtype=np.intp))).q is None

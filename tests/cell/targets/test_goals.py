@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,12 +18,10 @@ from cellapp.cell.exports.command_table import COMMAND_TABLE
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate, compensate_result
-from cellapp.cell.targets.goals import goals_of_arm, work_frame_pose
+from cellapp.cell.targets.goals import work_frame_pose
 from cellapp.cell.targets.records import VerifyResult
-from cellapp.cell.targets.target_text import new_texts, targets_text, typed_target, typed_texts
 from cellapp.cell.targets.targets import (
     FramePoint,
-    Target,
     WorkFrame,
     load_targets,
     same_target,
@@ -42,39 +39,20 @@ from cellapp.commands.run_results import read_stage_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.quantities import measurement_conditions
-from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
 from cellapp.interfaces.page.page import certificate_page
-from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_zyx, transform, zyx_angles
-from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.kinematics.transforms import Array, apply, transform
+from cellapp.robot.model import CellModel
 from tests.twin import HIDDEN, PROFILES, finished_twin, small_twin
 
-_AT_M = 1e-12
-"""Rounding of a few transforms of coordinates of some metres."""
-
-
-def _moved_base(arm: ArmModel) -> ArmModel:
-    """The arm with its calibrated base some millimetres and milliradians off the nominal one."""
-    offset = transform(rotation_zyx(2e-3, -1e-3, 3e-3), [4e-3, -2e-3, 1e-3])
-    return dataclasses.replace(arm, geometry=arm.nominal.with_T_M_B(offset @ arm.nominal.T_M_B()))
-
-
 PROFILE = small_twin()
-MODEL = CellModel({name: _moved_base(nominal_model(PROFILE, name)) for name in PROFILE.arms})
 
 coordinates = st.floats(-5.0, 5.0)
 points = st.tuples(coordinates, coordinates, coordinates)
 quaternions = st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1)
 poses = st.builds(lambda p, q: transform(Rotation.from_quat(q).as_matrix(), p), points, quaternions)
-
-
-def target_at(name: str, T: Array, **keys: object) -> Target:
-    """A target of the left arm at a pose (4, 4) in its frame."""
-    yaw, pitch, roll = zyx_angles(T[:3, :3])
-    keys |= {"name": name, "arm": "left", "position": T[:3, 3].tolist(), "rpy": (roll, pitch, yaw)}
-    return Target.model_validate(keys)
 
 
 def work_frame(T_parent_W: Array, parent: str) -> WorkFrame:
@@ -87,34 +65,6 @@ def work_frame(T_parent_W: Array, parent: str) -> WorkFrame:
             for at, there in zip(nominal.tolist(), apply(T_parent_W, nominal).tolist())
         ),
     )
-
-
-def everywhere(T_M_S: Array, T_M_W: Array) -> list[Target]:
-    """One physical pose (4, 4) in the tracker frame as a target in every kind of frame."""
-    bases = {name: arm.geometry.T_M_B() for name, arm in MODEL.arms.items()}
-    on_left = work_frame(invert(bases["left"]) @ T_M_W, "left")
-    in_tracker = work_frame(T_M_W, "tracker")
-    in_work_frame = invert(T_M_W) @ T_M_S
-    return [
-        target_at("tracker", T_M_S, frame="tracker"),
-        target_at("own base", invert(bases["left"]) @ T_M_S),
-        target_at("own base by name", invert(bases["left"]) @ T_M_S, frame="left"),
-        target_at("other base", invert(bases["right"]) @ T_M_S, frame="right"),
-        target_at("work frame", in_work_frame, frame="fixture", work_frame=in_tracker),
-        target_at("work frame on a base", in_work_frame, frame="fixture", work_frame=on_left),
-    ]
-
-
-@given(poses, poses)
-def test_the_nominal_goal_is_that_of_the_nominal_base(T_M_S: Array, T_M_W: Array) -> None:
-    goals = goals_of_arm(MODEL, everywhere(T_M_S, T_M_W), "left")
-    expected = []
-    for base in (None, "left", "left", "right", None, "left"):
-        arm = None if base is None else MODEL.arms[base]
-        shift = np.eye(4) if arm is None else arm.nominal.T_M_B() @ invert(arm.geometry.T_M_B())
-        expected.append(shift @ T_M_S)
-    np.testing.assert_allclose(goals.nominal_position_M, np.array(expected)[:, :3, 3], atol=_AT_M)
-    np.testing.assert_allclose(goals.nominal_rotation_M, np.array(expected)[:, :3, :3], atol=_AT_M)
 
 
 @given(poses, st.floats(-1e-3, 1e-3))
@@ -283,18 +233,3 @@ def test_bad_tolerances_are_refused(tmp_path: Path, name: str, value: float, wor
     path.write_text(f"name,arm,x_mm,y_mm,z_mm,{name}\na,left,-300,-400,700,{value}\n", "utf-8")
     with pytest.raises(InputError, match=words):
         load_targets(path, small_twin())
-
-
-def test_a_tolerance_is_typed_and_written_as_it_was(tmp_path: Path) -> None:
-    profile = small_twin()
-    texts = new_texts("left") | {"position": "-300 mm, -400 mm, 700 mm", "orientation_tolerance": "0.4 mrad"}
-    typed = typed_target(texts, None, (), profile)
-    assert typed.problems == {}
-    assert typed.target is not None
-    assert typed.target.orientation_tolerance == pytest.approx(4e-4)
-    assert typed_texts(typed.target)["orientation_tolerance"] == "0.4 mrad"
-    path = tmp_path / "list.yaml"
-    path.write_text(targets_text([typed.target]), "utf-8")
-    assert load_targets(path, profile) == (typed.target,)
-    wrong = typed_target(texts | {"orientation_tolerance": "0.4 mm"}, None, (), profile)
-    assert "orientation_tolerance" in wrong.problems

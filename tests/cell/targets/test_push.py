@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -21,7 +21,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.compensate import compensate, compensate_result
-from cellapp.cell.targets.records import ArmVerification, CompensateResult, MeasuredPair, MeasuredTarget, VerifyResult
+from cellapp.cell.targets.records import ArmVerification, CompensateResult, VerifyResult
 from cellapp.cell.targets.targets import Target, load_targets, same_target
 from cellapp.commands.compensate.tables import predicted_tables, verification_tables
 from cellapp.commands.compensate.words import verify_lines
@@ -36,7 +36,7 @@ from cellapp.ground.progress import Cancelled, Progress
 from cellapp.ground.results import ErrorSummary
 from cellapp.robot.model import CellModel
 from drivers.plant import Clearance
-from tests.cell.planning.planned_cells import one_arm, seven_joints, three_arms
+from tests.cell.planning.planned_cells import three_arms
 from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.twin import PROFILES, plant_of, small_twin
 
@@ -174,21 +174,6 @@ def arm(nominal_mm: float, compensated_mm: float) -> ArmVerification:
     return ArmVerification(nominal_mm=before, compensated_mm=after)
 
 
-def test_a_verification_that_does_not_hold_is_reported() -> None:
-    good, bad = arm(2.0, 0.02), arm(0.5, 0.75)
-    targets = tuple(
-        MeasuredTarget(name=f"t{k}", arm=name, nominal_mm=None, compensated_mm=None, note="")
-        for k, name in enumerate(("left", "right", "left"))
-    )
-    assert VerifyResult(arms={"left": good, "right": good}, targets=targets).complaints() == []
-    missing = VerifyResult(arms={"left": good}, targets=targets).complaints()
-    assert missing == ["arm right: no target could be measured"]
-    (complaint,) = VerifyResult(arms={"left": bad, "right": good}, targets=targets).complaints()
-    assert complaint.startswith(
-        "arm left: the mean error at compensated targets is 0.750 mm, at uncompensated ones 0.5"
-    )
-
-
 def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, model: CellModel) -> None:
     """The tracker scatters by some 20 um, so 1 um is never met and 2 mm always."""
     sizes = (2e-3, 1e-6, None)
@@ -241,17 +226,6 @@ def exact(profile: Profile) -> tuple[Profile, CellModel]:
     plant = profile.plant.model_copy(update={"geometry": zero, "effects": {}})
     profile = profile.model_copy(update={"plant": plant})
     return profile, CellModel({name: nominal_model(profile, name) for name in profile.arms})
-
-
-@pytest.mark.parametrize("cell", [one_arm, three_arms, seven_joints])
-def test_single_targets_are_driven_and_corrected_in_other_cells(cell: Callable[[], Profile]) -> None:
-    profile, model = exact(cell())
-    targets = [target for target in TARGETS_OF_PUSH_CELLS if target.arm == "left"][:3]
-    found = push(profile, model, compensate(profile, model, targets), verify=True, rounds=2)
-    assert [target.note for target in found.targets] == ["", "", ""]
-    assert found.pairs == ()
-    assert found.arms["left"].compensated_mm.mean < 40e-3
-    assert found.arms["left"].corrected_mm is not None
 
 
 def test_a_third_arm_waits_at_home_while_two_hold_a_target(run: RunFile) -> None:
@@ -351,23 +325,3 @@ def test_arms_that_may_not_move_together_go_one_after_the_other(
     assert [target.note for target in found.targets] == ["", ""]
     assert found.pairs[0].compensated_mm is not None
     assert found.pairs[0].compensated_mm < 0.2
-
-
-def test_pairs_out_of_tolerance_are_complained_about() -> None:
-    small, large = (ErrorSummary(mean=mean, rms=mean, std=0.0, max=mean, n=1) for mean in (0.02, 2.0))
-    pair = MeasuredPair(
-        name="p1",
-        arms=("left", "right"),
-        wanted_mm=500.0,
-        nominal_mm=2.0,
-        compensated_mm=0.5,
-        corrected_mm=0.2,
-        tolerance_mm=0.1,
-        verdict="out",
-    )
-    good, bad = (
-        ArmVerification(nominal_mm=before, compensated_mm=after) for before, after in ((large, small), (small, large))
-    )
-    (complaint,) = VerifyResult(arms={}, targets=(), pairs=(pair,), cooperative=good).complaints()
-    assert complaint == "1 of 1 pairs with a tolerance are out of it: p1 (0.200 mm, tolerance 0.1 mm)"
-    assert len(VerifyResult(arms={}, targets=(), pairs=(), cooperative=bad).complaints()) == 1

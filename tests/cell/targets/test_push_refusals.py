@@ -15,7 +15,6 @@ from cellapp.cell.driving.push import push
 from cellapp.cell.driving.verification import Agreement
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.compensate import compensate
@@ -103,15 +102,6 @@ def test_an_unknown_smr_offset_is_no_other_mount(run: RunFile, model: CellModel,
     left = run.profile.arms["left"]
     unknown = left.model_copy(update={"smr": left.smr.model_copy(update={"offset": "unknown"})})
     require_same_arms(run.profile.model_copy(update={"arms": {**run.profile.arms, "left": unknown}}), model, commands)
-
-
-def test_another_controller_is_refused(run: RunFile, cells: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    assert set(recorded_controllers(run)) == {"left", "right"}
-    other = ArmIdentity(model="UR10", serial="SIM-other", software="simulated")
-    monkeypatch.setattr(SimulatedArm, "identify", lambda self: other)
-    with pytest.raises(HardwareError, match="began with controller SIM-left, this one is SIM-other; nothing was moved"):
-        push_run(run, TARGETS, verify=True)
-    assert nothing_moved(cells, run)
 
 
 def test_another_dh_checksum_is_refused_unless_one_insists(

@@ -14,11 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.targets.goals import work_frame_pose
 from cellapp.cell.targets.target_text import (
-    TypedTarget,
-    new_texts,
     targets_text,
-    typed_target,
-    typed_texts,
 )
 from cellapp.cell.targets.targets import (
     FramePoint,
@@ -314,14 +310,6 @@ def test_every_list_is_written_and_read_bit_for_bit(path: Path, listed: tuple[Ta
     assert load_targets(path, PROFILE) == listed
 
 
-def test_conditions_that_all_targets_of_an_arm_share_are_written_once() -> None:
-    usual = WorkingConditions(payload=2.0)
-    listed = [Target(name=name, arm="left", position=(0, 0, 0), conditions=usual) for name in ("one", "two")]
-    assert targets_text(listed).count("payload") == 1
-    varied = [*listed, listed[0].model_copy(update={"name": "three", "conditions": WorkingConditions()})]
-    assert targets_text(varied).count("payload") == 2
-
-
 # -- typed ------------------------------------------------------------------------------------------------------------
 
 FULL = Target(
@@ -338,35 +326,6 @@ FULL = Target(
         arm="right", position=(0.0, 0.0, 0.1), rpy=(math.pi, 0.0, 1.0 / 3.0), conditions=WorkingConditions(dwell=1.0)
     ),
 )
-
-
-def typed(before: Target | None = FULL, **texts: str) -> TypedTarget:
-    shown = new_texts("left") if before is None else typed_texts(before)
-    return typed_target({**shown, **texts}, before, [FULL.model_copy(update={"name": "two"})], PROFILE)
-
-
-@pytest.mark.parametrize(
-    ("field", "text", "says"),
-    [
-        ("frame", "tabel", "no frame 'tabel'; frames are base, tracker, left, right, Tisch: 'ä'"),
-        ("rpy", "", "a partner's place is given in the axes of the first arm's flange; give"),
-        ("approach", "1, 0", "expected 6 signs"),
-        ("approach", "1, 0, 0, 0, 0, 2", "value 6: expected -1, 0 or 1, got 2"),
-        ("partner", "right", "expected keys with values"),
-        ("partner", "left: 0, 0, 0", "arm left cannot be its own partner; the others are right"),
-        ("partner", "top: 0, 0, 0", "no arm 'top'; the others are right"),
-        ("partner", "right: 0, 100, 0", "y: 100 m is beyond 10 m"),
-        ("partner", "right: 0, 0", "z: missing"),
-        ("partner", "right:", "position: missing"),
-        ("partner", "right: 0, 0, 0; 0, 90, 0", "pitch: 90 rad is more than two turns"),
-        ("partner", ": 0, 0, 0", "no arm ''; the others are right"),
-    ],
-)
-def test_what_is_typed_wrongly(field: str, text: str, says: str) -> None:
-    found = typed(FULL, **{field: text})
-    assert found.target is None
-    assert list(found.problems) == [field]
-    assert found.problems[field].startswith(says)
 
 
 # -- results ----------------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from cellapp.estimation.calibration.identification import (
     identify_with_excess,
     start_from_nominal,
 )
-from cellapp.estimation.calibration.least_squares import LeastSquares, Linearised, Minimum, minimise, shortened
+from cellapp.estimation.calibration.least_squares import LeastSquares, Linearised, Minimum, minimise
 from cellapp.estimation.calibration.normal_equations import EffectColumns
 from cellapp.estimation.calibration.parameters import auto_set, candidate_columns, full_set, paper_set
 from cellapp.estimation.calibration.registration import better_reading, explained
@@ -190,17 +190,6 @@ def test_failure_to_converge_is_reported():
     found = identify(start, q, p_M, max_iterations=1)
     assert not found.converged
     assert found.message.startswith("1 steps were not enough; the next step, ")
-
-
-def test_observability_falls_when_a_joint_hardly_moves():
-    nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=14, n=200)
-    still = q.copy()
-    still[:, 3] = 0.3 + 0.05 * q[:, 3]
-    wide, narrow = identify(nominal, q, p_M), identify(nominal, still, smr_positions(nominal, still))
-    assert narrow.condition > 3.0 * wide.condition
-    for index in ("O1", "O2", "O3", "O4", "O5"):
-        assert narrow.observability[index] < wide.observability[index]
-    assert 1.0 / wide.observability["O2"] == pytest.approx(wide.condition)
 
 
 def test_the_scatter_is_that_of_the_noise_for_a_scara_with_two_parallel_axes():
@@ -514,26 +503,6 @@ def test_a_step_that_is_short_by_damping_is_no_convergence() -> None:
     assert not found.converged
     assert problem.objective(found.point) <= problem.objective(first)
     assert "no step lowers the objective" in found.message
-
-
-def test_a_covariance_that_depends_on_the_state_weighs_the_step_from_there() -> None:
-    problem = LeastSquares(
-        lambda x: (np.array([2.0 - x[0], 4.0 - x[0]]), np.ones((2, 1))),
-        lambda x, step: x + step,
-        lambda x: np.diag([1.0, 1.0 + x[0] ** 2]),
-    )
-    found = problem.best("mean", np.array([0.0])).point
-    weight = (1.0 + found.state[0] ** 2) ** -2.0
-    assert found.state[0] == pytest.approx((2.0 + 4.0 * weight) / (1.0 + weight), abs=1e-8)
-
-
-def test_a_step_is_halved_until_it_does_not_make_the_fit_worse() -> None:
-    step = shortened("fit", np.array([8.0]), lambda x: float((x[0] - 1.0) ** 2))
-    assert step == pytest.approx([2.0])
-    with pytest.raises(NotConverged, match="no step lowers"):
-        shortened("fit", np.array([1.0]), lambda x: float(abs(x[0])))
-    with pytest.raises(NotConverged):
-        shortened("fit", np.array([1.0]), lambda x: float("nan") if x.any() else 0.0)
 
 
 def test_a_candidate_whose_fit_fails_is_named_and_no_evidence() -> None:

@@ -194,28 +194,6 @@ def test_all_readings_show_what_a_sample_of_them_does_not(trained_in_batches):
     assert rms(fine(new) - trained_in_batches.network.correct(new)) < 2.0 * trained_in_batches.left_out_rms
 
 
-def test_noise_gets_no_network(monkeypatch):
-    pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
-    monkeypatch.setattr(learning, "_FEWEST_STEPS", 100)
-    training = learn(BATCHES, poses_in_batches(1500), noise(1500), np.arange(1500.0), seed=3)
-    assert training.network is None
-    assert training.batches is not None
-    assert not training.batches.used
-
-
-def test_the_committee_stays_where_batches_are_not_better(monkeypatch):
-    pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
-    monkeypatch.setattr(learning, "_FEWEST_STEPS", 20)
-    monkeypatch.setattr(learning, "_MOST_STEPS", 20)
-    q = poses_in_batches(600)
-    smooth = 3e-4 * np.stack([np.cos(q[:, 1]), np.sin(q[:, 2]), np.cos(q[:, 1])], axis=1) + noise(600)
-    training = learn(BATCHES, q, smooth, np.arange(600.0), seed=3)
-    assert training.batches is not None
-    assert not training.batches.used
-    assert training.network is not None
-    assert training.left_out_rms < training.without_rms
-
-
 def test_blocks_are_cut_by_time_and_not_by_the_order_of_rows(monkeypatch):
     """Residuals that belong to a block of time and to no posture: folds drawn by reading would learn them."""
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
@@ -228,11 +206,6 @@ def test_blocks_are_cut_by_time_and_not_by_the_order_of_rows(monkeypatch):
     training = learn(BATCHES, q, slow, time_s, seed=3)
     assert training.batches is not None
     assert training.batches.left_out_rms > 0.7 * rms(slow)
-
-
-def test_few_readings_are_left_to_the_committee():
-    training = learn(BATCHES, poses_in_batches(40), noise(40), np.arange(40.0), seed=3)
-    assert training.batches is None
 
 
 def test_without_torch_the_extra_is_named(monkeypatch):

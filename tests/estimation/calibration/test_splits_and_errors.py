@@ -23,10 +23,8 @@ from cellapp.estimation.calibration.calibrate import (
     split_sizes,
     train_arm,
 )
-from cellapp.estimation.calibration.least_squares import cholesky, inverse_psd, orthonormal_basis, solve_psd
 from cellapp.estimation.calibration.quantities import (
     distance_errors,
-    distance_summary,
     evaluate,
     position_errors,
     repeatability,
@@ -97,21 +95,6 @@ def test_the_bootstrap_interval_of_the_mean_has_its_stated_coverage():
     assert 0.90 < held / 300 < 0.98
 
 
-def test_the_interval_of_distance_errors_accounts_for_shared_points():
-    rng = np.random.default_rng(0)
-    measured = rng.normal(size=(60, 3))
-    computed = measured + rng.normal(0.0, 1e-3, (60, 3))
-    summary = distance_summary(measured, computed)
-    assert summary.n == 60 * 59 // 2
-    low, high = interval_of_mean(summary)
-    assert low < summary.mean < high
-    as_if_independent = interval_of_mean(summarise(distance_errors(measured, computed)))
-    assert high - low > 1.5 * (as_if_independent[1] - as_if_independent[0])
-    assert summary.p50 is not None
-    assert summary.p95 is not None
-    assert summary.p50 < summary.p95 < summary.max
-
-
 def test_repeatability_is_that_of_the_repeats_alone():
     rng = np.random.default_rng(0)
     q = np.repeat(rng.uniform(-3, 3, (40, 6)), 10, axis=0)
@@ -126,24 +109,6 @@ def test_repeatability_is_that_of_the_repeats_alone():
 
 
 # -- Solving with positive semi-definite matrices: agreement with numpy, well conditioned and singular -----------------
-
-
-@pytest.fixture
-def design() -> np.ndarray:
-    return np.random.default_rng(0).normal(size=(60, 5))
-
-
-def test_a_redundant_column_gives_the_solution_of_least_norm(design: np.ndarray) -> None:
-    redundant = np.column_stack([design, design[:, 0] + design[:, 1]])
-    gram, y = redundant.T @ redundant, np.random.default_rng(1).normal(size=60)
-    assert cholesky(gram) is None
-    wanted = np.linalg.lstsq(redundant, y, rcond=None)[0]
-    np.testing.assert_allclose(solve_psd(gram, redundant.T @ y), wanted, atol=1e-9)
-    np.testing.assert_allclose(inverse_psd(gram), np.linalg.pinv(gram, rcond=1e-10, hermitian=True), atol=1e-9)
-    Q = orthonormal_basis(redundant.T)
-    assert Q.shape == (60, 5)
-    np.testing.assert_allclose(Q.T @ Q, np.eye(5), atol=1e-10)
-    np.testing.assert_allclose(Q @ (Q.T @ redundant), redundant, atol=1e-9)
 
 
 # -- Figures that the project promises, each with its limit ------------------------------------------------------------

@@ -225,15 +225,6 @@ def test_points_that_fix_no_station_are_refused(points, says):
         fit_station(model, points(model), MOVED, excess_m=EXCESS)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_a_start_that_is_far_off_leads_to_the_same_station(seed):
-    model, rng = certain_cell(), np.random.default_rng(seed)
-    points = drawn_points(model, {"left": 4, "right": 4}, MOVED, rng)
-    one, other = (fit_station(model, points, near(MOVED, rng, *size), excess_m=EXCESS) for size in ((0, 0), (0.3, 1.0)))
-    np.testing.assert_allclose(other.T_new_old, one.T_new_old, atol=1e-8)
-    assert other.chi_squared <= one.chi_squared * (1.0 + 1e-6)
-
-
 def test_a_station_that_did_not_converge_is_an_error_and_a_cause_left_out(monkeypatch):
     model, rng = certain_cell(), np.random.default_rng(0)
     points = drawn_points(model, {"left": 4, "right": 4}, MOVED, rng)
@@ -396,17 +387,6 @@ def test_exact_points_give_the_true_poses() -> None:
         np.testing.assert_allclose(tie.T, TRUE[name], atol=1e-9)
         assert tie.residual_m.max() < 1e-9
     assert ties["west"].nests == ("F4", "F5", "F6")
-
-
-def test_the_uncertainty_at_a_point_is_the_stated_one() -> None:
-    far = np.array([[1.0, 0.5, 0.2]])
-    off, stated = [], []
-    for seed in range(200):
-        tie = tie_stations("north", points(seed, {"north": range(6), "south": range(6)}))["south"]
-        moved = apply(tie.T @ invert(TRUE["south"]), far) - far
-        off.append(moved[0])
-        stated.append(float(tie.uncertainty(far)[0]))
-    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(np.mean(stated), rel=0.15)
 
 
 @pytest.mark.parametrize("seen", [{"north": range(2), "south": range(4)}, {"north": range(3), "south": range(4, 8)}])

@@ -32,12 +32,8 @@ from cellapp.estimation.design.block_design import (
 )
 from cellapp.estimation.design.information import (
     Discrimination,
-    NuisanceProjector,
-    SequentialDesign,
-    detectable_size,
-    joint_gains,
 )
-from cellapp.ground.progress import Cancelled, CancelToken
+from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array
 
 P, M, COUNT = 8, 300, 20
@@ -75,16 +71,6 @@ def test_updates_equal_fresh_inverses(seed: int) -> None:
     np.testing.assert_allclose(design.gains(), fresh.gains(), rtol=1e-3)
     np.testing.assert_allclose(design.gains_of(candidates.rows), fresh.gains(), rtol=1e-3)
     np.testing.assert_allclose(design.losses()[inside], fresh.losses()[inside], rtol=1e-3)
-
-
-def test_the_weights_are_the_derivative_of_the_criterion() -> None:
-    candidates, criterion = problem()
-    criterion = replace(criterion, shares=Shares(1.0, 0.7, 1.3))
-    C = candidates.covariance(np.arange(COUNT))
-    direction = np.random.default_rng(1).normal(size=(P, P)) * 1e-7 * C.max()
-    direction += direction.T
-    change = criterion.value(C + direction) - criterion.value(C - direction)
-    assert np.trace(criterion.weights(C) @ direction) == pytest.approx(change / 2.0, rel=1e-5)
 
 
 @given(st.integers(0, 1000))
@@ -149,14 +135,6 @@ def test_the_first_stops_tell_most() -> None:
     np.testing.assert_array_equal(most_informative_first(candidates, chosen[:1], criterion), chosen[:1])
 
 
-def test_a_choice_can_be_cancelled() -> None:
-    candidates, criterion = problem()
-    token = CancelToken()
-    token.cancel()
-    with pytest.raises(Cancelled):
-        choose_blocks(candidates, COUNT, criterion, np.random.default_rng(0), cancel=token)
-
-
 # -- T-optimality: stops added one by one give the non-centrality of the refit with all of them ------------------------
 
 
@@ -190,36 +168,7 @@ def test_stops_added_one_by_one_are_the_refit_with_all_of_them() -> None:
         assert one.noncentrality(np.array(added)) == pytest.approx(truth, rel=1e-8)
 
 
-def a_design(noncentrality: float, errors: list[float]) -> SequentialDesign:
-    m = len(errors)
-    error = np.zeros((1, m, 3))
-    error[0, :, 0] = errors
-    return SequentialDesign(np.zeros((m, 3, 1)), np.eye(1), np.zeros((m, 3, 3)), error, noncentrality)
-
-
-def test_a_hopeless_comparison_is_left_aside() -> None:
-    reachable, hopeless = a_design(5.0, [1.0, 0.0]), a_design(0.0, [0.0, 1e-3])
-    gains = joint_gains([reachable, hopeless], [10.0, 10.0], 5)
-    assert int(np.argmax(gains)) == 0
-    alone = joint_gains([hopeless], [10.0], 5)
-    assert int(np.argmax(alone)) == 1, "unless there is no other"
-
-
 # -- Information beside nuisance parameters: the projection is the joint regression, with priors generalised -----------
-
-N = 300
-
-
-def rows_of(seed: int, *sizes: int) -> list[np.ndarray]:
-    rng = np.random.default_rng(seed)
-    return [rng.normal(size=(size, N)) for size in sizes]
-
-
-def test_the_detectable_size_has_the_needed_noncentrality() -> None:
-    nuisance, rows = rows_of(2, 10, 1)
-    projector = NuisanceProjector.of(nuisance)
-    size = detectable_size(float(np.sqrt(projector.behind(rows).squares[0])), 25.0)
-    assert size**2 * float(rows[0] @ projector.project(rows[0])) == pytest.approx(25.0)
 
 
 # -- The same seed chooses the same stops on any processor: OpenBLAS has kernels for each, which round differently -----

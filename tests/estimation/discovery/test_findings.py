@@ -267,24 +267,3 @@ def test_fast_lines_are_laid_over_one_another_and_slow_ones_are_not():
     assert 0.0 <= fast.x[0] <= fast.x[-1] <= 6.0 == fast.curve.x[-1]
     off = np.array(fast.curve.value) - 300.0 * np.cos(60.0 * np.radians(fast.curve.x))
     assert (np.abs(off) < 5.0 * np.array(fast.curve.band) + 0.1).all()
-
-
-def test_a_drift_of_the_base_is_drawn_along_its_direction_against_time():
-    law = EFFECTS["base_drift"].law("linear", {"first_s": 0.0, "last_s": 60.0 * (N - 1)})
-    part = ModelTerm("base_drift", law, ("base_drift_x", "base_drift_y", "base_drift_z"))
-    (picture,) = made(lambda q, approach: np.zeros((N, 6)), part)
-    assert picture.x_label == "time [h]"
-    assert picture.x[-1] == pytest.approx((N - 1) / 60.0, rel=1e-4)
-    assert "of the tracker frame" in picture.title
-    # nothing drifted: what was computed is within its own uncertainty
-    assert np.abs(picture.computed).max() < 5.0 * max(picture.band)
-
-
-def test_the_rms_of_a_curve_has_the_standard_error_of_its_coefficients():
-    columns = [wave_column(0, 2, False), wave_column(0, 2, True), wave_column(1, 3, True)]
-    values, covariance = np.array([3e-5, 4e-5, 1e-5]), np.diag([1e-6, 1e-6, 5e-6]) ** 2
-    found = dominant_cycles(columns, values, covariance)
-    drawn = np.random.default_rng(1).normal(values[:2], 1e-6, (20_000, 2))
-    spread = np.sqrt(0.5 * np.sum(drawn**2, axis=1)).std() * 1e6
-    assert found["1"].rms_standard_error_urad == pytest.approx(spread, rel=0.03)
-    assert found["2"].rms_standard_error_urad == pytest.approx(5.0 / math.sqrt(2.0))

@@ -6,7 +6,6 @@ import json
 import math
 import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from typer.testing import CliRunner
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.plan import plan_stops
-from cellapp.cell.planning.planned_stops import STOP_CONDITIONS_RESULT, StopConditions, read_stop_conditions
+from cellapp.cell.planning.planned_stops import STOP_CONDITIONS_RESULT, read_stop_conditions
 from cellapp.cell.planning.proposal import propose as proposing
 from cellapp.cell.planning.proposal.arm_candidates import DWELLS_S, STEPS_RAD, Effort
 from cellapp.cell.planning.proposal.propose import Proposal, append_proposed_stops
@@ -43,7 +42,6 @@ from tests.twin import small_twin, with_arms
 STOPS = 90
 PROPOSED = 20
 PLAY = {"backlash": {"play": [8e-5, 8e-5, 5e-5, 0.0, 0.0, 0.0]}}
-SOFT = {"joint_compliance": {"stiffness": [2e6] * 6}}
 DWELL_S = 1.2
 EFFORT = Effort(drawn=70, kept=50, candidates=3000)
 """Fewer candidates than by default: enough for these claims."""
@@ -128,28 +126,6 @@ def test_proposed_stops_decide_what_a_poor_plan_leaves_open_and_better_than_rand
             assert answer.proposed > 1.0
         hardest = min(answers.values(), key=lambda answer: answer.proposed / answer.needed)
         assert hardest.gain_over_random > 1.5
-
-
-@pytest.mark.slow
-def test_compliance_and_bending(plan: dict[str, np.ndarray], tmp_path: Path) -> None:
-    with measured_run(tmp_path / "run", {"left": SOFT}, plan, tied=False) as run:
-        found = calibrated_and_searched(run)
-        assert {"joint_compliance", "link_bending"} <= set(found.arms["left"].result.accepted[0].answer_set)
-        proposal = proposed(run, found, 2 * PROPOSED, Effort(drawn=200, kept=140, candidates=3000))
-        elastic = {"joint_compliance", "link_bending"}
-        answers = [a for a in proposal.predictions if a.arm == "left" and {a.effect, a.against} == elastic]
-        assert len(answers) == 2
-        for answer in answers:
-            assert answer.now < answer.random < answer.proposed
-            assert answer.gain_over_random > 1.2, "random stops of one draw differ by some per cent from another"
-        # neither depends on the last step: there are no detours, and the advice is another load
-        assert all(
-            one == StopConditions() or one.via is None for stop in proposal.stops for one in stop.conditions.values()
-        )
-        assert any("another load would distinguish" in advice for advice in proposal.advice)
-        seen = [answer for answer in proposal.predictions if answer.arm == "right"]
-        assert seen, "where nothing was found the stops make the faintest effects more visible"
-        assert all(answer.against == "" and answer.proposed > answer.random for answer in seen)
 
 
 def test_every_leg_is_inside_the_limits_and_free(tied: Tied) -> None:
@@ -315,50 +291,12 @@ def test_rivals_that_tie_share_the_probability():
     assert posteriors([three], {}, THRESHOLD, COORDINATES).terms[0] == pytest.approx(1.0 / 3.0, abs=1e-3)
 
 
-def beside_rival_that_leaves(rival, share, score, **law):
-    """Probability of a drift of joint zeros of which a rival leaves a share."""
-    squares = math.exp(-score / COORDINATES)
-    its = -COORDINATES * math.log(squares + share**2 * (1.0 - squares))
-    named = review("joint_drift", score, **{rival: its})
-    named = replace(named, term=replace(named.term, **law))
-    return posteriors([named], {}, THRESHOLD, COORDINATES).terms[0]
-
-
-def test_errors_of_a_law_look_like_its_look_alikes_where_the_readings_would_not_show_them():
-    alike = [beside_rival_that_leaves("base_drift", 0.3, score) for score in (40.0, 600.0)]
-    assert 0.6 < alike[0] < beside_rival_that_leaves("target_slip", 0.3, 40.0) - 0.1
-    assert alike[1] > 0.99
-    assert beside_rival_that_leaves("base_drift", 0.0, 100.0) == pytest.approx(0.5, abs=1e-3)
-    off = beside_rival_that_leaves("base_drift", 0.1, 600.0, modulations=("a free part",))
-    assert off < 0.8 < beside_rival_that_leaves("base_drift", 0.1, 600.0), "of a law that is off"
-
-
-@pytest.mark.parametrize("score", [100.0, 600.0, 6000.0])
-def test_a_rival_that_leaves_what_a_law_may_leave_is_possible(score):
-    """The share m of the effect that a rival leaves decides where noise is small; not noise alone."""
-
-    assert 0.49 < beside_rival_that_leaves("target_slip", 0.01, score) < 0.7
-    assert beside_rival_that_leaves("target_slip", 0.4, score) > 0.99
-    assert beside_rival_that_leaves("target_slip", 0.0, score) == pytest.approx(0.5, abs=1e-3)
-    better = review("joint_drift", score, target_slip=score + 1.0)
-    assert posteriors([better], {}, THRESHOLD, COORDINATES).terms[0] < 0.5
-
-
 def test_two_terms_of_one_effect_count_as_one():
     found = posteriors(
         [review("transmission_error", 3.0), review("transmission_error", 20.0)], {}, THRESHOLD, COORDINATES
     )
     wanted = 1.0 / (1.0 + math.exp(-(23.0 - THRESHOLD) / 2.0))
     np.testing.assert_allclose(found.terms, wanted)
-
-
-def test_a_cause_outside_the_library_may_be_in_the_place_of_a_name():
-    sure = [review("backlash", 900.0), review("joint_compliance", 900.0)]
-    outside = {"backlash": math.log(1.5), "joint_compliance": math.log(0.02)}
-    found = posteriors(sure, {}, THRESHOLD, COORDINATES, outside)
-    np.testing.assert_allclose(found.terms, (1.02 / 2.52, 2.5 / 2.52))
-    tied = posteriors([review("backlash", 900.0, base_step=900.0)], {}, THRESHOLD, COORDINATES, {"backlash": 0.0})
-    np.testing.assert_allclose((tied.terms[0], tied.effects["base_step"]), 1.0 / 3.0, rtol=1e-6)
 
 
 def test_data_driven_terms_are_effects_of_their_own_and_not_among_the_names():

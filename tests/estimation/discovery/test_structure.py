@@ -44,7 +44,6 @@ from cellapp.estimation.discovery.process import (
     first_guess,
     fit_process,
     log_evidence,
-    losses,
     most_evident,
     process_terms,
 )
@@ -426,22 +425,6 @@ def test_the_derivatives_are_those_of_differences():
     above = log_evidence(data, variance, noise * math.exp(step))
     below = log_evidence(data, variance, noise * math.exp(-step))
     assert found.by_noise == pytest.approx((above - below) / (2.0 * step), rel=1e-4, abs=1e-4)
-
-
-def test_a_loss_is_that_of_the_evidence_without_a_group():
-    rng = np.random.default_rng(7)
-    parts = (curve(rng), plain(rng), plain(rng))
-    y = simulated(rng, parts[:2], TRUE)
-    data = gathered(parts, y)
-    variance = np.concatenate([TRUE.variances(parts[:2]), [0.01, 0.0, 0.02, 1e-9]])
-    sizes = [len(one.columns) for one in parts]
-    ends = np.cumsum(sizes)
-    found = losses(data, variance, TRUE.noise, ends.tolist())
-    whole = log_evidence(data, variance, TRUE.noise)
-    for end, size, loss in zip(ends, sizes, found):
-        kept = np.delete(np.arange(len(variance)), np.s_[end - size : end])
-        rest = log_evidence(data.take(kept), variance[kept], TRUE.noise)
-        assert loss == pytest.approx(whole - rest, abs=1e-6)
 
 
 def test_hyperparameters_of_a_simulated_curve_are_recovered():

@@ -225,16 +225,6 @@ def test_every_characteristic_of_the_norm_has_a_line_and_a_reason() -> None:
     assert "distance accuracy AD, repeatability RD" in not_done(lines)[NOT_ASKED]
 
 
-@pytest.mark.parametrize(
-    ("n", "stopped", "status", "words"),
-    [(5, "", "in part", "5 of 30 cycles"), (30, "", "done", "30 cycles")],
-)
-def test_fewer_cycles_than_the_norms_are_a_part(n: int, stopped: str, status: str, words: str) -> None:
-    found = line(coverage(["pose"], {"left": posed(n)}, CONDITIONS, stopped), "pose accuracy")
-    assert found.status == status
-    assert found.words.startswith(words)
-
-
 def test_what_stopped_the_job_is_the_reason() -> None:
     arm = ArmIso9283(payload_kg=0.3)
     found = line(coverage(["pose"], {"left": arm}, CONDITIONS, "stopped: arm left: protective stop"), "pose accuracy")

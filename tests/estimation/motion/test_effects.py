@@ -18,20 +18,17 @@ from cellapp.estimation.motion.effects import _Search, effects_in_motion
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
 from cellapp.estimation.motion.joint_path import Fading, joint_path
-from cellapp.estimation.motion.steps import State, Step, effects_of, loops, vibration
+from cellapp.estimation.motion.steps import State, Step, effects_of, vibration
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.motion.terms import (
     JointTerm,
     Law,
-    Masses,
     of_all_joints,
     state_at_rest,
     state_in_motion,
-    torques_in_motion,
 )
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Discovery
-from cellapp.ground.progress import ignore_words
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.effects import (
     EFFECTS,
@@ -105,44 +102,6 @@ class Elastic(Arm):
 def found_in(*recordings, **options):
     discovery = effects_in_motion(RecordedArm(NOMINAL, recordings, tool_unknown=True, **options))
     return discovery, {effect.slug: effect for effect in discovery.effects}
-
-
-@pytest.mark.slow
-def test_dense_lines_play_and_lag_are_named_with_their_sizes():
-    rng = np.random.default_rng(1)
-    amplitude, phase = np.array([30e-6, 25e-6, 35e-6, 0, 0, 0, 0]), rng.uniform(0.0, 6.0, 7)
-    arm = replace(
-        true_arm(rng, half_play=[20e-6] * 6),
-        cycles=40.0,
-        amplitude=amplitude,
-        phase=phase,
-        lag_s=np.array([0.0, 0.0, 0.0, 0.0, 0.002, 0.0, 0.0]),
-    )
-    discovery, found = found_in(record(rng, arm, sweep(rng, 6), seconds=300.0, white=15e-6, slow=20e-6))
-    assert set(found) == {"backlash", "transmission_error", "tracking_lag"}
-    of_lines = found["transmission_error"]
-    lines = dict(zip(of_lines.names, of_lines.values, strict=True))
-    errors = dict(zip(of_lines.names, of_lines.standard_errors, strict=True))
-    assert set(lines) == {f"{wave}40q{joint}" for wave in ("cos", "sin") for joint in (1, 2, 3)}
-    for joint in range(3):
-        measured = complex(lines[f"sin40q{joint + 1}"], lines[f"cos40q{joint + 1}"])
-        true = amplitude[joint] * np.exp(1j * phase[joint])
-        error = np.hypot(errors[f"sin40q{joint + 1}"], errors[f"cos40q{joint + 1}"])
-        assert error < 0.08 * abs(true)
-        assert abs(measured - true) < 3.5 * error
-    assert {1, 2, 3} <= set(found["backlash"].joints)
-    assert found["backlash"].values[:3] == pytest.approx(20e-6, abs=5e-6)
-    assert 5 in found["tracking_lag"].joints
-    lags = dict(zip(found["tracking_lag"].names, found["tracking_lag"].values.tolist(), strict=True))
-    assert lags["lag5"] == pytest.approx(0.002 * 5 / 6, rel=0.2)
-    assert "at rest" in found["tracking_lag"].only_motion
-    assert "aliased" in found["transmission_error"].only_motion
-    assert not found["tracking_lag"].at_rest
-    assert {term.slug for term in discovery.terms} == {"backlash", "transmission_error"}
-    clock = discovery.fit.clocks["sweep"]
-    assert clock.offset_standard_error_s < 1e-4
-    assert clock.offset_s == pytest.approx(0.0178 + 0.002 / 6, abs=4 * clock.offset_standard_error_s)
-    assert discovery.heldout_after_mm < discovery.heldout_before_mm
 
 
 def test_time_constants_and_vibration_are_named_with_their_sizes_and_stay_out_of_commands():
@@ -279,17 +238,6 @@ def test_nothing_is_found_where_nothing_is(seed):
     assert discovery.effects == ()
 
 
-def test_torques_in_motion_are_those_of_virtual_work():
-    rng = np.random.default_rng(5)
-    motion = sweep(rng, 6, base_hz=0.2, harmonics=3, speed=1.5)
-    arm = true_arm(rng)
-    path = joint_path(record(rng, arm, motion, seconds=10.0, joint_hz=500.0).joints)
-    geometry, up_M = NOMINAL.with_T_M_B(arm.base), np.array([0.3, -0.2, np.sqrt(1 - 0.13)])
-    t = np.linspace(1.0, 9.0, 15)
-    computed = torques_in_motion(path, t, Masses(geometry, BODIES, up_M))
-    np.testing.assert_allclose(computed, torques_of(arm, motion, t, up_M), atol=0.1)
-
-
 # -- Lost motion that joints take up gradually: its history along a path, its reach from a fit, and the same at rest ---
 
 REACH = 0.15
@@ -336,42 +284,6 @@ def test_an_arm_that_rests_after_a_gap_shows_no_side_until_it_moves():
 # -- Loops of lost motion: what a joint lies behind its motor after upward and after downward motion -------------------
 
 PLAY = 50e-6
-
-
-@pytest.fixture(scope="module")
-def drawn():
-    """Loops of joint 1, which has play, of joint 2 and of joint 6, of which the latter has none."""
-    rng = np.random.default_rng(4)
-    arm = true_arm(rng, half_play=[PLAY, PLAY, 0.0, 0.0, 0.0, 0.0])
-    recording = record(rng, arm, sweep(rng, 6), seconds=90.0, slow=15e-6)
-    problem, rows = motion_problem(
-        RecordedArm(nominal_geometry(UR10, np.zeros(3)), [recording], tool_unknown=True), ignore_words
-    )
-    found = loops(problem, solve(problem, rows), [1, 2, 6])
-    bare = problem.without_terms()
-    return found, loops(bare, solve(bare, rows), [1])
-
-
-def widths(loop):
-    return [
-        float(values[loop.direction < 0.0].mean() - values[loop.direction > 0.0].mean())
-        for values in (loop.measured, loop.computed)
-    ]
-
-
-def test_the_loop_of_a_joint_is_as_wide_as_its_play(drawn):
-    for loop in drawn[0][:2]:
-        measured, computed = widths(loop)
-        assert measured == pytest.approx(2 * PLAY, rel=0.1)
-        assert computed == pytest.approx(2 * PLAY, rel=0.1)
-    assert {loop.joint for loop in drawn[0]} == {1, 2, 6}
-    assert widths(drawn[0][2])[1] < 0.4 * PLAY
-
-
-def test_a_loop_is_measured_where_the_model_has_none(drawn):
-    measured, computed = widths(drawn[1][0])
-    assert computed == 0.0
-    assert measured > 0.4 * PLAY, "a fit without play takes a part of it for geometry and for a delay, not all"
 
 
 # -- Discovery of an arm that was recorded in motion: its model where it predicts better, and its words ----------------
@@ -478,18 +390,6 @@ def test_a_law_of_speeds_takes_what_motion_has():
 
     with pytest.raises(ValueError, match=r"law warm: a law of speeds acts on joints and takes no other quantities"):
         own_law("warm", drag=Linear("s", 1e-2))(warm)
-
-
-def test_accelerations_and_torques_reach_the_function():
-    def swing(q, qd, qdd, tau, approach, sag):
-        return sag * (qdd + tau * approach + q * qd)
-
-    (law,) = motion_laws([own_law("swing", sag=Linear("rad", 1e-3))(swing)()])
-    assert law.needs_torques
-    state = {
-        name: np.full((4, 6), value) for name, value in zip(("q", "qd", "qdd", "tau", "approach"), (1, 2, 3, 4, -1))
-    }
-    assert law.offset("sag", 2, state.__getitem__) == pytest.approx(np.full(4, 1.0))
 
 
 def test_accelerations_are_those_of_the_path():

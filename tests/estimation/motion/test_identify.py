@@ -10,7 +10,7 @@ import pytest
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
 from cellapp.estimation.motion.observe import Stops, residuals
-from cellapp.estimation.motion.streams import JointStream, PointStream, Recording, checked, triggered_clock
+from cellapp.estimation.motion.streams import JointStream, PointStream, Recording
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.progress import ignore_words
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
@@ -126,18 +126,6 @@ def test_a_part_before_a_step_of_a_clock_of_which_nothing_is_learnt_leaves_the_r
     assert clock.offset_standard_error_s < 1e-3
     assert clock.offset_s == pytest.approx(0.0178, abs=5e-4)
     assert fit.heldout_rms_mm < 0.1
-
-
-def test_small_steps_are_told_from_gaps(case):
-    recording = case[2]
-    time = recording.joints.time_s.copy()
-    time[7000:] += 0.12
-    kept = np.concatenate([np.arange(4000), np.arange(4015, len(time))])
-    joints = JointStream(time_s=time[kept], q=recording.joints.q[kept])
-    clock = fit_of(replace(recording, joints=joints)).clocks["sweep"]
-    (step,) = clock.steps_of_joints
-    assert step.step_s == pytest.approx(0.12, abs=1e-3)
-    assert all(abs(segment.offset_s - 0.0178) < 5e-4 for segment in clock.segments)
 
 
 def test_gross_points_do_not_count(case):
@@ -310,38 +298,6 @@ def pulses(rng: np.random.Generator, at_s: np.ndarray) -> tuple[np.ndarray, np.n
     """Stamps of both clocks: the controller's are those of its next cycle."""
     controller = np.ceil(at_s / PERIOD_S) * PERIOD_S
     return controller, OFFSET_S + (1.0 + 1e-6 * RATE_PPM) * at_s + rng.uniform(-5e-6, 5e-6, len(at_s))
-
-
-@pytest.mark.parametrize("span_s", [5.0, 600.0])
-def test_the_offset_is_known_to_a_cycle(span_s: float) -> None:
-    rng = np.random.default_rng(5)
-    controller, tracker = pulses(rng, apart(rng, 0.0, span_s, 12))
-    middle_s = OFFSET_S + 0.5 * span_s
-    found = triggered_clock(controller, tracker, middle_s, PERIOD_S)
-    assert found is not None
-    true_s = OFFSET_S + 1e-6 * RATE_PPM * 0.5 * span_s
-    assert abs(found.offset_s - true_s) < PERIOD_S
-    assert PERIOD_S / 2.0 < found.standard_error_s < PERIOD_S
-    assert found.pulses == 12
-    check = checked(found, true_s, 1e-4)
-    assert check is not None
-    assert check.agrees
-    far = checked(found, true_s + 0.04, 1e-4)
-    assert far is not None
-    assert not far.agrees
-    assert checked(None, 0.0, 1.0) is None
-
-
-def test_pulses_may_be_missing_on_either_side_and_none_are_made_up() -> None:
-    rng = np.random.default_rng(6)
-    controller, tracker = pulses(rng, apart(rng, 0.0, 60.0, 12))
-    found = triggered_clock(np.delete(controller, [0, 3, 7]), np.delete(tracker, [1, 11]), OFFSET_S + 30.0, PERIOD_S)
-    assert found is not None
-    assert found.pulses == 7
-    assert abs(found.offset_s - OFFSET_S) < PERIOD_S
-    assert triggered_clock(controller[:2], tracker, OFFSET_S, PERIOD_S) is None
-    assert triggered_clock(np.empty(0), np.empty(0), OFFSET_S, PERIOD_S) is None
-    assert triggered_clock(controller, rng.uniform(0.0, 1e4, 12), OFFSET_S, PERIOD_S) is None
 
 
 def test_a_motion_that_repeats_is_placed_by_its_pulses_and_the_estimate_is_checked() -> None:

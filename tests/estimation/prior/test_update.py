@@ -23,8 +23,7 @@ from cellapp.estimation.calibration.identification import identify
 from cellapp.estimation.calibration.parameters import candidate_columns, weak_priors
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.estimation.discovery.arm_data import whitening
-from cellapp.estimation.prior.belief import Belief, Measured, Posterior, is_own, posterior
+from cellapp.estimation.prior.belief import Belief, Measured, is_own, posterior
 from cellapp.estimation.prior.calibrate import Earlier, believed, stated_model, updated_arm
 from cellapp.estimation.prior.discovery import SearchWithPriors
 from cellapp.estimation.prior.update import Updated, first_model, update
@@ -32,7 +31,7 @@ from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
-from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_vectors, transform
+from cellapp.robot.kinematics.transforms import rotation_vectors
 from tests.estimation.prior.conftest import ELSEWHERE, SimulatedArm, earlier_of
 
 TOOL = np.array([-0.03, 0.05, 0.11])
@@ -189,29 +188,6 @@ def test_a_chain_passes_on_what_was_left_out_and_what_appeared(arm: SimulatedArm
     assert len(belief.mean) == len(belief.covariance) == len(belief.size) == len(belief.parts)
     again_free = free.mounted(np.eye(4), -TOOL)
     assert error_um(again_free, again(again_free, replace(earlier, belief=belief), 30)) < 15.0
-
-
-def fit_square(found: Posterior) -> float:
-    """The objective of a posterior at its weights, priors included."""
-    off = found.values - found.prior.mean
-    white = np.einsum("acn,nc->an", whitening(found.measured.sigma), found.left_M)
-    return float(np.vdot(white, white) + off @ found.prior.precision @ off)
-
-
-def test_a_start_that_is_far_off_ends_at_the_same_posterior_and_too_few_steps_are_an_error(
-    arm: SimulatedArm, earlier: Earlier, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    readings = arm.readings(40, seed=3)
-    measured = Measured.of(readings, measurement_conditions(readings))
-    model = first_model(arm.profile, "left", measured, earlier.belief)
-    prior = earlier.belief.prior(model.nominal, np.zeros(0))
-    T = transform(rotation_from_vector([0.6, -0.5, 0.6]), [0.2, -0.2, 0.1]) @ model.geometry.T_M_B()
-    far = replace(model, geometry=model.geometry.with_T_M_B(T))
-    one, other = (posterior(start, measured, prior, scatter_m=0.0) for start in (model, far))
-    assert fit_square(other) <= fit_square(one) * (1.0 + 1e-4)
-    monkeypatch.setattr("cellapp.estimation.prior.belief._STEPS", 1)
-    with pytest.raises(NotConverged, match="earlier calibration or belief did not converge: 1 steps were not enough"):
-        posterior(far, measured, prior)
 
 
 def test_drifts_whose_search_does_not_end_are_no_statement_about_the_arm(

@@ -33,7 +33,6 @@ from cellapp.robot.effects import (
     Scaled,
     Tuned,
     own_law,
-    place_in_words,
     registered,
     term_from_json,
     term_to_json,
@@ -73,15 +72,6 @@ def test_every_effect_says_what_it_means_and_what_to_do(effect: Effect) -> None:
         assert text[0].isupper(), text
         assert not {"{", "_"} & set(text), text
     assert len(set(meaning.check)) == len(meaning.check)
-
-
-def test_places_are_put_into_the_words() -> None:
-    assert place_in_words(["joint 2"]) == "joint 2"
-    assert place_in_words(["joint 1", "joint 2", "joint 4"]) == "joints 1, 2 and 4"
-    assert place_in_words(["link 2", "link 3"]) == "links 2 and 3"
-    assert place_in_words(["base", "tool"]) == "the base and the target on the flange"
-    check = EFFECTS["backlash"].meaning.at(place_in_words(["joint 2"])).check
-    assert "Check the bolts of the gearbox of joint 2, then have the gear inspected." in check
 
 
 def test_a_term_without_a_name_has_checks_by_channel_and_stops_by_variable() -> None:
@@ -301,21 +291,6 @@ def test_a_shift_is_in_the_axes_of_its_frame(acts_on: Any, frame: int | None) ->
     (column,) = sag().columns(here, sag().law())
     axis = np.broadcast_to([1.0, 0.0, 0.0], (N_OF_OWN_LAW, 3)) if frame is None else here.frames[0][frame][:, :, 0]
     assert column.shift_M == pytest.approx(np.sin(here.q[:, 1])[:, None] * axis)
-
-
-def test_an_offset_of_the_law_is_the_joint_s_own() -> None:
-    @own_law("cable", drag=Linear("rad", 1e-3))
-    def cable(q: Any, drag: Any) -> Any:
-        return drag * q
-
-    here = context()
-    column = cable().columns(here, cable().law())[1]
-    assert column.offset is not None
-    turned = here.q.copy()
-    turned[:, 1] += 1e-6 * column.offset
-    moved = smr_positions(here.geometry, turned) - smr_positions(here.geometry, here.q)
-    expected = 1e-6 * column.offset[:, None] * np.cross(here.frames[0][1, :, :, 2], here.p_M - here.frames[1][1])
-    assert moved == pytest.approx(expected, abs=1e-10)
 
 
 def test_what_a_reading_lacks_stands_at_the_mean_of_the_run() -> None:

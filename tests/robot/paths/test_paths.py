@@ -106,16 +106,6 @@ def test_an_arc_goes_through_its_three_points(numbers: list[float]) -> None:
     assert np.linalg.norm(points - via, axis=1).min() < arc.length / 1999.0
 
 
-def test_a_path_is_run_through_by_its_arc_length() -> None:
-    path = square()
-    s = np.linspace(0.0, path.length, 20_001)
-    steps = np.linalg.norm(np.diff(path.positions(s), axis=0), axis=1)
-    corner = np.abs(s[:-1] - path.stops[1]) < 1e-4  # cut off by a chord
-    np.testing.assert_allclose(steps[~corner], path.length / 20_000, rtol=1e-3)
-    assert path.length < 0.5  # the rounded corner is shorter
-    np.testing.assert_allclose(path.stops[1:-1], path.begins[3:4])  # the second corner is not rounded
-
-
 def test_rotations_follow_without_jumps_and_reach_the_given_ones() -> None:
     path = square()
     s = np.linspace(0.0, path.length, 5001)
@@ -123,14 +113,6 @@ def test_rotations_follow_without_jumps_and_reach_the_given_ones() -> None:
     np.testing.assert_allclose(turned @ turned.transpose(0, 2, 1), np.tile(np.eye(3), (len(s), 1, 1)), atol=1e-12)
     np.testing.assert_allclose(turned[[0, -1]], path.rotations[[0, -1]], atol=1e-12)
     assert np.abs(np.diff(turned, axis=0)).max() < 2.0 * 0.5 / 5000
-
-
-def test_distances_are_geometric() -> None:
-    path = square()
-    s = np.linspace(0.01, path.length - 0.01, 50)
-    beside = path.positions(s) + np.array([0.0, 0.0, 1e-3])
-    np.testing.assert_allclose(path.distances(beside), 1e-3, atol=1e-7)
-    np.testing.assert_allclose(path.distances(path.positions(s)), 0.0, atol=1e-6)
 
 
 # -- joint paths ------------------------------------------------------------------------------------------------------

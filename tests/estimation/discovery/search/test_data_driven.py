@@ -6,19 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
 
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.quantities import measurement_conditions
-from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.accepted import describe
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit
-from cellapp.estimation.discovery.posterior import (
-    MOST_COLUMNS,
-    ChannelScan,
-    Families,
-)
 from cellapp.estimation.discovery.process import fit_process, process_terms
 from cellapp.estimation.discovery.search.data_driven import (
     in_place_of_names,
@@ -28,14 +21,12 @@ from cellapp.estimation.discovery.search.data_driven import (
 from cellapp.estimation.discovery.search.free_part import (
     SHARES,
     BesideField,
-    FreePartEvidence,
     explains_beside_free_parts,
-    possible_free_parts,
     with_free_parts,
 )
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.state import SearchProblem, SearchState, best_state, scatter
-from cellapp.estimation.discovery.search.stepwise import addition, refinement, search, with_one_drift
+from cellapp.estimation.discovery.search.state import SearchProblem, SearchState, scatter
+from cellapp.estimation.discovery.search.stepwise import addition, refinement, search
 from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, ModelTerm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.progress import CancelToken
@@ -87,40 +78,6 @@ def crosstalk(q):
     return bent
 
 
-def test_families_score_as_their_laws_do_one_by_one():
-    data, fit = readings_with(lambda q: 1e-4 * np.sin(q + q[:, ::-1]), np.zeros_like)
-    chosen = channels(6)
-    families = [*curve_families(data.context)[::5], *pair_families(data.context)[::23]]
-    scan = ChannelScan.of(data, fit)
-    values = scan.scores(Families.of(data, families), chosen)
-    candidates = [fit.candidate(data, UNKNOWN, family.law(channel)) for channel in chosen for family in families]
-    one_by_one = LawScan.of(candidates, fit.projector)
-    residual = fit.projected_residual
-    wanted = one_by_one.best_block_scores(residual.projected[:, None], np.array([residual.square]))
-    few = np.array([len(one.columns) for one in candidates]) <= MOST_COLUMNS
-    seen = np.isfinite(wanted.ravel()) & few
-    assert not few.all()
-    assert seen.sum() > 200
-    assert (np.isfinite(values.ravel()) == seen).all()
-    np.testing.assert_allclose(values.ravel()[seen], wanted.ravel()[seen], rtol=1e-6, atol=1e-4)
-
-
-def test_the_evidence_of_a_law_is_that_of_its_values_with_normal_priors():
-    data, fit = readings_with(crosstalk, np.zeros_like, N=30)
-    family = next(one for one in curve_families(data.context) if one.drivers[0].name == "q5")
-    channel = next(one for one in channels(6) if one.name == "joint 4")
-    (value,) = ChannelScan.of(data, fit).evidence(Families.of(data, [family]), [channel]).ravel()
-    rows, y = fit.candidate(data, UNKNOWN, family.law(channel)).rows, fit.projected_residual
-    rows *= np.sqrt(rows.shape[1] / np.sum(rows**2, axis=1))[:, None]
-    gram = rows @ y.projector.project(rows).T
-    found = []
-    for size in (0.3, 1.0, 3.0, 10.0, 30.0):
-        information = np.eye(len(rows)) + size**2 * gram
-        explained = size**2 * (rows @ y.projected) @ np.linalg.solve(information, rows @ y.projected)
-        found.append(-y.freedom * np.log1p(-explained / y.square) - np.linalg.slogdet(information)[1])
-    assert value == pytest.approx(max(found) - 2.0 * np.log(5.0), rel=1e-6)
-
-
 def test_an_unknown_law_is_found_and_named_effects_that_imitate_it_go():
     data, _ = readings_with(crosstalk, np.zeros_like)
     problem, start = searched(*refit(data, ()))
@@ -152,19 +109,6 @@ def named(problem: SearchProblem, start: SearchState, slugs: Sequence[str]) -> S
     names = [tuple(column.name for column in start.data.columns(slug, law)) for slug, law in middle]
     terms = [ModelTerm(slug, law, its) for (slug, law), its in zip(middle, names, strict=True)]
     return problem.state(tuple(terms), start)
-
-
-def test_what_wanders_is_one_drift_and_not_several_effects_of_time():
-    phase = 2.0 * np.pi * np.arange(200) / 200.0
-    path = np.sin(1.3 * phase + 0.8) + 0.4 * np.sin(4.1 * phase)
-    data, _ = readings_with(np.zeros_like, lambda p: 60e-6 * path[:, None] * np.array([1.0, 0.6, -0.4]))
-    problem, start = searched(*refit(data, ()))
-    two = named(problem, start, ["base_step", "base_drift"])
-    one = with_one_drift(problem, two)
-    assert one is not None
-    assert [(term.slug, term.law.name) for term in one.fit.terms] == [("base_drift", "smooth")]
-    assert best_state([two, one]) is one
-    assert with_one_drift(problem, named(problem, start, ["base_step", "encoder_eccentricity"])) is None
 
 
 @pytest.mark.parametrize(("size", "name"), [(2.5, "joint 4|q5"), (1.0, None)])
@@ -354,16 +298,6 @@ def best_new_score(problem, state, slug):
     return scan.ranked(state.fit.projected_residual)[0]
 
 
-def test_another_effect_still_explains_something_beside_a_law_that_may_be_off():
-    def both(q, torques, approach):
-        return linear(q, torques, approach) + at_joint(1, 4e-5 * np.cos(q[:, 1] + 0.4))
-
-    problem, state = searched_off(both, "joint_compliance", ("compliance2",))
-    score = best_new_score(problem, state, "encoder_eccentricity")
-    assert score.value > THRESHOLD
-    assert explains_beside_free_parts(problem, state, score)
-
-
 def test_what_a_law_leaves_over_is_no_other_effect():
     problem, state = searched_off(softer, "joint_compliance", ("compliance2",))
     plain = [best_new_score(problem, state, slug) for slug in ("transmission_error", "encoder_eccentricity")]
@@ -400,31 +334,3 @@ def test_a_joint_that_follows_its_neighbours_angle_is_no_wobble():
     score = best_new_score(problem, state, "joint_axis_wobble")
     assert score.value > THRESHOLD, "it looks like one"
     assert addition(problem, state, score) is None
-
-
-def test_the_prior_of_a_modulation_has_the_rms_of_its_share():
-    _, state = searched_off(linear, "joint_compliance", ("compliance2",))
-    value = float(state.fit.term_values(0)[0])
-    for part in possible_free_parts(state.data, state.fit, 0):
-        # mean square of g over the driver's range: 1/2 for each cosine, 1 for a cosine and a sine together
-        assert float(np.sum(part.sd**2)) / 2.0 == pytest.approx(value**2, rel=0.02)
-
-
-def test_the_gain_of_the_evidence_equals_that_of_dense_covariances():
-    rng = np.random.default_rng(2)
-    X, Z, y = rng.normal(size=(5, 60)), rng.normal(size=(4, 60)), rng.normal(size=60)
-    y = y + 3.0 * Z[0]
-    projector = NuisanceProjector.of(X)
-    left = np.linalg.svd(X)[2][5:]  # the complement of X
-    evidence = FreePartEvidence(
-        Z @ projector.project(Z).T, Z @ projector.project(y), float(y @ projector.project(y)), 55.0
-    )
-    sd = np.array([2.0, 0.5, 0.0, 1.0])
-
-    def dense(noise, sd):
-        covariance = noise * np.eye(55) + (left @ Z.T) @ np.diag(sd**2) @ (left @ Z.T).T
-        return 2.0 * multivariate_normal.logpdf(left @ y, cov=covariance)
-
-    grid = np.geomspace(0.02, 1.0, 40) * evidence.square / 55.0
-    expected = max(dense(one, sd) for one in grid) - dense(evidence.square / 55.0, np.zeros(4))
-    assert evidence.gain(sd) == pytest.approx(expected, rel=1e-9)

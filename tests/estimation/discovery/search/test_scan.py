@@ -21,7 +21,6 @@ from cellapp.estimation.discovery.search import stepwise
 from cellapp.estimation.discovery.search.free_part import with_free_parts
 from cellapp.estimation.discovery.search.review import review
 from cellapp.estimation.discovery.search.scan import (
-    LawScan,
     corrected_p_value,
     score_threshold,
     simulate_null_maxima,
@@ -33,32 +32,17 @@ from cellapp.estimation.discovery.terms import CandidateLaw, ModelTerm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import CancelToken
-from cellapp.robot.effects import EFFECTS, EffectColumn, EffectContext
+from cellapp.robot.effects import EFFECTS, EffectColumn
 from cellapp.robot.effects.law import CYCLES
-from cellapp.robot.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH, LINE_AMPLITUDE, lines_beside
+from cellapp.robot.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH, lines_beside
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm
 from tests.arms import STATION
-from tests.estimation.discovery.problems import PLAIN, N, column, problem, refining_law
+from tests.estimation.discovery.problems import PLAIN, N, problem, refining_law
 from tests.estimation.discovery.search.test_data_driven import readings_with
 from tests.robot.effects.cell import context_of
-
-
-def test_with_priors_the_explained_share_is_that_of_generalised_least_squares() -> None:
-    one = problem(6)
-    sd = one.rng.uniform(0.1, 2.0, 10)
-    projector = NuisanceProjector.of(one.design.T, 1.0 / sd**2)
-    y = one.noise()
-    covariance = np.eye(N) + (one.design * sd**2) @ one.design.T
-    wanted = np.linalg.solve(covariance, y)
-    rows = one.first.rows[:2]
-    scan = LawScan.of([CandidateLaw("one", PLAIN.law(), one.first.columns[:2], rows)], projector)
-    reduction = rows @ wanted @ np.linalg.solve(rows @ np.linalg.solve(covariance, rows.T), rows @ wanted)
-    residual = ProjectedResidual(projector, y)
-    assert scan.ranked(residual)[0].explained_share == pytest.approx(reduction / (y @ wanted), rel=1e-9)
-    assert residual.explained(rows) == pytest.approx(reduction, rel=1e-9)
 
 
 def test_the_score_is_the_bic_gain_of_the_chosen_block() -> None:
@@ -71,24 +55,6 @@ def test_the_score_is_the_bic_gain_of_the_chosen_block() -> None:
     f = N - one.design.shape[1]  # what is left of the coordinates behind the nuisance parameters
     assert best.value == pytest.approx(-f * np.log(left @ left / (y @ y)) - np.log(f), rel=1e-9)
     assert one.residual(y).bic_gain(one.first.rows[[2]]) == pytest.approx(best.value, rel=1e-9)
-
-
-def test_the_best_law_of_each_effect_is_its_first_of_all() -> None:
-    """Whatever is left unselected, as its bound says that another law of the effect is better."""
-    one = problem(3)
-    laws = [CandidateLaw(f"effect {k % 3}", PLAIN.law(), columns(k), one.rng.normal(size=(4, N))) for k in range(24)]
-    scan = one.scan_of(*laws)
-    residual = one.residual(one.visible(sum(law.rows[k % 4] for k, law in enumerate(laws)) + one.noise()))
-    first = {score.slug: score for score in reversed(scan.ranked(residual))}
-    best = scan.best_of_each_effect(residual)
-    assert [score.value for score in best] == sorted((score.value for score in best), reverse=True)
-    assert {score.slug: (score.value, score.names) for score in best} == {
-        slug: (score.value, score.names) for slug, score in first.items()
-    }
-
-
-def columns(number: int) -> tuple[EffectColumn, ...]:
-    return tuple(column(f"x{number} {k}", f"joint {k}") for k in range(4))
 
 
 def test_choosing_among_laws_has_its_price() -> None:
@@ -115,26 +81,6 @@ def test_a_refinement_alone_is_never_the_effect() -> None:
         found = scan.score(0, residual, with_refinements=with_refinements)
         assert found is not None
         assert set(found.names) & {"a", "b"}
-
-
-def test_a_refinement_joins_the_effect_only_where_it_is_asked_for() -> None:
-    one = problem(9)
-    law = refining_law(one.rng, one.noise())
-    scan = one.scan_of(law)
-    residual = one.residual(one.visible(law.rows[0] + 0.6 * law.rows[3] + 0.5 * one.noise()))
-    (plain,) = scan.ranked(residual)
-    (refined,) = scan.ranked(residual, with_refinements=True)
-    assert plain.names == ("a",)
-    assert refined.names == ("a", "d")
-    assert refined.value > plain.value + 6.0
-
-
-def test_an_effect_spread_evenly_over_blocks_is_found_whole() -> None:
-    one = problem(7)
-    columns = tuple(column(f"x{i}", f"joint {i}") for i in range(6))
-    many = CandidateLaw("many", PLAIN.law(), columns, one.rng.normal(size=(6, N)))
-    y = one.visible(0.45 * many.rows.sum(axis=0) + one.noise())
-    assert len(one.ranked(y, one.scan_of(many))[0].names) == 6
 
 
 # -- Significance: the false-alarm rate is kept, and the smallest detectable size is just detected ---------------------
@@ -336,20 +282,3 @@ def test_the_periods_of_an_encoder_are_expected() -> None:
         assert names(one) == {f"joint 3 line {cycles}"}
         values.append(one.value)
     assert values[0] > values[1] + 6.0
-
-
-def test_choosing_costs_what_was_tried() -> None:
-    one = found(7, (2, 256, 3e-5))
-    assert one is not None
-    assert one.tried == 6 * (2 * 2) * (3 * 3)
-    assert one.columns == tuple(k for k, column in enumerate(COLUMNS) if column.block == "joint 3 line 256")
-
-
-def test_lines_beside_curves_have_a_prior_of_their_own() -> None:
-    law = CURVE.law({**LAW.constants, LINE_AMPLITUDE.name: 2e-5})
-    context: EffectContext = CONTEXT
-    own = EFFECTS["transmission_error"].columns(context, law, ["cos256q3", "sin256q3", "cos3q3"])
-    priors = {column.name: column.prior_sd for column in own}
-    assert priors["cos256q3"] == pytest.approx(2e-5)
-    assert priors["sin256q3"] == pytest.approx(2e-5)
-    assert priors["cos3q3"] < 1e-4
