@@ -28,13 +28,11 @@ from cellapp.ground.progress import (
     Cancelled,
     CancelToken,
     Progress,
-    SharedProgress,
     eta_words,
     in_lines,
     with_eta,
 )
 from cellapp.ground.results import Record
-from tests.waiting import within
 
 
 def test_stop_calls_the_brakes_in_the_callers_thread_when_the_request_stands() -> None:
@@ -62,13 +60,6 @@ def test_an_attended_job_holds_and_resumes() -> None:
         requests = [control.request]
         control.resume()
         assert [*requests, control.request] == ["stop", "none"]
-
-
-def test_an_attended_job_without_arms_has_nothing_to_hold() -> None:
-    control = JobControl(holds=True)
-    control.stop()
-    with pytest.raises(Stopped):
-        control.check()
 
 
 def test_abort_ends_every_job_and_cannot_be_taken_back() -> None:
@@ -371,22 +362,6 @@ def test_the_rate_is_that_of_steps_under_our_eyes() -> None:
     assert job.emit(20.0, Progress("collect", 202, 400)) == pytest.approx(1980.0)
     assert job.emit(50.0, Progress("collect", 202, 400)) == pytest.approx(198 * 50.0 / 3 - 30.0), "a long step counts"
     assert job.emit(2001.0, Progress("collect", 400, 400)) == 0.0
-
-
-def test_parts_at_the_same_time_are_added_and_never_go_back() -> None:
-    events: list[Progress] = []
-    shared = SharedProgress(events.append, "calibrate", 2, 22)
-    threads = [
-        threading.Thread(target=lambda part=part: [part(step, "step") for step in range(11)])
-        for part in (shared.part("arm left"), shared.part("arm right"))
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        within(thread.join, "the end of a part")
-    done = [event.done for event in events]
-    assert done == sorted(done)
-    assert (done[-1], events[-1].total) == (22, 22)
 
 
 def test_times_in_words() -> None:

@@ -19,9 +19,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import refuse_motion
 from cellapp.cell.targets.targets import load_targets
-from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.collect.run import collect_stops
-from cellapp.commands.discover.run import discover_run
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.locate.run import locate_run, typed_pose
 from cellapp.commands.locate.station import excess_of_readings
@@ -38,7 +36,7 @@ from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Pose, Profile
 from cellapp.ground.progress import Progress
-from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, VERIFY
+from cellapp.ground.results import DISCOVER, LOCATE, VERIFY
 from cellapp.interfaces.page.page import write_page
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
@@ -267,26 +265,6 @@ def test_readings_of_two_stations_are_not_mixed(moved_run: tuple[RunFile, Locate
     run, _ = moved_run
     with pytest.raises(InputError, match="two stations do not calibrate together"):
         collect_stops(run, resume=True)
-
-
-def test_another_calibration_asks_for_another_location_except_for_programs_and_exports(run: RunFile) -> None:
-    kicked = away(run.profile.tracker.pose, (0.02, 0.0, 0.0), (0.0, 0.0, 0.0))
-    locate_run(run, simulated_pose=kicked)
-    swap_splits(run)
-    notes = calibrate_run(run).notes
-    assert any(note.startswith("the tracker's station is out of date") for note in notes)
-    stages = read_stages(run)
-    assert stages.in_force == stages.current[CALIBRATE]
-    assert "the tracker was moved, and 'locate' is out of date" in stages.stale_model()
-    with pytest.raises(InputError, match="out of date"):
-        push_run(run, SOME, verify=True)
-    discover_run(run)
-    stages = read_stages(run)
-    assert stages.next_verb() == "locate"
-    assert stages.stale_arms() == "", "programs and exports are in the frame of an arm's own base"
-    assert stages.stale_model() == stages.stale_station() != ""
-    locate_run(run)
-    assert read_stages(run).stale_model() == ""
 
 
 def test_a_moved_base_is_named_and_its_model_not_used(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from cellapp.cell.exports.arm_export import ArmExport, conversion_mm
-from cellapp.cell.exports.export_format import CellFormat, ExportFormat
+from cellapp.cell.exports.export_format import ExportFormat
 from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.exports.urdf import kinematics_hash, murmur, ur_deltas, urdf_joints
 from cellapp.cell.profile import load_profile
@@ -34,7 +34,6 @@ from tests.arms import OFF_AXIS, SEVEN, UR10, at_station, dh, true_geometry
 from tests.cell.exports import readers
 from tests.drivers.arms.test_ur_probe import ask, emulated
 
-CELL_FORMATS = formats_of(CellFormat)
 FORMATS = formats_of(ExportFormat)
 
 Array = NDArray[np.float64]
@@ -175,24 +174,6 @@ def test_urdf_has_limits_speeds_masses_and_their_places() -> None:
             moments += joint.mass * readers.points(T, np.array(joint.center_of_mass))[0]
         center = pinocchio.centerOfMass(model, data, q)
         np.testing.assert_allclose(center, moments / sum(joint.mass for joint in joints), atol=1e-9)
-
-
-def test_the_whole_cell_in_one_file() -> None:
-    """Both arms hang from the tracker, each where the calibration found its base; other arms may have seven joints."""
-    for left, right in (("ur10", "ur5"), (sorted(set(TYPES) - UR)[0], "ur10")):
-        exports = {
-            name: replace(drawn(arm, seed), name=name)
-            for seed, (name, arm) in enumerate((("left", left), ("right", right)))
-        }
-        turned = exports["right"].geometry.T_M_B() @ readers.shift(0.4, -1.7, 0.1) @ readers.turn("z", 1.0)[0]
-        moved = replace(exports["right"].model, geometry=exports["right"].geometry.with_T_M_B(turned))
-        exports["right"] = replace(exports["right"], model=moved)
-        text = CELL_FORMATS["urdf-cell"].text(exports, ["a sentence --- with hyphens --"])
-        for name, export in exports.items():
-            off = readers.urdf(text, name, export.q) - smr_positions(export.geometry, export.q)
-            assert float(np.linalg.norm(off, axis=1).max()) < BAR_M
-        model = pinocchio.buildModelFromXML(text)
-        assert model.nq == sum(export.geometry.joints for export in exports.values())
 
 
 def test_a_controller_that_holds_the_file_computes_by_the_calibrated_rows() -> None:

@@ -11,11 +11,11 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import write_text
 from cellapp.cell.profile.loader import arm_type_of_text, profile_from_json, profile_to_json
-from cellapp.cell.profile.starters import arm_type_files, starter_profiles, write_starter
+from cellapp.cell.profile.starters import arm_type_files, write_starter
 from cellapp.commands.doctor.view import cell_words, constraint_words
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import ArmType
-from cellapp.ground.starters import offered_profiles, starters_folder
+from cellapp.ground.starters import starters_folder
 from cellapp.robot.kinematics.chain import flange_poses, nominal_geometry
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, rotation_x, rotation_y
 from tests.twin import PROFILES
@@ -217,17 +217,6 @@ def test_bad_obstacles_are_named_with_their_line(line: str, words: str, tmp_path
 
 # -- Starter profiles: an empty folder gets a profile that loads; nothing that a person wrote is overwritten -----------
 
-NAMES = [path.stem for path in offered_profiles(starters_folder())]
-
-
-def test_the_twin_is_first_and_each_has_a_sentence() -> None:
-    starters = starter_profiles()
-    assert starters[0].name == "twin"
-    assert [starter.name for starter in starters] == NAMES
-    assert all(starter.sentence.endswith(".") for starter in starters)
-    without_device = {starter.name for starter in starters if not starter.has_device}
-    assert without_device == {"ur10-6d", "ur10-real", "ur10-real-d", "ur5-real"}
-
 
 def test_an_installation_without_them_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cellapp.ground.starters.files", lambda package: tmp_path / package)
@@ -235,37 +224,9 @@ def test_an_installation_without_them_is_named(tmp_path: Path, monkeypatch: pyte
         starters_folder()
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_starter_loads_where_it_was_written(name: str, tmp_path: Path) -> None:
-    path = write_starter(name, tmp_path)
-    assert path == tmp_path / "profiles" / f"{name}.yaml"
-    profile = load_profile(path)
-    assert profile == load_profile(starters_folder() / f"{name}.yaml")
-    assert profile.targets is None or (path.parent / profile.targets).is_file()
-
-
-def test_starters_share_arm_types_but_overwrite_nothing(tmp_path: Path) -> None:
-    write_starter("twin", tmp_path)
-    write_starter("ur10-ur5", tmp_path)  # the same arm types are there already
-    with pytest.raises(InputError, match=r"twin\.yaml exists already; nothing was written"):
-        write_starter("twin", tmp_path)
-    own = tmp_path / "profiles" / "arms" / "ur5.yaml"
-    own.write_text("# mine\n", "utf-8")
-    with pytest.raises(InputError, match=r"ur5\.yaml exists already; nothing was written"):
-        write_starter("ur5-real", tmp_path)
-    assert not (tmp_path / "profiles" / "ur5-real.yaml").exists()
-    assert own.read_text("utf-8") == "# mine\n"
-
-
 def test_an_unknown_starter_is_refused_with_those_that_exist(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="'tvin' is no profile that comes with cellapp; there are twin,"):
         write_starter("tvin", tmp_path)
-
-
-def test_a_folder_that_cannot_be_made_gets_a_sentence(tmp_path: Path) -> None:
-    (tmp_path / "profiles").write_text("a file, not a folder", "utf-8")
-    with pytest.raises(InputError, match=r"cannot be (written|reached) \(.+\); give a"):
-        write_starter("twin", tmp_path)
 
 
 def test_a_link_stays_a_link_and_permissions_stay(tmp_path: Path) -> None:

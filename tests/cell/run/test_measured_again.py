@@ -371,26 +371,3 @@ def change(key: str, value: str, place: int) -> Callable[[Rows], None]:
         rows[place][key] = value
 
     return act
-
-
-@pytest.mark.parametrize(
-    ("spoil", "line", "column", "says"),
-    [
-        (exchange, 14, "smr", "the SMRs are off their places at other stops by"),
-        (change("q3", "0.7", 7), 9, "q3", "rad from another row of the stop"),
-        (change("split", "train", 4), 6, "split", "train, but identify in another row of the same stop"),
-        (change("x_m", "3.5", 10), 11, "smr", "the SMRs are off their places at other stops by"),
-        (change("smr", "A", 1), 3, "configuration", "0 of arm left was given in line 2 already"),
-    ],
-)
-def test_a_mistake_is_named_by_row(
-    tmp_path: Path, spoil: Callable[[Rows], None], line: int, column: str, says: str
-) -> None:
-    rows = measured().rows
-    spoil(rows)
-    path = written(tmp_path / "in.csv", rows)
-    with pytest.raises(InputError) as caught:
-        import_csv(left_alone(), path, tmp_path / "run")
-    first = str(caught.value).splitlines()[0]
-    assert first.startswith(f"{path}:{line}: {column}: "), caught.value
-    assert says in str(caught.value)

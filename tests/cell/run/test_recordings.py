@@ -91,51 +91,6 @@ def test_a_recording_is_stored_and_exported_bit_for_bit(tmp_path: Path) -> None:
         assert recordings_digest(again, "left")[0] == digest[0] == 2500
 
 
-def test_stamps_that_are_not_steady_are_kept_and_counted(tmp_path: Path) -> None:
-    joints, points = joint_columns(), point_columns()
-    joints["time_s"][501:] += 3.0  # the clock steps, which looks like a gap
-    joints["time_s"][700] = joints["time_s"][699]
-    points["time_s"][1000:] -= 1.0
-    for name in ("x_m", "y_m", "z_m"):
-        points[name][200:230] = np.nan
-    with imported(tmp_path, joints, points) as run:
-        (state,) = recording_states(run)
-        notes = " / ".join(event.text for event in run.events() if event.level == "note")
-        (found,) = read_recordings_of(run, "left")
-    assert (state.joints.gaps, state.joints.repeats) == (1, 1)
-    assert state.joints.longest_gap_s == pytest.approx(3.008)
-    assert (state.points.backward, state.points.lost, state.points.n) == (1, 30, 2470)
-    assert state.points.rate_hz == pytest.approx(250.0)
-    assert np.array_equal(found.joints.time_s, joints["time_s"])
-    for said in ("1 gaps", "1 stamps of joints repeat", "30 rows of points have no coordinates", "share no time"):
-        assert said in notes
-
-
-def test_files_of_both_arms_and_several_names(tmp_path: Path) -> None:
-    parts = [("left", "one"), ("left", "two"), ("right", "one")]
-
-    def joined(made: Callable[[], Columns]) -> Columns:
-        its = [made() for _ in parts]
-        columns = {name: np.concatenate([one[name] for one in its]) for name in its[0]}
-        n = len(its[0]["time_s"])
-        for place, name in enumerate(("arm", "recording")):
-            columns[name] = [part[place] for part in parts for _ in range(n)]  # type: ignore[assignment]
-        return columns
-
-    points = joined(point_columns)
-    points["split"] = ["validate" if t < 5.0 else "identify" for t in points["time_s"]]  # type: ignore[assignment]
-    joints = joined(lambda: joint_columns(joints=3))
-    left = [arm == "left" for arm in joints["arm"]]
-    for name in ("q3", "qd3"):
-        joints[name] = np.where(left, np.nan, joints[name])
-    with imported(tmp_path, joints, points, None) as run:
-        assert [(one.arm, one.name) for one in recording_states(run)] == parts
-        (right,) = read_recordings_of(run, "right")
-        assert right.joints.q.shape == (1250, 3)
-        assert right.points.held_out is not None
-        assert np.array_equal(right.points.held_out, right.points.time_s < 5.0)
-
-
 def refused(tmp_path: Path, joints: Columns, points: Columns, arm: str | None = "left") -> str:
     """What is said of files that are no recording."""
     files = ([write_columns(tmp_path / "j.csv", joints)], [write_columns(tmp_path / "p.csv", points)])

@@ -170,33 +170,6 @@ def test_values_that_are_no_reading(profile: Profile, folder: Path, arm: str, wr
         assert run.stops_done() == set()
 
 
-def test_plan_splits_events_and_results(profile: Profile, folder: Path) -> None:
-    rng = np.random.default_rng(0)
-    plan = {"right": rng.normal(size=(12, 3)), "left": rng.normal(size=(12, 2))}
-    with RunFile.create(folder, profile) as run:
-        run.write_plan({"left": np.zeros((3, 2))})
-        run.write_plan(plan)
-        for stop in (2, 0, 1):
-            run.add_stop(stop, {"left": reading(stop)})
-        run.assign_splits("left", ["identify", None, "validate"])
-        run.log("info", "began")
-        run.log("warning", "target lost", time_s=3.25)
-        run.write_result("calibration", "{}")
-        run.write_result("calibration", '{"a": 1}')
-    with RunFile.open(folder) as run:
-        back = run.read_plan()
-        assert list(back) == ["left", "right"]
-        for arm, q in plan.items():
-            np.testing.assert_array_equal(back[arm], q)
-        assert run.readings("left").split == ("identify", None, "validate")
-        assert [(e.level, e.text, e.time_s) for e in run.events()] == [
-            ("info", "began", None),
-            ("warning", "target lost", 3.25),
-        ]
-        assert run.read_result("calibration") == '{"a": 1}'
-        assert run.read_result("other") is None
-
-
 def test_a_plan_does_not_change_under_measured_stops(profile: Profile, folder: Path) -> None:
     plan = {"left": np.arange(8.0).reshape(4, 2)}
     with RunFile.create(folder, profile) as run:

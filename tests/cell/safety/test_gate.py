@@ -625,36 +625,6 @@ def test_an_obstacle_in_the_beam_hides_the_smr() -> None:
     assert seen[outside].all()
 
 
-def test_what_an_arm_carries_hides_its_own_smr_only_from_behind() -> None:
-    """A plate beside the SMR, nearer to it than the beam's radius, hides it where the beam crosses the plate."""
-    profile = small_twin()
-    offset = profile.arms["left"].smr.offset
-    assert not isinstance(offset, str)
-    x, y, z = offset
-    beside = BoxObstacle(
-        shape="box",
-        fixed_to="flange",
-        arm="left",
-        size=(0.01, 0.2, 0.2),
-        pose=Placement(position=(x + 0.02, y, z + 0.05)),
-    )
-    holder = SphereObstacle(shape="sphere", fixed_to="flange", arm="left", radius=0.03, pose=Placement(position=offset))
-    bare, plate, ball = (
-        cell_bodies(one) for one in (profile, with_obstacles(plate=beside), with_obstacles(ball=holder))
-    )
-    q = np.random.default_rng(6).uniform(-math.pi, math.pi, (30_000, 6))
-    q = q[visible(bare, "left", q)]
-    assert len(q) > 100
-    assert visible(ball, "left", q).all(), "what encloses the SMR is its holder"
-    seen = visible(plate, "left", q)
-    assert bare.field is not None
-    bodies = place(bare.arms["left"], q)
-    beam_F = np.einsum("nba,nb->na", bodies.flange, bare.field.T_C_M[:3, 3] - bodies.smr)
-    assert not seen[beam_F[:, 0] > 0.05].any()
-    assert seen[beam_F[:, 0] < 0.0].all()
-    assert 0.2 < seen.mean() < 0.8
-
-
 # -- bad input --------------------------------------------------------------------------------------------------------
 
 

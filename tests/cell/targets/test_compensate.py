@@ -21,7 +21,7 @@ from cellapp.cell.targets.compensate import (
     invert_model,
     with_approach,
 )
-from cellapp.cell.targets.targets import Partner, Target, WorkingConditions, load_targets
+from cellapp.cell.targets.targets import Partner, Target, load_targets
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.robot.effects import EFFECTS, EffectTerm
@@ -328,33 +328,6 @@ def test_if_one_arm_cannot_both_are_refused(run: RunFile, model: CellModel) -> N
     )
     meeting, _ = compensate(run.profile, model, [collision])
     assert "arms left and right" in meeting.refusal or "arm right" in meeting.refusal
-
-
-def test_stated_conditions_are_used_and_kept_for_the_way(run: RunFile, model: CellModel) -> None:
-    arm = dataclasses.replace(
-        model.arms["left"],
-        effects=(term("backlash", half_play2=2e-4), term("joint_compliance", compliance2=1.0 / 6e4)),
-        posterior=None,
-    )
-    changed = dataclasses.replace(model, arms={**model.arms, "left": arm})
-    plain = TARGETS[0]
-    heavy = plain.model_copy(update={"name": "heavy", "conditions": WorkingConditions(payload=8.0)})
-    from_above = plain.model_copy(update={"name": "side", "approach": (0, 1, 0, 0, 0, 0)})
-    first, loaded, sided = compensate(run.profile, changed, [plain, heavy, from_above])
-    for command in (first, loaded, sided):
-        assert_reached(changed, command)
-    q, q_loaded, q_sided = (np.asarray(command.q_compensated) for command in (first, loaded, sided))
-    assert np.abs(q_loaded - q).max() > 1e-5
-    assert first.side == (0, int(np.sign(q[1] - home_positions(run.profile)["left"][1])), 0, 0, 0, 0)
-    assert (q_sided - q)[1] == pytest.approx(2e-4 * (1 - first.side[1]), rel=0.01, abs=1e-6), "from above"
-    here = q - 0.3
-    for command in (first, loaded, sided):
-        sent = with_approach(arm, np.asarray(command.q_compensated), here, command.conditions)
-        assert command.conditions is not None
-        driven = dataclasses.replace(command.conditions, approach=np.ones((1, 6)))
-        reached = arm.predict(sent[None], conditions=driven)[0]
-        np.testing.assert_allclose(reached, np.asarray(command.expected_M), atol=1e-9)
-    assert compensate_result([sided]).targets[0].approach == (0, 1, 0, 0, 0, 0)
 
 
 # -- Noise of measuring: the tracker's shape, the readings' size -------------------------------------------------------

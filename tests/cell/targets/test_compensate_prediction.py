@@ -10,13 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.cell.targets.invert import Inverted
 from cellapp.cell.targets.prediction import length_bounds, outside_notes, predicted_verdict, predictions, spread_of
 from cellapp.cell.targets.ranges import (
     ConditionRanges,
     MeasuringNoise,
     approach_sides,
-    sided_commands,
     unknown_conditions,
 )
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
@@ -114,25 +112,6 @@ def test_an_unknown_side_counts_with_what_it_moves(arm: ArmModel) -> None:
     less = approach_sides(played, q, half, ConditionRanges())
     assert less is not None
     assert np.all(less.other_sides(np.zeros(q.shape)).largest_m < unknown.largest_m)
-
-
-def test_a_side_is_chosen_where_it_matters_and_the_command_is_for_it(arm: ArmModel) -> None:
-    posterior = replace(arm.posterior, terms=(np.zeros((64, 1)),)) if arm.posterior else None
-    played = replace(arm, effects=(term("backlash", half_play2=2e-4),), posterior=posterior)
-    q = HOME + np.array([[0.2, -0.3, 0.1, 0.2, 0.2, 0.2]])
-    wanted_M, rotation_M = played.predict(q), played.flange(q)[0]
-    middle = Inverted(q, np.zeros(1), np.zeros(1))
-    sided = sided_commands(played, wanted_M, rotation_M, middle, NOTHING, HOME, ConditionRanges())
-    assert sided.approach(0) == (0, -1, 0, 0, 0, 0)
-    assert sided.found.q[0, 1] - q[0, 1] == pytest.approx(-2e-4, rel=0.01)
-    np.testing.assert_allclose(played.predict(sided.found.q, sided.signs), wanted_M, atol=1e-9)
-    (one,) = predictions(played, sided.found.q, sided.conditions, [0.06], HOME, ConditionRanges(), sided.others)
-    assert one is not None
-    assert [entry.condition for entry in one.unknown] == ["approach"]
-    assert one.unknown[0].mm > 0.05, "what the other side would do"
-    assert one.parts.conditions == 0.0
-    assert one.verdict == "in"
-    assert one.within_mm < 0.06
 
 
 @pytest.mark.parametrize(

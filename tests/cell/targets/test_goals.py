@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -39,7 +38,6 @@ from cellapp.commands.run_results import read_stage_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.quantities import measurement_conditions
-from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
 from cellapp.interfaces.page.page import certificate_page
@@ -218,18 +216,3 @@ def test_what_a_rigid_chain_loses_is_stated_of_the_rotation_too(run: RunFile, mo
     assert lost.rms_mrad > 0.05
     assert "mrad rms" in lost.words
     assert lost_by(arm.of_positions().geometry, arm.of_positions(), space).rms_mrad is None
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("orientation_tolerance_mrad", 500, "at most 20 mrad, got 0.5 rad"),
-        ("orientation_tolerance_mm", 1, "orientation_tolerance"),
-        ("orientation_tolerance_mrad", 0.5, "give the target a rotation"),
-    ],
-)
-def test_bad_tolerances_are_refused(tmp_path: Path, name: str, value: float, words: str) -> None:
-    path = tmp_path / "list.csv"
-    path.write_text(f"name,arm,x_mm,y_mm,z_mm,{name}\na,left,-300,-400,700,{value}\n", "utf-8")
-    with pytest.raises(InputError, match=words):
-        load_targets(path, small_twin())

@@ -11,17 +11,12 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.motion import Mover
 from cellapp.cell.driving.push import push
 from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.driving.target_visit import (
-    FARTHEST_M,
-    CorrectionRefused,
-    corrected_command,
     distance_explained_by_noise,
     explained_by_noise,
 )
@@ -47,7 +42,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY
 from cellapp.ground.progress import Cancelled, ignore
 from cellapp.ground.results import CALIBRATE
-from cellapp.robot.kinematics.transforms import Array, rotation_vectors
+from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.trackers.protocol import TargetLost
 from tests.cell.targets.pairs import pair_targets, stops_with_room
@@ -178,29 +173,6 @@ def test_a_correction_that_leads_too_far_is_refused(
     assert len(found.targets[0].rounds_mm) == 1
     assert found.targets[0].q_corrected is None
     assert found.targets[1].note == ""
-
-
-@settings(max_examples=25)
-@given(
-    direction=st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1),
-    size_m=st.floats(1e-6, 0.9 * FARTHEST_M),
-    row=st.integers(0, len(TARGETS) - 1),
-)
-def test_a_correction_takes_the_error_away_and_keeps_the_rotation(
-    model: CellModel, run: RunFile, direction: tuple[float, float, float], size_m: float, row: int
-) -> None:
-    plan = run.read_plan()
-    assert plan is not None
-    for name, arm in model.arms.items():
-        q = plan[name][row]
-        error_M = size_m * np.array(direction) / np.linalg.norm(direction)
-        try:
-            corrected = corrected_command(arm, q, error_M, q)
-        except CorrectionRefused:
-            continue
-        np.testing.assert_allclose(arm.predict(corrected[None]) - arm.predict(q[None]), -error_M[None], atol=2e-9)
-        before, after = arm.flange(q[None])[0], arm.flange(corrected[None])[0]
-        np.testing.assert_allclose(rotation_vectors(np.swapaxes(before, 1, 2) @ after), 0.0, atol=1e-8)
 
 
 def test_noise_explains_95_of_100_errors() -> None:

@@ -120,24 +120,6 @@ def test_another_dh_checksum_is_refused_unless_one_insists(
     assert any("checksum of the controller's D-H" in note for note in found.notes)
 
 
-def test_where_readings_had_several_loads_a_target_is_for_one_of_them(
-    run: RunFile, cells: list[Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    readings = RunFile.readings
-    with_several = np.array([0.3, 5.0])
-    monkeypatch.setattr(
-        RunFile,
-        "readings",
-        lambda self, name: replace(its := readings(self, name), payload_kg=np.resize(with_several, len(its))),
-    )
-    tool = SimulatedArm.tool
-    monkeypatch.setattr(SimulatedArm, "tool", lambda self: replace(tool(self), payload_kg=5.0))
-    words = "5.000 kg, the readings had several, and target 'left-01', which states none, is for 0.300 kg"
-    with pytest.raises(HardwareError, match=words):
-        push_run(run, TARGETS[:1], verify=False, out_of_date=True)
-    assert nothing_moved(cells, run)
-
-
 @pytest.mark.parametrize(
     ("set_kg", "stated_kg", "words"),
     [

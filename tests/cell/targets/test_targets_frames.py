@@ -105,21 +105,13 @@ def points_text(measured: Sequence[Sequence[float]], nominal: Sequence[Sequence[
             "4: frame 'table': point 3 is 500.000 mm from point 1 by its nominal coordinates and 512.000 mm as"
             " measured, 12.000 mm apart; expected at most 5 mm: check the order",
         ),
-        (
-            points_text([*CORNERS[:3], (0, 0, -0.5)]),
-            "4: frame 'table': the measured points are the mirror image of the nominal ones: point ",
-        ),
+        (points_text([*CORNERS[:3], (0, 0, -0.5)]), "4: frame 'table': the measured points are the mirror image of th"),
         (points_text([*CORNERS[:2], (0, 500, 0), CORNERS[3]]), "8: frame 'table': points[2].measured[1]: 500 m is"),
         (FRAME.replace("tracker", "middle"), "4: frame 'table': in: expected tracker, left, right, where its points"),
         (FRAME.replace("table", "left"), "4: frame 'left': 'left' is the name of a frame that every cell has"),
-        (FRAME.replace("table", "base"), "4: frame 'base': 'base' is the name of a frame that every cell has"),
-        (FRAME.replace("table", "tracker"), "4: frame 'tracker': 'tracker' is the name of a frame"),
         (FRAME.replace("xy:", "yx:"), "4: frame 'table': xy: missing; give origin, x, xy, or points"),
         (FRAME.replace("500 mm", "500 deg"), "4: frame 'table': x[1]: 'deg' is not a unit of length"),
-        (FRAME.replace("{in:", "{inn:"), "4: frame 'table': inn: unknown key; did you mean 'in'?"),
         (FRAME.replace("xy: [0.5", "xy: [1"), "4: frame 'table': the nominal points lie on one line"),
-        ("frames: [1]\n", "3: frames: expected keys with values, got a list of 1"),
-        ("frames:\n", "3: frames: expected keys with values, got nothing"),
         ("frames: {table: 1}\n", "3: frame 'table': expected keys with values"),
         (FRAME + "  table: {in: left}\n", "5: not YAML: key 'table' is there twice"),
     ],
@@ -161,24 +153,12 @@ def test_units_in_a_rotation_vector_and_no_rotation(path: Path) -> None:
     [
         ({"quaternion": "[1, 0, 0]"}, "quaternion[3]: missing; it must be given"),
         ({"quaternion": "[0.99, 0, 0, 0]"}, "quaternion: its norm is 0.99, 0.01 from one (at most 0.001), so it is no"),
-        ({"quaternion": "[.nan, 0, 0, 1]"}, "quaternion[0]: "),
-        ({"quaternion": "1"}, "quaternion: expected a list, got 1"),
-        (
-            {"matrix": "[[1, 0, 0], [0, 1, 0], [0, 0.01, 1]]"},
-            "matrix: its rows are off unit length and right angles by 0.01",
-        ),
+        ({"matrix": "[[1, 0, 0], [0, 1, 0], [0, 0.01, 1]]"}, "matrix: its rows are off unit length and right angles b"),
         ({"matrix": "[[1, 0, 0], [0, 1, 0], [0, 0, -1]]"}, "matrix: its determinant is -1: a reflection, no rotation"),
-        (
-            {"matrix": "[[1e200, 0, 0], [0, 1, 0], [0, 0, 1]]"},
-            "matrix: its rows are off unit length and right angles",
-        ),
         ({"matrix": "[[1, 0, 0], [0, 1, 0]]"}, "matrix[2]: missing"),
         ({"matrix": "[[1, 0, 0], [0, 1, x], [0, 0, 1]]"}, "matrix[1][2]: expected a number, got 'x'"),
         ({"rotation_vector": "[180, 0, 0]"}, "rotation_vector[0]: 180 rad is more than two turns"),
-        (
-            {"rpy": "[0, 0, 0]", "quaternion": "[1, 0, 0, 0]"},
-            "quaternion: 'rpy' is there too; give one of rpy, quaternion",
-        ),
+        ({"rpy": "[0, 0, 0]", "quaternion": "[1, 0, 0, 0]"}, "quaternion: 'rpy' is there too; give one of rpy, quater"),
     ],
 )
 def test_a_rotation_that_is_none(path: Path, keys: dict[str, str], says: str) -> None:
@@ -191,59 +171,21 @@ def test_a_rotation_that_is_none(path: Path, keys: dict[str, str], says: str) ->
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (
-            one(frame="tabel"),
-            "targets.yaml:4: target 'one': no frame 'tabel'; frames are base, tracker, left, right; ",
-        ),
-        (
-            FRAME + one(frame="tabel"),
-            "6: target 'one': no frame 'tabel'; frames are base, tracker, left, right, table",
-        ),
+        (one(frame="tabel"), "targets.yaml:4: target 'one': no frame 'tabel'; frames are base, tracker, left, right; "),
         (one(frame="3"), "target 'one': frame: expected a text, got 3; put it in quotes"),
-        (
-            one(position="[-0.4, 0.25, 50]"),
-            "target 'one': 50 m is farther from the base than any arm reaches; is it 50 mm?",
-        ),
+        (one(position="[-0.4, 0.25, 50]"), "target 'one': 50 m is farther from the base than any arm reaches; is it 5"),
         (one(approach="[1, 0]"), "target 'one': approach: expected 6 signs, one for each joint of arm left, got 2"),
-        (one(approach="[1, 0, 0, 0, 0, 3]"), "target 'one': approach[5]: expected -1, 0 or 1, got 3"),
-        (
-            one(partner="{arm: left, position: [0, 0, 0]}", rpy="[0, 0, 0]"),
-            "arm left cannot be its own partner; the",
-        ),
-        (
-            one(partner="{arm: top, position: [0, 0, 0]}", rpy="[0, 0, 0]"),
-            "partner: no arm 'top'; the others are right",
-        ),
+        (one(partner="{arm: top, position: [0, 0, 0]}", rpy="[0, 0, 0]"), "partner: no arm 'top'; the others are righ"),
         (one(partner="{arm: right, position: [0, 0, 0]}"), "give the target a rotation"),
         (one(partner="{arm: right, position: [0, 0, 50]}"), "target 'one': partner.position[2]: 50 m is beyond 10 m"),
-        (
-            one(partner="{arm: right, positon: [0, 0, 0]}"),
-            "partner.positon: unknown key; did you mean 'position'?",
-        ),
-        (
-            one(partner="{arm: right, position: [0, 0, 0], quaternion: [2, 0, 0, 0]}"),
-            "partner.quaternion: its norm is 2",
-        ),
+        (one(partner="{arm: right, position: [0, 0, 0], quaternion: [2, 0, 0, 0]}"), "partner.quaternion: its norm is"),
         (one(conditions="{payload: -1}"), "target 'one': conditions.payload: expected at least 0, got -1"),
-        (
-            one(conditions="{load: 1}"),
-            "target 'one': conditions.load: unknown key; did you mean 'payload'?",
-        ),
-        (
-            one(colour="red"),
-            "target 'one': colour: unknown key; known here are name, arm, position, rpy, frame",
-        ),
-        (
-            "conditions: {middle: {payload: 1}}\n" + ONE,
-            "targets.yaml:3: conditions: no arm 'middle'; arms are left",
-        ),
+        ("conditions: {middle: {payload: 1}}\n" + ONE, "targets.yaml:3: conditions: no arm 'middle'; arms are left"),
         ("conditions: {left: {payload: 1 m}}\n" + ONE, "3: conditions.left.payload: 'm' is not a unit of mass"),
         ("tragets: 1\n" + ONE, "targets.yaml:3: tragets: unknown key; did you mean 'targets'?"),
         (one(position="[0, 0, 0], position: [0, 0, 1]"), "targets.yaml:4: not YAML: key 'position' is there twice"),
-        ("targets: " + "[" * 60 + "]" * 60, "targets.yaml:3: nested too deeply"),
         ("targets: " + "[" * 100_000, "targets.yaml:3: nested too deeply"),
         ("targets: " + "- " * 100_000, "targets.yaml:3: not YAML"),
-        ("targets:\n  " + "- " * 100_000, "targets.yaml:4: nested too deeply"),
         ("targets: [2026-99-99]\n", "targets.yaml: not YAML: month must be in 1..12"),
     ],
 )

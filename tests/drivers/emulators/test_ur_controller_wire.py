@@ -319,12 +319,6 @@ def send_move(client: Rtde, q: tuple[float, ...], speed: float, acceleration: fl
     client.send("U", b"\x01" + struct.pack(">i8di", 1, *q, speed, acceleration, 0))
 
 
-def finish_move(client: Rtde) -> None:
-    client.until(lambda s: s[0] == 2)
-    client.send("U", b"\x02" + struct.pack(">i", 0))
-    client.until(lambda s: s[0] == 1)
-
-
 @contextmanager
 def commanding(server: UrControllerServer, arm: str) -> Iterator[Rtde]:
     """A client with the script running; its states are script state, runtime state, timestamp, q."""
@@ -337,33 +331,6 @@ def commanding(server: UrControllerServer, arm: str) -> Iterator[Rtde]:
             script.sendall(control_text(0))
             client.until(lambda s: s[1] == 2 and s[0] == 1)
             yield client
-
-
-def test_random_draws_of_a_plant_depend_on_the_order_of_moves_only(make_arm, make_plant) -> None:
-    """The same moves over the wire and without it end at the same places to the last digit, at any pace."""
-
-    def cell():
-        return make_plant(make_arm(), repeatability=1e-4, noise=True, seed=5)
-
-    direct = cell()
-    home = direct.q("left")
-    goals = [tuple(home + step) for step in (0.2, -0.1, 0.25)]
-    expected = []
-    for goal in goals:
-        direct.start_move("left", np.array(goal), np.full(6, 1.0), np.full(6, 2.0))
-        direct.advance(5.0)
-        expected.append(direct.targets()[0].p_M)
-    for pace in (5.0, 40.0):
-        plant = cell()
-        with (
-            UrControllerServer([replace(CB3, name="left")], plant, pace) as server,
-            commanding(server, "left") as client,
-        ):
-            for goal, place in zip(goals, expected, strict=True):
-                send_move(client, goal, 1.0, 2.0)
-                finish_move(client)
-                with server.cell.lock:
-                    assert plant.targets()[0].p_M == pytest.approx(place, abs=1e-9)
 
 
 def test_an_arm_moves_on_when_its_client_has_gone() -> None:
@@ -417,25 +384,6 @@ def test_a_silent_port_sends_nothing_and_recovers_by_itself() -> None:
         client.until(missed_some)
 
 
-def test_the_slider_and_the_stops_over_the_control_channel() -> None:
-    with alone(CB3) as (server, control):
-        control("old", "slider", 0.25)
-        until(lambda: control("old", "status")["speed_scaling"] == 0.25, "the slider")
-        assert control("old", "status")["speed_fraction"] == 0.25
-        for wrong in ("nan", "inf", "-1", "2", "x"):
-            with pytest.raises(Refused):
-                control("old", "slider", wrong)
-        assert control("old", "stops") == control("old", "starts") == []
-        control("old", "foreign", "playing")
-        before_s = time.monotonic()
-        assert talk(at(server, "old", "dashboard"), "stop")[1] == "Stopped"
-        (stop,) = control("old", "stops", before_s)
-        assert before_s <= stop["received_s"] == stop["rest_s"] <= time.monotonic()
-        assert control("old", "status")["stop"] == stop
-        assert control("old", "stops", stop["received_s"] + 1.0) == []
-        assert control("old", "clearance") is None, "ideal joints have no bodies"
-
-
 def test_a_foreign_program_is_loaded_paused_and_ended_on_command() -> None:
     with alone(CB3) as (server, control):
         address = at(server, "old", "dashboard")
@@ -450,19 +398,6 @@ def test_a_foreign_program_is_loaded_paused_and_ended_on_command() -> None:
         control("old", "foreign", "off")
         control("old", "foreign", "paused")
         until(lambda: control("old", "status")["runtime_state"] == "PAUSED", "the pause")
-
-
-def test_a_dashboard_connection_opened_in_local_control_stays_refused() -> None:
-    with alone(E_SERIES) as (server, control):
-        control("new", "remote", "off")
-        address = at(server, "new", "dashboard")
-        with socket.create_connection(address, PATIENT_S) as link, link.makefile("r") as lines:
-            assert lines.readline().startswith("Connected")
-            for remote in ("off", "on"):
-                control("new", "remote", remote)
-                link.sendall(b"stop\n")
-                assert "please switch robot to Remote Control mode and reconnect" in lines.readline()
-        assert talk(address, "stop")[1] == "Stopped"
 
 
 def test_the_true_load_is_the_operators_and_the_believed_one_the_clients(make_arm, make_plant) -> None:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from scipy.optimize import root
 from drivers.plant import ONLY_MOVING, OUTSIDE, REALISTIC, gravity_torques, suggest, suggest_other_law
 from drivers.plant.effect import Parameters
 from drivers.plant.effects import FACTORIES, build
-from drivers.plant.mechanism import STANDARD_GRAVITY, Posture, nominal
+from drivers.plant.mechanism import STANDARD_GRAVITY
 from drivers.plant.random_functions import RandomField, RandomPaths
 
 FAST = {"speed": np.full(6, 2.0), "acceleration": np.full(6, 3.0)}
@@ -201,52 +199,10 @@ def test_an_uncatalogued_effect_rotates_one_joint_by_others(make_arm, make_plant
 # -- Under load: analytic springs, beams and columns -------------------------------------------------------------------
 
 
-DOWN = np.array([0.0, 0.0, -STANDARD_GRAVITY])
-
-
-def _effect(name, values, joints=6):
-    return FACTORIES[name](Parameters("left", name, values, joints))
-
-
 # -- springs in the joints ---------------------------------------------------------------------------------------------
 
 
 # -- beams -------------------------------------------------------------------------------------------------------------
-
-LENGTH, EI, GJ = 0.612, 8e4, 6e4  # of the UR10's upper arm
-LEVEL = np.zeros((1, 6))  # both beams lie level, along -x of B
-
-
-def _tip(arm, links=(2,), bending=EI, torsion=GJ, q=LEVEL):
-    """Twist of the first of ``links`` as it bends at ``q``, turned into B: shift and rotation vector."""
-    effect = _effect(
-        "link_bending",
-        {"links": list(links), "bending": [bending] * len(links), "torsion": [torsion] * len(links)},
-    )
-    posture = Posture(nominal(arm), q, DOWN)
-    twist = effect.bend(SimpleNamespace(), posture).links[0, links[0] - 1]
-    turn = (posture.placements[links[0] - 1] @ posture.mechanism.frames[links[0]])[0, :3, :3]
-    return turn @ twist[:3], turn @ twist[3:]
-
-
-def _only(make_arm, **bodies):
-    """An arm whose bodies weigh nothing but those named: ``_2=(mass, centre)``."""
-    masses, centers = np.zeros(6), np.zeros((6, 3))
-    for name, (mass, center) in bodies.items():
-        number = int(name[1:]) - 1
-        masses[number], centers[number] = mass, center
-    return make_arm(masses=masses, centers_of_mass=centers)
-
-
-def test_a_weight_at_the_tip_bends_the_beam_as_a_cantilever(make_arm):
-    arm = _only(make_arm, _3=(5.0, [0.5723, 0.0, 0.0]))  # a body that hangs at the tip of link 2
-    shift, turn = _tip(arm)
-    force = 5.0 * STANDARD_GRAVITY
-    # a beam of 12 segments is a little softer than a smooth one: 1 / (8 * 144) of it
-    assert shift[2] == pytest.approx(-force * LENGTH**3 / (3 * EI), rel=3e-3)
-    assert np.linalg.norm(turn) == pytest.approx(force * LENGTH**2 / (2 * EI), rel=3e-3)
-    assert turn[1] < 0.0  # the tip, at -x, sinks: a turn about -y
-    assert np.abs(turn[[0, 2]]).max() < 1e-12
 
 
 # -- what the arm stands on --------------------------------------------------------------------------------------------
@@ -255,68 +211,12 @@ def test_a_weight_at_the_tip_bends_the_beam_as_a_cantilever(make_arm):
 COUPLING = {"bending": 2e6, "torsion": 2e6, "depth": 0.0}
 
 
-def test_the_moment_of_the_other_arm_turns_this_base(make_arm, make_plant):
-    right = make_arm("ur5", "right", 1.2)
-    plant = make_plant(make_arm(effects={"pedestal_coupling": COUPLING}), right)
-    other = np.random.default_rng(2).uniform(-2, 2, (8, 6))
-    moment = Posture(nominal(right), other, DOWN).base_moment
-    found = plant.smr_positions("left", Q, others={"right": other})
-    T_M_B = plant.true_T_M_B("left")
-    p_B = (plant_free(make_plant, make_arm, right).smr_positions("left", Q) - T_M_B[:3, 3]) @ T_M_B[:3, :3]
-    turned = p_B + np.cross(moment / 2e6, p_B)
-    assert np.abs(found - (turned @ T_M_B[:3, :3].T + T_M_B[:3, 3])).max() < 5e-9
-    # it depends on nothing else of the other arm, and a weightless one turns nothing
-    light = make_arm("ur5", "right", 1.2, masses=np.zeros(6))
-    still = make_plant(make_arm(effects={"pedestal_coupling": COUPLING}), light)
-    assert np.array_equal(
-        still.smr_positions("left", Q, others={"right": other}),
-        plant_free(make_plant, make_arm, light).smr_positions("left", Q),
-    )
-
-
-def plant_free(make_plant, make_arm, right):
-    """The same two arms without the effect."""
-    return make_plant(make_arm(), right)
-
-
 def test_a_stiffness_without_equilibrium_is_refused(make_arm, make_plant):
     with pytest.raises(ValueError, match="arm left: the hidden effects reach no equilibrium"):
         _positions(make_arm, make_plant, {"payload_compliance": {"stiffness": [1.0] * 6}}, payload=np.full(8, 10.0))
 
 
 # -- Gravity torques and elastic joints --------------------------------------------------------------------------------
-
-
-def _largest(arm, joint):
-    """The largest torque on a joint over all postures: coordinate search, exact enough as the torque is sinusoidal."""
-    turn = np.linspace(-np.pi, np.pi, 361)
-    best = 0.0
-    for start in np.random.default_rng(0).uniform(-np.pi, np.pi, (4, 6)):
-        q = start.copy()
-        for _ in range(6):
-            for k in range(1, 6):
-                trial = np.tile(q, (len(turn), 1))
-                trial[:, k] = turn
-                torque = np.abs(gravity_torques(arm, trial)[:, joint])
-                q[k] = turn[np.argmax(torque)]
-        best = max(best, float(torque.max()))
-    return best
-
-
-@pytest.mark.parametrize(
-    ("kind", "payload", "published", "within"),
-    [
-        ("ur10", 0.0, (122, 41, 3), 0.5),
-        ("ur5", 0.0, (55, 17, 1.5), 0.5),
-        # the published loads hang in front of the flange; one distance for both arms fits all six figures
-        ("ur10", 10.0, (257, 117, 23), 1.0),
-        ("ur5", 5.0, (104, 45, 10), 1.0),
-    ],
-)
-def test_the_largest_gravity_torques_are_the_published_ones(make_arm, kind, payload, published, within):
-    arm = make_arm(kind, payload_mass=payload, payload_center=np.array([0.0, 0.0, 0.08]))
-    found = [_largest(arm, joint) for joint in (1, 2, 3)]
-    assert found == pytest.approx(published, abs=within)
 
 
 @pytest.mark.parametrize("payload", [0.0, 4.0])
@@ -363,49 +263,11 @@ def test_springs_balance_gravity_at_the_deflected_posture(make_arm, make_config,
 # -- The tracker and its target: scale, zero, circles, axes, glass -----------------------------------------------------
 
 
-P = np.random.default_rng(0).uniform(-1.0, 1.0, (30, 3)) * [2.0, 2.0, 1.0] + [0.0, 3.0, 0.2]
-
-
-SITUATION: Any = SimpleNamespace()
-"""These effects do not depend on the situation."""
-
-
-def _apparent(name, values, p_M=P, normal_M=None):
-    effect = FACTORIES[name](Parameters("left", name, values, 6))
-    normal_M = -p_M / np.linalg.norm(p_M, axis=1, keepdims=True) if normal_M is None else normal_M
-    return effect.apparent_position(p_M, normal_M, SITUATION)
-
-
-def _angles(p_M):
-    return np.stack([np.arctan2(p_M[:, 1], p_M[:, 0]), np.arctan2(p_M[:, 2], np.hypot(p_M[:, 0], p_M[:, 1]))])
-
-
 def _distance(p_M):
     return np.linalg.norm(p_M, axis=1)
 
 
 GLASS = {"thickness": 3e-4, "index": 1.51, "dihedral": 0.0}
-
-
-def _turned(angle, about):
-    """Normals that look to the tracker and are then turned away by ``angle`` (n,) towards ``about`` (n, 3)."""
-    back = -P / _distance(P)[:, None]
-    side = np.cross(back, about)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    return np.cos(angle)[:, None] * back + np.sin(angle)[:, None] * side
-
-
-def test_the_path_through_the_glass_follows_snells_law():
-    angle = np.linspace(0.0, 1.0, 30)
-    seen = _apparent("target_incidence", GLASS, normal_M=_turned(angle, np.array([0.0, 0.0, 1.0])))
-    inside = np.arcsin(np.sin(angle) / 1.51)
-    # path in the glass, its part along the beam's way in air taken off (optical), against the square one
-    path = 3e-4 * (1.51 / np.cos(inside) - np.cos(angle - inside) / np.cos(inside))
-    assert _distance(seen) - _distance(P) == pytest.approx(path - 3e-4 * 0.51, abs=1e-12)
-    assert (np.diff(_distance(seen) - _distance(P)) > 0.0).all()
-    assert _angles(seen) == pytest.approx(_angles(P), abs=1e-14)
-    other_side = _apparent("target_incidence", GLASS, normal_M=_turned(angle, np.array([0.0, 1.0, 0.3])))
-    assert _distance(other_side) == pytest.approx(_distance(seen), abs=1e-14)
 
 
 def test_in_the_cell_the_tracker_sees_the_arm_through_them(make_arm, make_plant):
@@ -424,15 +286,8 @@ def test_in_the_cell_the_tracker_sees_the_arm_through_them(make_arm, make_plant)
 
 
 STOPS_OF_OTHER_LAWS = 30
-STIFF = [5e4, 4e4, 3e4, 1e4, 1e4, 1e4]
-WOUND = {"friction": [4.0] * 6, "load_friction": [0.0] * 6, "stiffness": STIFF}
 GROWTH = {"expansion": 2.3e-5, "share": 0.8, "lag": 900.0, "motor": 1e-6}
-WALK = {"shift": [5e-5, 2e-5, -3e-5], "turn": [1e-5, -2e-5, 3e-5]}
-SETTLING = {"fraction": [1e-4] * 6, "time_constant": [4.0] * 6}
 CIRCLES = {"azimuth": [1e-5, 0.2, 6e-3, 1.0], "elevation": [8e-6, 2.0, 5e-3, 0.3], "transit": 1e-5}
-COLUMN = {"height": 0.0, "bending": [1e6, 1e6], "torsion": 2e6}
-GENERATOR = {"ratio": [80.0], "line": [5e-5], "line_phase": [0.3], "depth_phase": [1.0], "second_cycles": [11.5],
-             "second_phase": [0.7]}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -462,52 +317,6 @@ def positions(make_arm, make_plant, situation):
         return make_plant(make_arm(effects=effects), right).smr_positions("left", told.pop("q"), **told)
 
     return measured
-
-
-LIMITS = [
-    ("joint_compliance", {"law": "hardening", "stiffness": STIFF, "cubic": [1.0] * 6}, {"stiffness": STIFF}),
-    ("joint_compliance", {"law": "stiffening", "stiffness": STIFF, "soft_stiffness": STIFF, "knee": [9.0] * 6},
-     {"stiffness": STIFF}),
-    ("joint_compliance", {"law": "three_stage", "first": STIFF, "second": STIFF, "third": STIFF,
-                          "first_knee": [5.0] * 6, "second_knee": [20.0] * 6}, {"stiffness": STIFF}),
-    ("payload_compliance", {"law": "off_centre", "stiffness": STIFF, "shift": [0.0] * 3}, {"stiffness": STIFF}),
-    ("payload_compliance", {"law": "softening", "stiffness": STIFF, "soft_stiffness": STIFF, "knee": [5.0] * 6},
-     {"stiffness": STIFF}),
-    ("link_bending", {"law": "shear", "links": [2], "bending": [1e5], "torsion": [8e4], "shear": [np.inf]},
-     {"links": [2], "bending": [1e5], "torsion": [8e4]}),
-    ("encoder_eccentricity",
-     {"law": "tilted", "joints": [2], "eccentricity": [2e-6], "radius": [0.025], "phase": [0.4], "tilt": [0.0],
-      "tilt_phase": [1.0]},
-     {"joints": [2], "eccentricity": [2e-6], "radius": [0.025], "phase": [0.4]}),
-    ("transmission_error", {"mode": "meshing", "joints": [1], **GENERATOR, "depth": [0.0], "second": [0.0]},
-     {"mode": "meshing", "joints": [1], **GENERATOR, "depth": [0.0], "second": [0.0], "second_cycles": [3.0]}),
-    ("friction_windup", {"law": "stribeck", **WOUND, "rise": 0.0, "short": 0.5}, WOUND),
-    ("friction_windup", {"law": "root_load", **WOUND, "typical_load": [10.0] * 6}, WOUND),
-    ("unsettled_measurement", {"law": "two_rates", **SETTLING, "slow_time_constant": [30.0] * 6, "slow_share": 0.0},
-     SETTLING),
-    ("thermal_growth", {"law": "two_lags", **GROWTH, "slow_lag": 5000.0, "slow_share": 0.0}, GROWTH),
-    ("thermal_growth", {"law": "saturating", **GROWTH, "limit": 1e6}, GROWTH),
-    ("base_step", {"law": "creeping", **WALK, "time": 4000.0, "creeping": 0.0, "time_constant": 100.0},
-     {**WALK, "time": 4000.0}),
-    ("target_slip", {"law": "creeping", "shift": [1e-4, 0.0, 5e-5], "time": 4000.0, "creeping": 0.0,
-                     "time_constant": 100.0}, {"shift": [1e-4, 0.0, 5e-5], "time": 4000.0}),
-    ("pedestal_compliance", {"law": "frame", "pivot": [0.0] * 3, "direct": [1e-6, 1e-6, 5e-7], "cross": [0.0] * 3},
-     COLUMN),
-    ("pedestal_coupling", {"law": "hardening", "bending": 2e6, "torsion": 1e6, "depth": 0.4, "limit": 1e12},
-     {"bending": 2e6, "torsion": 1e6, "depth": 0.4}),
-    ("tracker_scale", {"law": "air", "ppm": 5.0, "per_kelvin": 0.0}, {"ppm": 5.0}),
-    ("tracker_distance_offset", {"law": "growing", "offset": 2e-5, "length": 1e-3}, {"offset": 2e-5}),
-    ("tracker_angle_error", {"law": "higher", **CIRCLES, "azimuth_higher": [0.0] * 4, "elevation_higher": [0.0] * 4},
-     CIRCLES),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("effect", "other", "usual"), LIMITS, ids=lambda value: value if isinstance(value, str) else ""
-)
-def test_the_usual_law_is_a_limit_of_the_other(positions, effect, other, usual):
-    moved = positions({effect: usual}) - positions({})
-    assert np.abs(positions({effect: other}) - positions({effect: usual})).max() < 1e-5 * np.abs(moved).max() + 1e-12
 
 
 def test_many_plays_follow_their_history_in_a_batch_as_in_motion(make_arm, make_plant):

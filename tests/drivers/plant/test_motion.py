@@ -37,17 +37,6 @@ def speed(moved: Motion, time_s: float) -> np.ndarray:
     return moved.velocity(np.array([time_s]))[0]
 
 
-def test_a_motion_scaled_to_zero_stands_and_goes_on() -> None:
-    full = motion()
-    stands = full.scaled(11.0, 0.0)
-    assert stands.end_s == np.inf
-    assert np.array_equal(at(stands, 500.0), at(full, 11.0))
-    assert not speed(stands, 12.0).any()
-    again = stands.scaled(20.0, 1.0)
-    assert again.end_s == pytest.approx(full.end_s + 9.0)
-    assert np.allclose(at(again, 20.3), at(full, 11.3))
-
-
 # -- Scheduled actions happen at their time, in the middle of what a device does ---------------------------------------
 
 SLOW = np.full(6, 0.5)
@@ -297,22 +286,3 @@ def test_a_sweep_that_begins_elsewhere_or_meets_a_motion_is_refused() -> None:
     plant.start_move("right", plant.q("right") + 0.1, np.ones(6), np.ones(6))
     with pytest.raises(ValueError, match="no other motion"):
         record_sweep(plant, EXACT, "left", swing(plant), CYCLE_S)
-
-
-def test_an_arm_that_swings_beside_moves_the_base_and_remembers_its_way() -> None:
-    effects = {"pedestal_coupling": {"bending": 5e5, "torsion": 5e5, "depth": 0.3}}
-    records, play = [], {"play": [2e-4] * 6}
-    for beside in (False, True):
-        quiet = {"effects": {"left": effects, "right": {"backlash": play}}, "noise": False, "repeatability": 0.0}
-        plant = build_plant(small_twin(plant=quiet))
-        commanded, other = swing(plant), np.repeat(plant.q("right")[None], 1000, axis=0)
-        other[:, 1] += 0.5 * np.sin(np.pi * np.arange(1000) / 999.0) ** 2
-        records.append(record_sweep(plant, EXACT, "left", commanded, CYCLE_S, {"right": other} if beside else {}))
-        assert not plant.moving("right")
-    alone, both = records
-    away = np.linalg.norm(both.p_M - alone.p_M, axis=1)
-    assert away[[0, -1]].max() < 1e-6 < 50e-6 < away.max() < 500e-6, "the other arm's weight tilts the base meanwhile"
-    assert not alone.beside_q
-    assert np.ptp(both.beside_q["right"][:, 1]) == pytest.approx(0.5, abs=0.01)
-    with pytest.raises(ValueError, match="arm right is not where its sweep begins"):
-        record_sweep(plant, EXACT, "left", commanded, CYCLE_S, {"right": other + 0.1})

@@ -24,11 +24,9 @@ from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.quantities import conditions_of_arms, measured_quantities, measurement_conditions
 from cellapp.estimation.discovery import all_readings, discover
 from cellapp.estimation.discovery.all_readings import fit_to_all
-from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.discover import Searched, discover_arm, search_rows
 from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import with_effects
-from cellapp.estimation.discovery.search.stepwise import search
 from cellapp.estimation.discovery.terms import has_smooth_terms
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
@@ -117,28 +115,6 @@ def test_an_effect_that_makes_held_out_errors_larger_is_left_out_and_said(tmp_pa
     assert "backlash" in found.result.sentence
     assert "made held-out errors larger" in found.result.sentence
     assert any("dropped in review: backlash" in step.what for step in found.result.steps)
-
-
-@pytest.mark.slow
-def test_readings_that_were_computed_without_noise_are_searched(tmp_path, plan):
-    """Rounding alone is left: weights by it would make every normal matrix singular."""
-    with measured_run(tmp_path / "run", {name: q[:60] for name, q in plan.items()}, {}) as run:
-        profile, measured = (
-            run.profile.model_copy(update={"arms": {"left": run.profile.arms["left"]}}),
-            run.readings("left"),
-        )
-        exact = build_plant(run.profile).smr_positions(
-            "left", measured.q, approach=measured.approach.astype(np.float64)
-        )
-
-    def fill(run):
-        run.add_readings("left", replace(measured, p_M=exact, covariance_M=None))
-
-    with RunFile.create(tmp_path / "exact", profile, fill) as run:
-        found = calibrated_and_searched(run)
-    result = found.arms["left"].result
-    assert not [one for one in result.accepted if one.effect != "unknown"]
-    assert result.heldout_mm.after < 1e-3
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
@@ -521,23 +497,3 @@ def test_only_terms_that_predict_worse_are_removed():
     assert len(left.found.fit.terms) == len(terms) - 1
     assert len(left.found.reviews) == len(terms) - 1
     assert judge.rms_mm(left.model) < 0.6 * judge.rms_mm(left.found.geometry_only.model)
-
-
-@pytest.mark.slow
-def test_gross_errors_beyond_the_searched_rows_need_no_other_search(monkeypatch):
-    profile, name, model, readings, conditions = drawn_beyond()
-    monkeypatch.setattr(discover, "_MOST_SEARCHED", SEARCHED)
-    searches: list[int] = []
-
-    def counted(data: ArmData, *rest):
-        searches.append(len(data))
-        return search(data, *rest)
-
-    monkeypatch.setattr(discover, "search", counted)
-    rows = readings.in_split("identify")
-    seen = set(searched().search.data.readings.configuration.tolist())
-    p_M, wrong = readings.p_M.copy(), next(row for row in rows if readings.configuration[row] not in seen)
-    p_M[wrong] += 0.0012  # far below what the geometry alone shows
-    found = discover_arm(profile, name, model, replace(readings, p_M=p_M), conditions=conditions).result
-    assert found.left_out_configurations == (readings.configuration[wrong],)
-    assert searches == [SEARCHED]

@@ -194,11 +194,6 @@ def test_cycles_hold_the_middle_of_the_power():
     assert found["2"].rms_urad == pytest.approx(math.sqrt((1 + 100 + 144 + 64 + 1) / 2.0))
 
 
-def test_columns_that_are_not_periodic_have_no_cycles():
-    assert dominant_cycles([joint_column("half_play1", "rad", 0, np.ones(2), 0.0, 1.0)], np.ones(1)) == {}
-    assert dominant_cycles([wave_column(0, 3, False), wave_column(0, 3, True)], np.zeros(2)) == {}
-
-
 def fitted(bend, *terms, off_axis_m=0.1):
     """Data and a fit of ``terms`` to readings with joint offsets ``bend(q, approach)``."""
     profile = load_profile(PROFILES / "twin.yaml")
@@ -237,23 +232,6 @@ def only(joint, values):
     bent = np.zeros((len(values), 6))
     bent[:, joint - 1] = values
     return bent
-
-
-def test_backlash_has_two_levels():
-    part = ModelTerm("backlash", EFFECTS["backlash"].law("constant"), ("half_play2",))
-    (picture,) = made(lambda q, approach: only(2, -2e-4 * approach[:, 1]), part)
-    assert picture.title.endswith(", joint 2")
-    assert picture.x_label == "approach direction of joint 2"
-    assert picture.y_label == "offset of joint 2 [urad]"
-    assert picture.curve is None
-    assert set(picture.x) == {-1.0, 1.0}
-    computed = np.array(picture.computed)
-    assert np.abs(computed) == pytest.approx(200.0, abs=5.0 * picture.band[0])
-    assert (np.sign(computed) == -np.sign(picture.x)).all()
-    # the dots scatter about what was computed and hold it
-    off = np.array(picture.measured) - computed
-    assert abs(np.median(off)) < 10.0
-    assert np.sqrt(np.mean(off**2)) < 60.0
 
 
 def test_fast_lines_are_laid_over_one_another_and_slow_ones_are_not():

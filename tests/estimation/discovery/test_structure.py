@@ -410,23 +410,6 @@ def test_it_is_the_marginal_likelihood_of_the_readings():
     assert evidence(gathered(parts, y), variance, TRUE.noise).value == pytest.approx(wanted, abs=0.02)
 
 
-def test_the_derivatives_are_those_of_differences():
-    rng = np.random.default_rng(3)
-    parts = (plain(rng), plain(rng))
-    data = gathered(parts, simulated(rng, parts, Hyperparameters((np.array([0.5, 0.3]),) * 2, (1.0, 1.0), 0.1)))
-    variance, noise, step = np.array([0.2, 0.1, 0.3, 0.05, 0.4, 0.2, 0.1, 0.6]), 0.2, 1e-5
-    found = evidence(data, variance, noise)
-    for k in range(len(variance)):
-        up, down = variance.copy(), variance.copy()
-        up[k] *= math.exp(step)
-        down[k] *= math.exp(-step)
-        slope = (log_evidence(data, up, noise) - log_evidence(data, down, noise)) / (2.0 * step)
-        assert found.by_variance[k] == pytest.approx(slope, rel=1e-4, abs=1e-4)
-    above = log_evidence(data, variance, noise * math.exp(step))
-    below = log_evidence(data, variance, noise * math.exp(-step))
-    assert found.by_noise == pytest.approx((above - below) / (2.0 * step), rel=1e-4, abs=1e-4)
-
-
 def test_hyperparameters_of_a_simulated_curve_are_recovered():
     rng = np.random.default_rng(4)
     errors = []

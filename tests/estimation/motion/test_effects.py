@@ -14,11 +14,11 @@ from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult
 from cellapp.estimation.motion.calibrate import calibrate_with_motion
 from cellapp.estimation.motion.discovery import SearchWithRecordings
-from cellapp.estimation.motion.effects import _Search, effects_in_motion
+from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
 from cellapp.estimation.motion.joint_path import Fading, joint_path
-from cellapp.estimation.motion.steps import State, Step, effects_of, vibration
+from cellapp.estimation.motion.steps import State, Step, effects_of
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.motion.terms import (
     JointTerm,
@@ -118,40 +118,6 @@ def test_time_constants_and_vibration_are_named_with_their_sizes_and_stay_out_of
     assert discovery.terms == ()
     assert discovery.fit.clocks["sweep"].offset_s == pytest.approx(0.0178, abs=1e-3)
     assert discovery.heldout_after_mm < 0.2 * discovery.heldout_before_mm
-
-
-def test_of_two_vibrations_the_one_that_chance_explains_goes_and_the_other_stays():
-    rng = np.random.default_rng(8)
-    arm = replace(true_arm(rng), springs={0: (9.0, 0.04)})
-    recording = record(rng, arm, corners(rng, 6, 20.0), seconds=20.0, slow=0.0)
-    problem, rows = motion_problem(RecordedArm(NOMINAL, (recording,), tool_unknown=True), lambda words: None)
-    by_chance, true = vibration(2, (1e-4, 20.0, 0.05)), vibration(0, (1.0 / (2.0 * np.pi * 9.0) ** 2, 9.0, 0.04))
-    problem = problem.without_terms().with_terms((*by_chance, *true))
-    solution = solve(problem, rows)
-    search = _Search(problem, rows, lambda words: None)
-    steps = [Step(Law.VIBRATION, terms, 500.0, -200.0, 1.0, 1.0) for terms in (by_chance, true)]
-    _, kept = search._without_chance(State(problem, solution, 1.0), steps)
-    assert kept == steps[1:]
-
-
-def test_play_is_no_dry_friction_where_no_joint_winds_up():
-    rng = np.random.default_rng(9)
-    arm = true_arm(rng, half_play=[120e-6] * 6)
-    motion = sweep(rng, 6, base_hz=0.02, harmonics=10)
-    recording = record(rng, arm, motion, seconds=60.0, point_hz=40.0, slow=0.0)
-    recorded = RecordedArm(NOMINAL, (recording,), tool_unknown=True, bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
-    problem, rows = motion_problem(recorded, lambda words: None)
-    steps = [Step(law, of_all_joints(law, 6), 100.0, -50.0, 1.0, 1.0) for law in (Law.PLAY, Law.WINDUP)]
-    problem = problem.without_terms().with_terms(tuple(term for step in steps for term in step.terms))
-    (effect, terms), *others = effects_of(State(problem, solve(problem, rows), 1.0), steps)
-    assert (effect.slug, effect.form, others) == ("backlash", "constant", [])
-    assert terms == steps[0].terms
-    assert effect.values == pytest.approx([120e-6] * 6, rel=0.15)
-    alone = problem.without_terms().with_terms(steps[0].terms)
-    state = State(alone, solve(alone, rows), 1.0)
-    for rival, share in ((-50.0, 0.5), (-47.0, 0.95), (np.inf, 1.0)):  # wind-up that would explain as much, or less
-        ((effect, _),) = effects_of(state, [replace(steps[0], rival=rival)])
-        assert effect.posterior == pytest.approx(share, abs=0.01)
 
 
 class OffCentre(Arm):
@@ -282,8 +248,6 @@ def test_an_arm_that_rests_after_a_gap_shows_no_side_until_it_moves():
 
 
 # -- Loops of lost motion: what a joint lies behind its motor after upward and after downward motion -------------------
-
-PLAY = 50e-6
 
 
 # -- Discovery of an arm that was recorded in motion: its model where it predicts better, and its words ----------------

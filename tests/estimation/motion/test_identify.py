@@ -56,14 +56,6 @@ def test_clocks_geometry_and_play_are_those_of_the_simulated_arm(case):
     assert fit.half_play[1] > 4.0 * fit.half_play_standard_error[1]
 
 
-def test_held_out_blocks_see_the_noise_alone(case):
-    fit = fit_of(case[2])
-    one = fit.recordings["sweep"]
-    assert one.held_out + one.learnt < one.points
-    assert one.heldout_rms_mm == pytest.approx(1e3 * np.sqrt(3.0) * np.hypot(40e-6, 15e-6), rel=0.15)
-    assert np.sqrt(np.mean(one.heldout_nominal_mm**2)) > 3.0 * one.heldout_rms_mm
-
-
 def test_stamps_that_jitter_about_a_regular_clock_are_replaced_by_it(case):
     arm, motion, _ = case
     rng = np.random.default_rng(8)
@@ -126,20 +118,6 @@ def test_a_part_before_a_step_of_a_clock_of_which_nothing_is_learnt_leaves_the_r
     assert clock.offset_standard_error_s < 1e-3
     assert clock.offset_s == pytest.approx(0.0178, abs=5e-4)
     assert fit.heldout_rms_mm < 0.1
-
-
-def test_gross_points_do_not_count(case):
-    recording = case[2]
-    rng = np.random.default_rng(12)
-    p_M = recording.points.p_M.copy()
-    wrong = rng.choice(len(p_M), 300, replace=False)
-    p_M[wrong] += rng.normal(0.0, 0.5, (300, 3))
-    p_M[4000:4010] = 0.0
-    fit = fit_of(replace(recording, points=replace(recording.points, p_M=p_M)))
-    one = fit.recordings["sweep"]
-    assert one.gross > 250
-    assert clock_holds(one.clock, 0.0178, -18.0)
-    assert one.heldout_rms_mm < 0.09
 
 
 def test_stops_and_recordings_in_one_fit(case):

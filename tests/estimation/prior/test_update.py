@@ -176,20 +176,6 @@ def test_of_a_quite_different_arm_nothing_is_used(arm: SimulatedArm, earlier: Ea
     assert outcome.found.model.effects == ()
 
 
-def test_a_chain_passes_on_what_was_left_out_and_what_appeared(arm: SimulatedArm, earlier: Earlier) -> None:
-    free = replace(arm, model=replace(arm.model, effects=())).mounted(ELSEWHERE, TOOL)
-    readings = free.readings(60, seed=12)
-    before = update(
-        free.profile, "left", readings, measurement_conditions(readings), earlier.belief, earlier.since
-    )  # fmt: skip
-    models = {"left": stated_model(before.found, 0)}
-    belief, count = believed(free.profile, "left", models, {"left": readings}, earlier.belief, earlier.since)
-    assert count == 60
-    assert len(belief.mean) == len(belief.covariance) == len(belief.size) == len(belief.parts)
-    again_free = free.mounted(np.eye(4), -TOOL)
-    assert error_um(again_free, again(again_free, replace(earlier, belief=belief), 30)) < 15.0
-
-
 def test_drifts_whose_search_does_not_end_are_no_statement_about_the_arm(
     arm: SimulatedArm, earlier: Earlier, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cellapp.cell.profile import load_profile
-from cellapp.commands.discover.tables import accepted_table
-from cellapp.estimation.discovery.discover import discover_arm
-from cellapp.estimation.discovery.outcome import Discovery
-from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import (
     EFFECTS,
     FIXED,
@@ -38,10 +32,6 @@ from cellapp.robot.effects import (
     term_to_json,
 )
 from cellapp.robot.effects.data_driven import Quantity, Variable, channels, form_of
-from cellapp.robot.kinematics.chain import smr_positions
-from cellapp.robot.model import ArmModel
-from cellapp.robot.model.nominal import bodies_of, nominal_arm
-from tests.arms import STATION
 from tests.interfaces.plugins.installed import add_example, installed
 from tests.robot.effects.cell import context_of
 
@@ -177,66 +167,7 @@ def test_a_damaged_term_is_refused(change: dict[str, Any], message: str) -> None
 
 # -- The effect of a plug-in: discovery names it, tunes its constant, and reports it in its words ----------------------
 
-TWIN = Path(__file__).parents[3] / "profiles" / "twin.yaml"
-UP = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
-N = 240
-HELD_OUT = 60
-SIGMA_M = 10e-6
 HOSE = "hose_pull"
-TRUE_SLACK = 1.25
-TRUE_PULL = np.array([3e-4, 4e-4, 0.0, 0.0, 0.0, 0.0])
-
-
-@pytest.fixture
-def plugin(tmp_path: Path) -> Iterator[None]:
-    """The example is installed."""
-    with installed(add_example(tmp_path)):
-        yield
-
-
-@pytest.fixture
-def discovery(plugin: None) -> Discovery:
-    """What discovery finds in readings of an arm with a hose that pulls."""
-    profile = load_profile(TWIN)
-    few = profile.discovery.model_copy(update={"null_simulations": 60, "false_alarm": 0.02})
-    profile = profile.model_copy(update={"discovery": few})
-    arm = profile.arms["left"]
-    geometry = nominal_arm(arm).with_T_M_B(STATION)
-    model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(arm), up_M=UP)
-    rng = np.random.default_rng(5)
-    q = rng.uniform(-2.5, 2.5, (N, 6))
-    pull = -TRUE_PULL * np.sign(q) * np.maximum(np.abs(q) - TRUE_SLACK, 0.0)
-    readings = Readings(
-        configuration=np.arange(N, dtype=np.int64),
-        time_s=np.full(N, np.nan),
-        q=q,
-        approach=np.zeros((N, 6), dtype=np.int8),
-        p_M=smr_positions(geometry, q + pull) + rng.normal(0.0, SIGMA_M, (N, 3)),
-        payload_kg=np.full(N, 2.0),
-        sigma_m=np.full(N, SIGMA_M),
-        split=("identify",) * (N - HELD_OUT) + ("validate",) * HELD_OUT,
-    )
-    return discover_arm(profile, "left", model, readings)
-
-
-def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discovery: Discovery) -> None:
-    ((accepted,), (term,)) = discovery.result.accepted, discovery.terms
-    assert (accepted.effect, term.slug, accepted.where.joints) == (HOSE, HOSE, (1, 2))
-    assert discovery.result.verdict == "explained"
-    effect = EFFECTS[HOSE]
-    slack = term.law.constants["slack"]
-    nearest = min((0.6, 1.0, 1.6), key=lambda one: abs(one - TRUE_SLACK))
-    assert abs(slack - TRUE_SLACK) < 0.02 < abs(nearest - TRUE_SLACK), "tuned off the grid"
-    pulls = dict(zip(term.names, term.values.tolist(), strict=True))
-    assert pulls["pull1"] == pytest.approx(TRUE_PULL[0], rel=0.05)
-    assert pulls["pull2"] == pytest.approx(TRUE_PULL[1], rel=0.05)
-    assert accepted.meaning is not None
-    assert accepted.meaning.cause.startswith("The hose package at each of joints 1 and 2 is too short")
-    table = accepted_table("left", discovery.result)
-    titles = [column.title for column in table.columns]
-    (row,) = (dict(zip(titles, row, strict=True)) for row in table.rows)
-    assert row["effect"] == effect.title
-    assert row["law"] == f"{effect.forms[0].words}, taut beyond {math.degrees(slack):.3g} deg"
 
 
 def a_term() -> EffectTerm:

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
 from cellapp.cell.targets.path import PathPlan, PathSpec, load_paths, plan_path
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
-from cellapp.robot.kinematics.chain import flange_poses, parameter_names, smr_positions
-from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
+from cellapp.robot.kinematics.chain import parameter_names
+from cellapp.robot.kinematics.transforms import rotation_zyx
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from cellapp.robot.paths.cartesian import Arc, CartesianPath, cartesian_path
@@ -223,29 +220,6 @@ def test_the_wanted_speed_is_kept_where_limits_allow_it(profile: Profile, model:
     fast = planned(profile, model, spec(speed="2500 mm/s", acceleration=9.0)).trajectory
     assert fast is not None
     assert np.diff(fast.s).max() / PERIOD_S < 2.5
-
-
-def test_a_single_arm_of_seven_joints_follows_too(tmp_path: Path) -> None:
-    shutil.copytree(PROFILES, tmp_path, dirs_exist_ok=True)
-    content = yaml.safe_load((tmp_path / "twin.yaml").read_text("utf-8"))
-    arm = content["arms"]["left"]
-    arm.update(type="arms/seven-joint.yaml", home=[0.0, 0.3, 0.0, -1.2, 0.0, 0.6, 0.0])
-    content["arms"], content["plant"]["effects"] = {"left": arm}, {}
-    for section in ("pair", "targets"):
-        content.pop(section, None)
-    (tmp_path / "seven.yaml").write_text(yaml.safe_dump(content), "utf-8")
-    alone = load_profile(tmp_path / "seven.yaml")
-    model = calibrated(alone)
-    geometry = model.arms["left"].geometry.with_T_M_B(np.eye(4))
-    home = np.array([arm["home"]])
-    smr, flange = smr_positions(geometry, home)[0], flange_poses(geometry, home)[0][0]
-    yaw, pitch, roll = zyx_angles(flange)
-    poses = [
-        {"position": smr.tolist(), "rpy": [roll, pitch, yaw]},
-        {"position": np.add(smr, (0.05, 0.1, -0.05)).tolist(), "blend": "10 mm"},
-        {"position": np.add(smr, (-0.05, 0.1, 0.0)).tolist()},
-    ]
-    assert_followed(alone, model, planned(alone, model, spec(poses=poses)))
 
 
 # -- refusals ---------------------------------------------------------------------------------------------------------

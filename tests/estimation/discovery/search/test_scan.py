@@ -271,14 +271,3 @@ def test_a_count_that_joints_share_is_found_where_it_is_too_small_for_each() -> 
     assert shared is not None
     assert shared.value > 10.0
     assert names(shared) == {f"joint {joint + 1} line 333" for joint in JOINTS}
-
-
-def test_the_periods_of_an_encoder_are_expected() -> None:
-    """A line is worth more at 256 cycles than elsewhere: half of the probability is with powers of two."""
-    values = []
-    for cycles in (256, 333):
-        one = found(5, (2, cycles, 2.5e-5))
-        assert one is not None
-        assert names(one) == {f"joint 3 line {cycles}"}
-        values.append(one.value)
-    assert values[0] > values[1] + 6.0
