@@ -384,6 +384,45 @@ def test_a_silent_port_sends_nothing_and_recovers_by_itself() -> None:
         client.until(missed_some)
 
 
+def test_operators_actions_over_the_control_channel() -> None:
+    quick = replace(E_SERIES, boot_s=0.05, brake_release_s=0.05)
+    with alone(quick) as (_, control):
+        control("new", "estop")
+        assert control("new", "status")["safety_mode"] == "ROBOT_EMERGENCY_STOP"
+        control("new", "estop-release")
+        control("new", "power-on")
+        control("new", "brake-release")
+        until(lambda: control("new", "status")["robot_mode"] == "RUNNING", "the brakes are released")
+        control("new", "remote", "off")
+        control("new", "protective", "now")
+        status = control("new", "status")
+        assert (status["safety_mode"], status["remote_control"]) == ("PROTECTIVE_STOP", False)
+        control("new", "release")
+        until(lambda: control("new", "status")["safety_mode"] == "NORMAL", "the safety stop is over")
+        assert control("new", "log")[-1] == "protective stop released"
+        control("new", "power-off")
+        assert control("*", "status")[0]["robot_mode"] == "POWER_OFF"
+
+
+def test_the_slider_and_the_stops_over_the_control_channel() -> None:
+    with alone(CB3) as (server, control):
+        control("old", "slider", 0.25)
+        until(lambda: control("old", "status")["speed_scaling"] == 0.25, "the slider")
+        assert control("old", "status")["speed_fraction"] == 0.25
+        for wrong in ("nan", "inf", "-1", "2", "x"):
+            with pytest.raises(Refused):
+                control("old", "slider", wrong)
+        assert control("old", "stops") == control("old", "starts") == []
+        control("old", "foreign", "playing")
+        before_s = time.monotonic()
+        assert talk(at(server, "old", "dashboard"), "stop")[1] == "Stopped"
+        (stop,) = control("old", "stops", before_s)
+        assert before_s <= stop["received_s"] == stop["rest_s"] <= time.monotonic()
+        assert control("old", "status")["stop"] == stop
+        assert control("old", "stops", stop["received_s"] + 1.0) == []
+        assert control("old", "clearance") is None, "ideal joints have no bodies"
+
+
 def test_a_foreign_program_is_loaded_paused_and_ended_on_command() -> None:
     with alone(CB3) as (server, control):
         address = at(server, "old", "dashboard")
