@@ -194,6 +194,18 @@ def test_ending_or_replacing_a_program_brakes_the_arm(bench: Bench) -> None:
     bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
 
 
+@given(st.lists(st.tuples(st.integers(-3, 300), st.floats(allow_nan=True, allow_infinity=True)), max_size=12))
+def test_no_registers_break_the_controller(writes: list[tuple[int, float]]) -> None:
+    bench = Bench()
+    bench.start_script()
+    for command, value in writes:
+        bench.write(command, (value,) * 8, command % 2)
+        bench.cycles(3)
+        bench.write(0)
+        bench.cycles(2)
+    assert all(map(math.isfinite, bench.controller.values["actual_q"]))
+
+
 # -- safety and power --------------------------------------------------------------------------------------------------
 
 

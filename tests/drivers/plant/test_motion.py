@@ -127,6 +127,25 @@ def test_links_follow_a_jump_of_temperature_with_their_lag(make_arm, make_plant)
     assert grown == pytest.approx([0.0, 0.0, 1.0 - np.exp(-1.0), 1.0 - np.exp(-2.0), 1.0], abs=2e-3)
 
 
+def test_a_given_history_agrees_with_a_simulated_one(make_arm, make_plant):
+    values = GROWTH | {"motor": 1e-6}
+    lived = make_plant(make_arm(effects={"thermal_growth": values}), holding_k=10.0)
+    told = make_plant(make_arm(effects={"thermal_growth": values}), holding_k=10.0)
+    q, seen, time_s, air_c, joints_c = lived.q("left"), [], [], [], []
+    for _ in range(60):
+        time_s.append(lived.clock_s)
+        air_c.append(lived.air_temperature_c)
+        joints_c.append(lived.joint_temperatures_c("left"))
+        seen.append(lived.targets()[0].p_M)
+        lived.advance(60.0)
+    found = told.smr_positions(
+        "left", np.tile(q, (60, 1)), time_s=np.array(time_s), air_c=np.array(air_c), joints_c=np.array(joints_c)
+    )
+    growth = np.linalg.norm(found[-1] - found[0])
+    assert growth > 50e-6
+    assert np.abs(found - np.array(seen)).max() < 0.02 * growth
+
+
 def test_the_zeros_of_joints_drift_as_they_warm_up(make_arm, make_plant):
     drift, tau = np.array([5e-5, -4e-5, 3e-5, 0.0, 2e-5, -6e-5]), 1800.0
     values = {"drift": drift.tolist(), "time_constant": [tau] * 6}
@@ -246,6 +265,16 @@ def test_a_struck_arm_swings_at_its_natural_frequency_and_comes_to_rest():
     assert frequency[np.argmax(power)] == pytest.approx(first_hz, rel=0.05)
     assert np.abs(along[:50]).max() > 5e-6
     assert np.abs(along[-50:]).max() < 0.05 * np.abs(along[:50]).max()
+
+
+def test_a_late_drive_follows_by_its_time_constant_and_delay():
+    plant = plant_with({"drive_lag": {"time_constant": [0.02] * 6, "delay": [0.0, 0.01, 0.0, 0.0, 0.0, 0.0]}})
+    for joint, late_s in ((0, 0.0225), (1, 0.0325)):
+        record = record_sweep(plant, EXACT, "left", swing(plant, joint=joint), CYCLE_S)
+        q = at_points(record, EXACT)
+        delayed = np.column_stack([np.interp(record.point_time_s - late_s, record.point_time_s, c) for c in q.T])
+        miss = np.linalg.norm(record.p_M - plant.smr_positions("left", delayed), axis=1)
+        assert miss.max() < 0.2 * np.linalg.norm(record.p_M - plant.smr_positions("left", q), axis=1).max()
 
 
 def test_play_lags_behind_each_reversal_by_its_width() -> None:
