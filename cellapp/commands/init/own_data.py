@@ -40,6 +40,7 @@ from cellapp.cell.run.csv_text import (
     table_text,
 )
 from cellapp.cell.run.recorded_csv import Recorded, converted, read_recorded
+from cellapp.estimation.calibration.quantities import repeats_words
 from cellapp.estimation.calibration.registration import Explained, better_reading, explained
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -192,7 +193,8 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
         profile: _profile_text(name, arms, arm_type.file, len(rows), readings, profile),
     }
     write_new(files, outputs)
-    notes = (*_preview(recorded, angles, lengths), *recorded.notes, _judged(arm_type, q, p_M))
+    repeated = [words] if (words := repeats_words(q, p_M)) else []
+    notes = (*_preview(recorded, angles, lengths), *recorded.notes, *repeated, _judged(arm_type, q, p_M))
     return OwnDataWritten(profile, readings, notes)
 
 

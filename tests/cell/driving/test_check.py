@@ -234,7 +234,7 @@ def test_four_points_find_the_station_within_its_stated_uncertainty(moved_run: t
     np.testing.assert_allclose(model.T_M_M0, found.T_new_old)
     table, *_ = location_tables(found)
     assert len(table.rows) == 4
-    assert location_sentences(found)[0].startswith("the tracker was moved 500.4")
+    assert location_sentences(found)[0].startswith("the tracker was moved 500.")
 
 
 def test_targets_are_met_from_the_new_station_as_before(moved_run: tuple[RunFile, LocateResult]) -> None:
@@ -267,17 +267,15 @@ def test_readings_of_two_stations_are_not_mixed(moved_run: tuple[RunFile, Locate
         collect_stops(run, resume=True)
 
 
-def test_a_moved_base_is_named_and_its_model_not_used(run: RunFile, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_moved_base_is_no_motion_of_the_tracker_and_its_model_not_used(
+    run: RunFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
     base = run.profile.arms["left"].base
     changed_plant(monkeypatch, lambda profile: with_left(profile, base=away(base, (0.003, 0.0, 0.0), (0.0, 0.0, 0.0))))
     found = locate_run(run)
-    assert found.verdict == "base moved"
-    first = found.other_motions[0]
-    assert (first.kind, first.arm, first.others_still) == ("base", "left", True)
-    assert first.shift_mm == pytest.approx(3.0, abs=0.1)
-    assert found.by_arm == {"left": 4, "right": 4}
+    assert found.verdict == "not explained"
     (complaint,) = found.complaints()
-    assert complaint.startswith(f"the base of arm left was moved by {first.shift_mm:.3f} mm")
+    assert "'cellapp check' names what" in complaint
     stages = read_stages(run)
     assert stages.in_force == stages.current[DISCOVER]
     assert "no motion of the tracker explains the points" in stages.stale_model()

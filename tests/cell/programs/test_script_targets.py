@@ -103,6 +103,11 @@ NEW = "p[0.4010000000, -0.1990000000, 0.3010000000, 0.0010000000, 3.1010000000, 
         (f'textmsg("movel({POSE})")\nmovel({POSE})', f'textmsg("movel({POSE})")\nmovel({NEW})'),
         (f"if x > 1: movel({POSE}) end", f"if x > 1: movel({NEW}) end"),
         (f"thread t():\n  movel({POSE})\nend\nrun t()", f"thread t():\n  movel({NEW})\nend\nrun t()"),
+        (f"def go(a, x):\n  movel(x, a)\nend\ngo(1, {POSE})", f"def go(a, x):\n  movel(x, a)\nend\ngo(1, {NEW})"),
+        (f"def go(x):\n  to(x)\nend\ndef to(x):\n  movel(x)\nend\ngo({POSE})",
+         f"def go(x):\n  to(x)\nend\ndef to(x):\n  movel(x)\nend\ngo({NEW})"),
+        (f"def a():\n  P = {POSE}\n  movel(P)\nend\ndef b():\n  P = {JOINTS}\nend\nb()",
+         f"def a():\n  P = {POSE}\n  movel({NEW})\nend\ndef b():\n  P = {JOINTS}\nend\nb()"),
         (f'$ 3 "Waypoint_1" "breakAfter"\nmovel({POSE})', f'$ 3 "Waypoint_1" "breakAfter"\nmovel({NEW})'),
     ],
 )  # fmt: skip
@@ -116,6 +121,9 @@ def test_new_numbers_stand_where_the_old_ones_did(source: str, expected: str) ->
         (f"x = {POSE}\nwhile i < 3:\n  movel(x)\n  x = pose_add(x, d)\nend", 3, "assigned 2 times (lines 2, 5)"),
         (f"x = {POSE}\nx[2] = 0.5\nmovel(x)", 3, "'x' is assigned 2 times"),
         (f"def go(x):\n  movel(x)\nend\nx = {POSE}", 2, "'x' is a parameter of a function"),
+        (f"def go(x):\n  movel(x)\n  y = x\nend\ngo({POSE})", 2, "'x' is a parameter of a function"),
+        ("def go(x):\n  movel(x)\nend\ngo(y)", 4, "'y' is not assigned"),
+        (f"def a():\n  global P = {POSE}\n  movel(P)\nend\ndef b():\n  P = {JOINTS}\nend", 3, "assigned 2 times"),
         ("movel(pose_trans(get_actual_tcp_pose(), p[0,0,0.1,0,0,0]))", 1, "get_actual_tcp_pose(...) is known only"),
         ("movel(elsewhere)", 1, "'elsewhere' is not assigned in this program"),
         ("movej([1, 2, 3])", 1, "3 numbers instead of 6"),
@@ -439,6 +447,11 @@ CALIBRATED = (
 )
 PUBLISHED = CALIBRATED.replace("0.001", "0")
 UNKNOWN = CALIBRATED.replace("LINEARIZED", "NOT_INITIALIZED")
+OF_UR3E = (
+    '<Kinematics status="NOT_INITIALIZED"><deltaTheta value="0, 0, 0, 0, 0, 0"/>'
+    '<a value="0, -0.24355, -0.2132, 0, 0, 0"/><d value="0.15185, 0, 0, 0.13105, 0.08535, 0.0921"/>'
+    '<alpha value="1.570796327, 0, 0, 1.570796327, -1.570796327, 0"/></Kinematics>'
+)
 FOREIGN = b'<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]>\n<URProgram>&b;</URProgram>'
 GROWING = b'<!DOCTYPE a [<!ENTITY b "bb"><!ENTITY c "&b;&b;">]><URProgram>&c;</URProgram>'
 
@@ -468,6 +481,12 @@ def test_fixed_waypoints_are_targets(position: str) -> None:
     ("body", "line", "reason"),
     [
         (waypoint_of_urp(ANGLES + CALIBRATED), 3, "a calibration of its own"),
+        (
+            waypoint_of_urp(ANGLES + UNKNOWN.replace("-0.612", "-0.425")),
+            3,
+            "an arm of another type: its rows are those of no arm",
+        ),
+        (waypoint_of_urp(ANGLES + OF_UR3E), 3, "an arm of another type: its rows are those of ur3e"),
         (waypoint_of_urp(ANGLES, "Variable"), 3, "type Variable"),
         (waypoint_of_urp(ANGLES, "Relative"), 3, "type Relative"),
         (waypoint_of_urp(""), 3, "no six joint positions"),

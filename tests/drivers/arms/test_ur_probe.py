@@ -36,6 +36,7 @@ MARGIN_S = 1.0
 """Beyond its time limit, for a probe to look at the other ports."""
 QUESTIONS = {
     "PolyscopeVersion", "get robot model", "get serial number", "robotmode", "safetymode", "safetystatus", "running",
+    "programState",
     "is in remote control",
 }  # fmt: skip
 CB3 = personality("CB3", "UR10", "20153012345")

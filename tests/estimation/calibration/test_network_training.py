@@ -67,6 +67,7 @@ def test_the_same_seed_gives_the_same_network(trained):
     q, training = trained
     noise = np.random.default_rng(1).normal(0.0, 15e-6, (200, 3))
     again = train_network(q, bend(q) + noise, seed=3, shapes=SMALL, iterations=80)
+    assert again.network is not None
     assert json.dumps(network_to_json(again.network)) == json.dumps(network_to_json(training.network))
 
 
