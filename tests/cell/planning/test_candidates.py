@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,22 +16,16 @@ from cellapp.cell.planning.candidates import (
     exclusions,
 )
 from cellapp.cell.planning.designed import free_ways, hubs_of, within_reach
-from cellapp.cell.planning.records import ViewResult
-from cellapp.cell.planning.view import arm_view, view_workspace
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.bodies import ArmBodies, place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_alone, refuse_motion, visible
 from cellapp.cell.safety.visibility import TrackerField, sight_of
-from cellapp.commands.plan.charts import SHADES, view_chart, view_charts
-from cellapp.commands.plan.check_view import AS_IT_IS, arm_sentences, worst_constraint
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, Placement
-from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import transform
-from tests.interfaces.cli.test_cli import exit_code
 from tests.twin import PROFILES, small_twin, with_arms
 
 COUNT = 400
@@ -204,84 +196,3 @@ def test_poses_beyond_a_locked_range_are_out_of_reach() -> None:
         return float(np.mean(free))
 
     assert ways(q[reached][8:28]) > 2.0 * ways(q[~reached][:20])
-
-
-# -- What the tracker sees of a cell -----------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module", autouse=True)
-def few_draws():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("cellapp.cell.planning.view._BATCHES", 10)
-        patch.setattr("cellapp.cell.planning.view._CHANGE_BATCHES", 3)
-        yield
-
-
-@pytest.fixture(scope="module")
-def view() -> ViewResult:
-    return view_workspace(small_twin())
-
-
-def with_tracker_at(profile: Profile, *position: float, elevation: tuple[float, float] = (-0.96, 0.96)) -> Profile:
-    assert profile.tracker.pose is not None
-    pose = profile.tracker.pose.model_copy(update={"position": position})
-    tracker = profile.tracker.model_copy(update={"pose": pose, "elevation": elevation})
-    return profile.model_copy(update={"tracker": tracker})
-
-
-def test_one_arm_without_a_tracker_is_told() -> None:
-    cell = cell_bodies(small_twin())
-    object.__setattr__(cell, "field", None)
-    with pytest.raises(InputError, match=r"no tracker .* give tracker\.pose"):
-        arm_view(cell, small_twin(), "left", CancelToken())
-
-
-def test_a_tracker_that_stands_too_high_is_told_to_come_down() -> None:
-    high = with_tracker_at(small_twin(), 3.0, 0.0, 3.0, elevation=(-0.6, 0.96))
-    view = view_workspace(high)
-    for name, arm in view.arms.items():
-        worst = worst_constraint(arm)
-        assert worst is not None
-        assert worst.constraint == "elevation"
-        assert "allowed are -34.38 to 55 deg" in worst.extent
-        assert arm.changes[0].change in {"the tracker 0.5 m lower", "the tracker 1 m farther away"}
-        now = next(one.seen for one in arm.changes if one.change == AS_IT_IS)
-        assert arm.changes[0].seen > 1.1 * now
-        assert "raise or lower the tracker" in " ".join(arm_sentences(name, arm))
-
-
-def test_charts_shade_columns_and_directions(view: ViewResult) -> None:
-    charts = view_charts(small_twin(), view)
-    assert [chart.equal for chart in charts] == [True, False, True, False]
-    for chart, name in zip(charts, ("left", "left", "right", "right"), strict=True):
-        assert name in chart.message
-        shaded = [one for one in chart.series if one.mark in SHADES]
-        assert {one.mark for one in shaded} >= {"░", "█"}
-    above = charts[0]
-    cells = view.arms["left"].cells
-    columns = {cube.centre_C[:2] for cube in cells}
-    assert sum(len(one.x) for one in above.series if one.mark in SHADES) == len(columns)
-    assert {one.name for one in above.series} >= {"base", "tracker"}
-    blind = {cube.centre_C[:2] for cube in cells if cube.seen}
-    (dark,) = [one for one in above.series if one.mark == SHADES[0]]
-    assert len(dark.x) == len(columns) - len(blind)
-
-
-def test_a_chart_without_places_says_so(view: ViewResult) -> None:
-    profile = small_twin()
-    profile = profile.model_copy(update={"tracker": profile.tracker.model_copy(update={"pose": None})})
-    chart = view_chart(profile, view, "left")
-    assert chart.is_empty
-    assert "does not say where base and tracker are" in chart.message
-
-
-def test_the_command_prints_and_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "view.json"
-    with pytest.MonkeyPatch.context() as patch:
-        code = exit_code(patch, "plan", PROFILES / "twin.yaml", "--view", "--json", out)
-    said = capsys.readouterr().out
-    assert code == 0
-    assert "Arm left: the tracker can measure" in said
-    assert "Arm right: workspace in cubes of" in said
-    assert json.loads(out.read_text("utf-8"))["schema"] == "cellapp-view"
-    assert list(tmp_path.iterdir()) == [out], "nothing else is stored"
