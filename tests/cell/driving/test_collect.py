@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving import motion
-from cellapp.cell.driving.cell import Cell, build_plant, open_cell
+from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.reaction import StopCause, StopReaction
 from cellapp.cell.planning.plan import plan_stops
@@ -26,7 +26,7 @@ from cellapp.ground.progress import Progress
 from drivers.arms.protocol import ArmState
 from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.simulated import SimulatedTracker
-from tests.evidence.campaigning.campaign import Bench, Campaign, campaign_profile, make_bench, run_campaign
+from tests.evidence.campaigning.campaign import Bench, Campaign, make_bench, run_campaign
 from tests.evidence.campaigning.faults import KINDS, draw_faults
 from tests.twin import PROFILES, plant_of, small_twin
 
@@ -409,20 +409,3 @@ def test_a_wrong_smr_that_is_accepted_is_found(
 ) -> None:
     monkeypatch.setattr(motion, "WRONG_TARGET_M", 10.0)
     assert "reading false" in failures(bench, *seeds_with(campaigns, "wrong SMR"))
-
-
-def test_the_plants_own_check_finds_a_collision_that_was_braked_too_late() -> None:
-    profile = campaign_profile(load_profile(PROFILES / "twin.yaml"), STOPS_OF_CAMPAIGNS)
-    plant = build_plant(profile, keep_motions=True, watch_clearance=True)
-    towards = {name: np.array([0.0, -0.3, 0.0, -1.6, 0.0, 0.0]) for name in plant.names}
-    for name, q in towards.items():
-        plant.start_move(name, q, np.ones(6), np.ones(6))
-    plant.advance(1.5)
-    for name in plant.names:
-        plant.stop(name)
-    plant.advance(5.0)
-    assert plant.clearance is not None
-    found = plant.executed_clearance(0.5)
-    assert found.arms_m < 0.5
-    assert found.arms_m == pytest.approx(plant.clearance.arms_m, abs=5e-3)
-    assert found.floor_m == pytest.approx(plant.clearance.floor_m, abs=5e-3)

@@ -486,6 +486,7 @@ def test_fixed_waypoints_are_targets(position: str) -> None:
             3,
             "an arm of another type: its rows are those of no arm",
         ),
+        (OF_UR3E.replace("Kinematics", "kinematics") + waypoint_of_urp(ANGLES), 3, "its rows are those of ur3e"),
         (waypoint_of_urp(ANGLES + OF_UR3E), 3, "an arm of another type: its rows are those of ur3e"),
         (waypoint_of_urp(ANGLES, "Variable"), 3, "type Variable"),
         (waypoint_of_urp(ANGLES, "Relative"), 3, "type Relative"),

@@ -248,9 +248,6 @@ def test_an_arm_that_rests_after_a_gap_shows_no_side_until_it_moves():
     assert begun[~rests & ~just_begun].all()
 
 
-# -- Loops of lost motion: what a joint lies behind its motor after upward and after downward motion -------------------
-
-
 # -- Discovery of an arm that was recorded in motion: its model where it predicts better, and its words ----------------
 
 PROFILE = load_profile(Path(__file__).parents[3] / "profiles" / "ur10-real.yaml")

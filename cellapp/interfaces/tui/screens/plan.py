@@ -394,13 +394,13 @@ class PlanScreen(PlanEdits):
     @work(thread=True, exclusive=True, group="charts")
     def _make_charts(self, workspace: Workspace) -> None:
         """Make the charts of the design in a thread: the numerics take half a second to load."""
-        from cellapp.commands.plan.check_view import load_sentences, sweep_sentences, sweep_tables
+        from cellapp.commands.plan.check_view import load_sentences, sweep_sentences
         from cellapp.commands.plan.view import design_charts_of, design_tables_of
 
         profile, stops, ways, design = workspace.profile, workspace.stops, workspace.ways, workspace.design
         if profile is not None and ways is not None and stops is not None and stops.stops:
             charts = design_charts_of(profile, stops.stops, ways, design)
-            tables = (*design_tables_of(design), *sweep_tables(stops.sweeps))
+            tables = tuple(design_tables_of(design))
             sentences = (*load_sentences(stops.loads), *sweep_sentences(stops.sweeps))
             self.post_message(Drawn(stops, charts, tables, sentences))
 
