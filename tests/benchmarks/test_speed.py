@@ -193,7 +193,7 @@ def targets_of(arm):
     return targets
 
 
-# Speed of pairing and ordering the stops of a plan; ``python -m tests.cell.planning.measure_order`` prints the table.
+# Speed of pairing and ordering the stops of a plan; ``python -m tests.cell.planning.planned_cells`` prints the table.
 # pytest tests/benchmarks/test_speed.py
 
 STEPS = 200

@@ -54,9 +54,7 @@ from cellapp.ground.results import DISCOVER
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import STATION, true_geometry
-from tests.cell.run.small_runs import add_stop, collected_run, planned_run, set_began
-from tests.cell.run.spoiled import SPOILED, spoil_cut
-from tests.cell.run.two_arm_cell import two_arms
+from tests.cell.run.small_runs import SPOILED, add_stop, collected_run, planned_run, set_began, spoil_cut, two_arms
 from tests.commands.measured_runs import Truth, cell, measured_run, set_month
 from tests.interfaces.page.runs import without_devices
 from tests.program import app

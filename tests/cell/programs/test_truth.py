@@ -154,16 +154,6 @@ def test_a_corrected_program_reaches_the_true_poses(cell: Cell, tmp_path: Path) 
     assert len(changed) == len(cell.q), "a line for each target, all others byte for byte"
 
 
-def test_the_other_arm_reaches_its_true_poses_too(finished_run: Path, tmp_path: Path) -> None:
-    cell = cell_of(finished_run, "right")
-    source = program(cell)
-    new, result = corrected(cell, source, tmp_path)
-    before, _ = errors(cell, driven(cell, source))
-    after, _ = errors(cell, driven(cell, new))
-    assert after.mean() < before.mean() / FACTOR
-    assert any("approach: unknown" in line for line in result.assumptions)
-
-
 def test_a_posture_that_the_gate_refuses_is_said_by_its_line(cell: Cell, tmp_path: Path) -> None:
     under = cell.q[0].copy()
     under[1:3] = 0.9, 0.3
@@ -214,17 +204,6 @@ def test_nothing_is_written_where_a_target_cannot_be_corrected(cell: Cell, tmp_p
     assert CorrectResult.from_json(part.to_json(), "test") == part
     with RunFile.open(cell.run.folder) as run, pytest.raises(InputError, match="exists already"):
         correct_run(run, tmp_path / "old.script", tmp_path / "new.script", "right", partly=True, extrapolate=True)
-
-
-def test_what_lies_outside_the_readings_is_said(cell: Cell, tmp_path: Path) -> None:
-    with RunFile.open(cell.run.folder) as run:
-        far = run.readings("left").q.max(axis=0) + 0.1
-        far[[0, 3, 4, 5]] = cell.q[0, [0, 3, 4, 5]]
-        (tmp_path / "old.script").write_text(f"movej({text(far)})\n")
-        result = correct_run(run, tmp_path / "old.script", tmp_path / "new.script", "left")
-        assert "outside the calibrated range: joint 2" in result.refused[0][2]
-        result = correct_run(run, tmp_path / "old.script", tmp_path / "new.script", "left", extrapolate=True)
-        assert result.refused == ()
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from cellapp.cell.safety.gate import refuse_stop
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, Placement, SphereObstacle
 from drivers.findings import Finding
-from tests.cell.safety.test_obstacles import with_obstacles
+from tests.cell.safety.test_gate import with_obstacles
 from tests.twin import PROFILES, small_twin
 
 

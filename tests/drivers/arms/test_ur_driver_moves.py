@@ -27,7 +27,6 @@ from drivers.arms.protocol import (
     JointLimits,
     LimitExceeded,
     LinkLost,
-    NotInRemoteControl,
     ProtectiveStop,
     WrongRobot,
 )
@@ -36,7 +35,6 @@ from drivers.arms.ur_links import stop_program
 from drivers.arms.ur_motion import MAX_SPEED, Kicks, leading_rates
 from drivers.arms.ur_rtde_reader import wait_at_rest
 from drivers.arms.ur_settings import UrSettings
-from drivers.arms.ur_worker_process import HeartbeatGaps
 from drivers.emulators.ur_controller import EmulatorProcess, start_in_process
 from tests.at_once import in_parallel
 from tests.drivers.arms.emulated_ur_cell import (
@@ -181,13 +179,6 @@ def test_all_reasons_are_given_at_once(unconnected: EmulatorProcess) -> None:
         arm.connect()
     for words in ("safety: PROTECTIVE_STOP", "remote control: off", "payload: "):
         assert words in str(caught.value)
-    assert_untouched(unconnected, "right")
-
-
-def test_local_control_is_refused(unconnected: EmulatorProcess) -> None:
-    unconnected.control("right", "remote", "off")
-    with driven("right") as arm, pytest.raises(NotInRemoteControl, match="from Local to Remote"):
-        arm.connect()
     assert_untouched(unconnected, "right")
 
 
@@ -361,23 +352,6 @@ def test_a_wrong_host_is_named() -> None:
 # -- the plain readers ------------------------------------------------------------------------------------------------
 
 
-def test_an_arm_is_watched_over_a_separate_connection(emulator: EmulatorProcess, connected: dict[str, UrArm]) -> None:
-    arm = connected["left"]
-    arm.start_move(AWAY, SPEED, ACCELERATION)
-    sample = wait_at_rest(HOSTS["left"], PATIENT_S)
-    arm.wait_settled(PATIENT_S)
-    np.testing.assert_allclose(sample.q, AWAY, atol=1e-6)
-    assert (sample.robot_mode, sample.safety_mode, sample.program) == ("RUNNING", "NORMAL", "PLAYING")
-    assert sample.payload_kg == pytest.approx(0.35)
-    arm.start_move(FAR, SPEED * 0.2, ACCELERATION)
-    until(lambda: arm.state().moving, "the arm moves")
-    with pytest.raises(LinkLost, match="still moves"):
-        wait_at_rest(HOSTS["left"], 0.3)
-    arm.stop()
-    arm.start_move(HOME, SPEED, ACCELERATION)
-    arm.wait_settled(PATIENT_S)
-
-
 @pytest.mark.parametrize("answer", [b"", b"\x00\x00\x00", b"\x00\x04V\x00", b"HTTP/1.1 400 Bad Request\r\n\r\n"])
 def test_a_peer_that_is_not_an_rtde_server_is_refused(answer: bytes) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -535,22 +509,6 @@ def test_a_silence_longer_than_the_watchdogs_period_explains_a_stop_just_after_i
         kicks.kicked(0.34 + 0.04 * step)
     assert kicks.expired_before(1.12) is None  # much later: on the pendant
     assert kicks.expired_before(None) is None
-
-
-def test_a_stop_that_is_seen_before_the_next_kick_is_explained_too() -> None:
-    kicks = Kicks()
-    kicks.start(0.0, 0.2)
-    assert kicks.expired_before(0.5) == pytest.approx(0.5)
-    assert kicks.late == 1
-
-
-def test_silence_after_a_stop_on_purpose_is_not_counted() -> None:
-    kicks = Kicks()
-    kicks.start(0.0, 0.2)
-    kicks.end()
-    kicks.kicked(60.0)
-    assert (kicks.late, kicks.longest_s) == (0, 0.0)
-    assert HeartbeatGaps(0.1, 2).joined(HeartbeatGaps(0.3, 1)) == HeartbeatGaps(0.3, 3)
 
 
 def test_threads_and_processes_are_gone_afterwards(unconnected: EmulatorProcess) -> None:
