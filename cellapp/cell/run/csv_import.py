@@ -34,11 +34,17 @@ from cellapp.cell.run.stations import (
     tie_sentences,
     twice_at_a_stop,
 )
+from cellapp.estimation.calibration.registration import COMPUTED, explained
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, OF_SOCKETS
-from cellapp.estimation.readings.readings import Readings, one_pose_a_stop, smr_names
+from cellapp.estimation.readings.readings import Readings, lost_points, one_pose_a_stop, smr_names
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.removed import removed_readings
+from cellapp.robot.model.nominal import nominal_arm
+
+_FEWEST_JUDGED = 10
+"""Least number of rows that show whether points are computed."""
 
 
 class WhichSmr(InputError):
@@ -82,7 +88,7 @@ def read_readings_csv(
     InputError
         Names file, line and column of values that are missing, not numbers, repeated or implausible.
     """
-    readings, _, notes = _read(read_csv_table(Path(path)), joint_counts, in_order, limits or {})
+    readings, _, _, notes = _read(read_csv_table(Path(path)), joint_counts, in_order, limits or {})
     return readings, notes
 
 
@@ -173,9 +179,11 @@ def readings_of_table(
         If an arm has readings of two SMRs, and ``smr`` does not say which one counts.
     """
     joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
-    readings, orders, notes = _read(table, joint_counts, in_order, joint_limits(profile))
-    readings, made = _one_a_stop(table, readings, smr)
-    notes += made
+    readings, orders, lost, notes = _read(table, joint_counts, in_order, joint_limits(profile))
+    readings, made = _one_a_stop(
+        table.take([n for n, line in enumerate(table.lines) if line not in lost]), readings, smr
+    )
+    notes += [*made, *_computed(profile, readings)]
     missing = [name for name in profile.arms if name not in readings and name not in recorded]
     if missing:
         raise InputError(
@@ -183,6 +191,31 @@ def readings_of_table(
             " arm from the profile"
         )
     return readings, orders, notes
+
+
+def _seen(cells: ArmCells, its: Readings) -> tuple[Readings, set[int], list[str]]:
+    """Leave out rows whose point is none, as the beam was lost; return also their lines, and sentences on these and on
+    copies of rows."""
+    lost, copies = lost_points(its.q, its.p_M)
+    table, notes = cells.table, list[str]()
+    for row, words in lost.items():
+        notes.append(f"{table.place(cells.line(row))}: x_m, y_m, z_m: {words}: the beam was lost; left out")
+    if copies:
+        last, first = (table.row_words(cells.line(row)) for row in next(iter(copies.items())))
+        count = counted(len(copies), "row is a copy", "rows are copies")
+        notes.append(f"{table.path}: {count} of another in all digits, as {last} of {first}: nothing new is in them")
+    kept = [row for row in range(len(its)) if row not in lost]
+    return its.take(kept), {cells.line(row) for row in lost}, notes
+
+
+def _computed(profile: Profile, readings: Mapping[str, Readings]) -> list[str]:
+    """Say which arm's points the published geometry explains exactly."""
+    return [
+        f"arm '{name}': the published geometry leaves 0.000 mm of the points: {COMPUTED}"
+        for name, its in readings.items()
+        if len(its) >= _FEWEST_JUDGED
+        and explained(nominal_arm(profile.arms[name]).with_T_M_B(np.eye(4)), its.q, its.p_M).computed
+    ]
 
 
 def _one_a_stop(
@@ -232,8 +265,8 @@ def _read(
     joint_counts: Mapping[str, int],
     in_order: bool,
     limits: Mapping[str, NDArray[np.float64]],
-) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
-    """Read the readings; return also what their order of measurement gave, and notes."""
+) -> tuple[dict[str, Readings], dict[str, ArmOrder], set[int], list[str]]:
+    """Read the readings; return also what their order of measurement gave, lines that are left out, and notes."""
     problems = Problems(table.place)
     check_names(table, problems)  # of all columns, before those of an orientation are replaced
     table, unsaid = with_quaternions(table)
@@ -247,6 +280,7 @@ def _read(
     problems.check()
     readings: dict[str, Readings] = {}
     orders: dict[str, ArmOrder] = {}
+    left_out, seen = set[int](), list[str]()
     for arm in joint_counts:
         rows = [index for index, name in enumerate(names) if name == arm]
         cells = ArmCells(table, rows, problems)
@@ -258,9 +292,14 @@ def _read(
             cells.refuse(*fault)
         elif in_order:
             result, orders[arm] = in_measured_order(result)
-        readings[arm] = result.take(np.argsort(result.configuration, kind="stable"))
+        result, lost, said = _seen(cells, result)
+        left_out |= lost
+        seen += said
+        if len(result):
+            readings[arm] = result.take(np.argsort(result.configuration, kind="stable"))
     problems.check()
-    return readings, orders, [*_notes(table, joint_counts, readings), *unsaid, *order_sentences(orders)]
+    notes = [*seen, *_notes(table, joint_counts, readings), *unsaid, *order_sentences(orders)]
+    return readings, orders, left_out, notes
 
 
 def _check_header(table: CsvTable, problems: Problems) -> None:
@@ -288,14 +327,18 @@ def _notes(table: CsvTable, joint_counts: Mapping[str, int], readings: Mapping[s
     notes = []
     known = sorted({"arm", *(name for column in not_per_joint() for name in column.csv)})
     most = max(joint_counts.values())
+    unknown = {
+        name: difflib.get_close_matches(name, known, n=1, cutoff=0.75) for name in table.names if not is_known(name)
+    }
     for name in table.names:
         found = stem_and_joint(name)
         if found is not None and found[1] > most:
             notes.append(f"{table.path}: column '{name}' is empty and no arm has that joint; it is not imported")
-        if not is_known(name):
-            close = difflib.get_close_matches(name, known, n=1, cutoff=0.75)
-            hint = f" (is '{close[0]}' meant?)" if close else ""
-            notes.append(f"{table.path}: column '{name}' is unknown{hint}; it is kept and not used")
+        if close := unknown.get(name):
+            notes.append(f"{table.path}: column '{name}' is unknown (is '{close[0]}' meant?); it is kept and not used")
+    if others := [f"'{name}'" for name, close in unknown.items() if not close]:
+        words = "column {} is unknown; it is" if len(others) == 1 else "columns {} are unknown; they are"
+        notes.append(f"{table.path}: {words.format(', '.join(others))} kept and not used")
     for arm in joint_counts:
         if arm not in readings:
             notes.append(f"{table.path}: arm '{arm}' of the profile has no readings in this file")

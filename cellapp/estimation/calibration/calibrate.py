@@ -507,7 +507,7 @@ def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
     """Return the notes for the operator about one arm's calibration."""
     found, readings = arm.identification, fitted.readings
     notes = [left_out_note(name, arm)] if arm.left_out else []
-    notes += [*_hardly_better(name, arm), *undetermined_offset(name, found)]
+    notes += [*_hardly_better(name, arm), *_carried(name, fitted), *undetermined_offset(name, found)]
     moved = station_change(smr_positions(fitted.nominal.with_T_M_B(np.eye(4)), readings.q), readings.p_M)
     if moved is not None:
         notes.append(
@@ -536,6 +536,22 @@ def _hardly_better(name: str, arm: ArmCalibration) -> list[str]:
         f"arm '{name}': the identified geometry is hardly better than the nominal one (mean held-out error"
         f" {found.mean:.3f} mm, nominal {nominal.mean:.3f} mm): look for readings in other units, swapped rows, another"
         " arm type or SMR offset, and too few readings, before you use this calibration"
+    ]
+
+
+def _carried(name: str, fitted: _Fitted) -> list[str]:
+    """Say how many parameters the readings determine, if there are few rows for them."""
+    found, learn = fitted.identification, fitted.readings.take(fitted.readings.in_split("identify"))
+    rows, names = len(np.unique(learn.q.round(6), axis=0)), found.estimated.names
+    if rows >= len(names):
+        return []
+    variances = np.diag(found.estimated_covariance)[: len(names)]
+    priors = np.array([found.prior_sigma.get(one, np.inf) for one in names]) ** 2
+    rest = counted(int(np.count_nonzero(variances > 0.5 * priors)), "rests", "rest")
+    return [
+        f"arm '{name}': {counted(rows, 'different row')} to learn {len(names)} parameters: they determine"
+        f" {len(found.parameter_set.names)} combinations, {rest} more on the prior than on the readings; measure more"
+        " configurations"
     ]
 
 

@@ -330,7 +330,7 @@ def test_export_of_nothing_and_to_nowhere(path: Path, tmp_path: Path) -> None:
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["readings.csv", "run"]
 
 
-NEAR = st.floats(-100.0, 100.0)
+NEAR = st.floats(-100.0, 100.0).filter(bool)
 SIGMA = st.floats(1e-10, 1.0)
 SECONDS = st.floats(-1e11, 1e11)
 
@@ -362,7 +362,7 @@ def some_readings(draw: st.DrawFn, joints: int, extras: tuple[str, ...]) -> Read
         time_s=np.full(n, np.nan) if times is None else times,
         q=draw(hnp.arrays(np.float64, (n, joints), elements=st.floats(-12.5, 12.5))),
         approach=draw(hnp.arrays(np.int8, (n, joints), elements=st.integers(-1, 1))),
-        p_M=draw(hnp.arrays(np.float64, (n, 3), elements=NEAR)),
+        p_M=draw(hnp.arrays(np.float64, (n, 3), elements=NEAR, unique=True)),
         payload_kg=column(st.floats(0.0, 1e4), n),
         temperature_c=column(NEAR, n),
         joint_temperature_c=column(NEAR, (n, joints)),

@@ -371,9 +371,9 @@ def test_the_columns_of_cellapp_and_others(tmp_path: Path) -> None:
     found = read_recorded(written(tmp_path, "\n".join([names, *rows])))
     assert found.arms == ("left",)
     header, cells = converted(found, "rad", "m", "robot")
-    assert header == tuple(names.replace(",q", ",quat_").replace("quat_1,quat_2,quat_3", "q1,q2,q3").split(",")[:-1])
+    assert header == tuple(names.replace(",q", ",quat_").replace("quat_1,quat_2,quat_3", "q1,q2,q3").split(","))
     assert cells[2][:3] == ("2", "left", "2")
-    assert "remark" not in header
+    assert cells[2][-1] == "fine"
 
 
 @pytest.mark.parametrize(
@@ -423,7 +423,8 @@ def test_measured_columns_are_preferred_and_torques_are_not_used(tmp_path: Path)
     rows = [f"{line},{','.join(map(repr, (1e6 * p).tolist()))},1,2,3" for line, p in zip(lines[1:], P, strict=True)]
     found = read_recorded(written(tmp_path, "\n".join([lines[0], *rows, "# end of the table"])))
     header, cells = converted(found, "rad", "um", "robot")
-    assert header[2:] == ("q1", "q2", "q3", "x_m", "y_m", "z_m")
+    assert header[2:8] == ("q1", "q2", "q3", "x_m", "y_m", "z_m")
+    assert header[8:] == ("target_q_0", "target_q_1", "target_q_2", "tau_0", "tau_1", "tau_2")
     assert found.unknown[-3:] == ("tau_0", "tau_1", "tau_2")
     np.testing.assert_allclose(np.array([row[2:8] for row in cells], dtype=float), np.hstack([Q, P]), atol=1e-9)
 
