@@ -132,6 +132,22 @@ def read_sample(link: Connection, patience: Patience) -> UrSample:
     return next(samples(link, patience))
 
 
+def inputs_taken(link: Connection, patience: Patience) -> bool:
+    """Return whether another connection holds the input registers of the control client. Nothing is written; they are
+    free again when ``link`` ends.
+
+    Raises
+    ------
+    LinkLost
+        If no answer comes in time, or the peer is not an RTDE server.
+    """
+    if refusal := link.refusal(patience):
+        raise LinkLost(f"{link.where}: no RTDE connection ({refusal})")
+    packets = _Packets(link, patience)
+    packets.ask(_VERSION, struct.pack(">H", 2))
+    return b"IN_USE" in packets.ask(_INPUTS, b"input_int_register_0")
+
+
 def wait_at_rest(
     host: str,
     timeout_s: float,
