@@ -255,7 +255,7 @@ _ORIGIN = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def _described(path: Path, arm_type: object) -> dict[str, object]:
-    """Return a section ``factory`` from a ``default_kinematics.yaml``, as UR's ROS description has it: poses of joints."""
+    """Return a section ``factory`` from a ``default_kinematics.yaml`` of UR's ROS description: poses of joints."""
     import numpy as np  # late: profiles without such a file load without numerics
 
     from cellapp.robot.kinematics.plain_dh import plain_rows_of

@@ -207,7 +207,8 @@ def _located_message(details: ErrorDetails, document: Document) -> tuple[KeyPath
 def _missing(location: Sequence[Key], at: KeyPath, rest: Sequence[Key], document: Document) -> str:
     last = rest[-1] if rest else None
     if isinstance(last, int):
-        return f"expected {_tuple_length(location, last + 1, document.schema)} values, got {described(_value(document.data, at))}"
+        expected = _tuple_length(location, last + 1, document.schema)
+        return f"expected {expected} values, got {described(_value(document.data, at))}"
     dot = "." if document.places[at].inside else ""
     return f"{dot}{last}{_MISSING}"
 

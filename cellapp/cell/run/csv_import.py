@@ -41,6 +41,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.removed import removed_readings
+from cellapp.robot.model.arguments import too_heavy
 from cellapp.robot.model.nominal import nominal_arm
 
 _FEWEST_JUDGED = 10
@@ -180,6 +181,7 @@ def readings_of_table(
     """
     joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
     readings, orders, lost, notes = _read(table, joint_counts, in_order, joint_limits(profile))
+    _check_payloads(profile, table, readings)
     readings, made = _one_a_stop(
         table.take([n for n, line in enumerate(table.lines) if line not in lost]), readings, smr
     )
@@ -208,12 +210,23 @@ def _seen(cells: ArmCells, its: Readings) -> tuple[Readings, set[int], list[str]
     return its.take(kept), {cells.line(row) for row in lost}, notes
 
 
+def _check_payloads(profile: Profile, table: CsvTable, readings: Mapping[str, Readings]) -> None:
+    problems = Problems(table.place)
+    for name, its in readings.items():
+        masses = np.array([joint.mass for joint in profile.arms[name].type.joints])
+        if its.payload_kg is not None and (row := too_heavy(its.payload_kg, masses)) is not None:
+            stop, kg = its.configuration[row], its.payload_kg[row]
+            line = next(at for at, its in zip(table.lines, table.cells[CONFIGURATION.name]) if int(its) == stop)
+            problems.add(line, "payload_kg", f"expected at most the arm's own mass, {masses.sum():.3g} kg, got {kg:g}")
+    problems.check()
+
+
 def _computed(profile: Profile, readings: Mapping[str, Readings]) -> list[str]:
     """Say which arm's points the published geometry explains exactly."""
     return [
         f"arm '{name}': the published geometry leaves 0.000 mm of the points: {COMPUTED}"
         for name, its in readings.items()
-        if len(its) >= _FEWEST_JUDGED
+        if len(np.unique(its.q, axis=0)) >= _FEWEST_JUDGED
         and explained(nominal_arm(profile.arms[name]).with_T_M_B(np.eye(4)), its.q, its.p_M).computed
     ]
 

@@ -454,13 +454,14 @@ class _Fitted:
 def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = False) -> _Fitted:
     """Identify one arm on its identify split; with ``robust``, use robust weights even if the profile asks for none."""
     identify_rows, validate_rows = readings.in_split("identify"), readings.in_split("validate")
-    if len(identify_rows) < 4 or len(validate_rows) < 1:
-        raise InputError(
-            f"arm '{name}': {counted(len(readings), 'reading leaves', 'readings leave')} {len(identify_rows)} to"
-            f" identify and {len(validate_rows)} to"
-            f" validate; at least 4 and 1 are needed to begin with: measure more configurations"
-        )
     arm, learn = profile.arms[name], readings.take(identify_rows)
+    different = len(np.unique(learn.q.round(6), axis=0))
+    if different < 4 or len(validate_rows) < 1:
+        raise InputError(
+            f"arm '{name}': {counted(len(readings), 'reading leaves', 'readings leave')}"
+            f" {counted(different, 'different configuration')} to identify and {len(validate_rows)} to validate; at"
+            " least 4 and 1 are needed to begin with: measure more configurations"
+        )
     nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
     refuse_odd_orientations(name, nominal, learn)
     its = measured_quantities(learn)

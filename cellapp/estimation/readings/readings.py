@@ -272,7 +272,7 @@ def joined(parts: Sequence[Readings]) -> Readings:
 
 
 _FEWEST, _OTHER_JOINTS = 6, 0.01
-"""Least number of rows; difference of a joint [rad, deg] that moves the point, which may lie on the axis of the last."""
+"""Least number of rows; difference of a joint [rad, deg] that moves the point. It may lie on the axis of the last."""
 
 
 def _stacked(arrays: Sequence[NDArray[Any] | None], shapes: Sequence[tuple[int, ...]]) -> NDArray[Any] | None:

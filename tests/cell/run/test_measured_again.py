@@ -281,7 +281,11 @@ def test_export_then_import_gives_the_same_readings_with_and_without_the_flag(
 ) -> None:
     folder = tmp_path_factory.mktemp("order")
     stops = data.draw(st.permutations(range(len(q))))
-    write(folder / "in.csv", HEADER, *(f"{stop},left,{a!r},{b!r},1,2,{stop + 3}" for stop, (a, b) in zip(stops, q.tolist())))
+    write(
+        folder / "in.csv",
+        HEADER,
+        *(f"{stop},left,{a!r},{b!r},1,2,{stop + 3}" for stop, (a, b) in zip(stops, q.tolist())),
+    )
     profile = two_arms()
     profile = profile.model_copy(update={"arms": {"left": profile.arms["left"]}})
     with import_csv(profile, folder / "in.csv", folder / "run", in_order=True) as run:
