@@ -44,6 +44,7 @@ SETTINGS = (
 DRIVERS = ("drivers.plant", "drivers.arms.ur", "drivers.trackers.lmf")
 """Some of what no command needs that only reads the profile."""
 LOADED_LATER = {
+    "cellapp.cell.profile.loader": "the mathematics is loaded where an arm has a calibration of its controller",
     "cellapp.interfaces.cli": "a command loads what it needs: --help and a stop from another window do not wait",
     "cellapp.interfaces.tui": "a screen or a job loads what it needs, in its own thread",
     "cellapp.interfaces.page": "the terminal application reads the state of a run without drawing its page",

@@ -27,7 +27,7 @@ from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.run.samples import known_readings
 from cellapp.commands.record import Asked, Request, RunFolder, Verb, View, Work
 from cellapp.commands.stages import read_stages
-from cellapp.commands.stored_model import model_of, stage_in_force
+from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
@@ -146,6 +146,7 @@ def correct_run(
         If the program cannot be read, the run is not calibrated or has no such arm, or the copy cannot be written.
     """
     stages = read_stages(run)
+    require_own_factory(run, "correct")
     model = model_of(run, stage_in_force(run, stages))
     name = _arm(run, list(model.arms), arm)
     model_arm = model.arms[name]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
+
+from drivers.arms.protocol import Arm
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,4 +65,29 @@ class RecordingArm(Protocol):
         """Return the numbers of received and lost samples of the running recording; never block."""
 
     def end_recording(self) -> JointRecord:
-        """End the recording and return all samples. Raises ``LinkLost`` if the connection ended before."""
+        """End the recording after one more sample; return all. Raises ``LinkLost`` if the connection ended before."""
+
+
+@runtime_checkable
+class SettlingArm(RecordingArm, Protocol):
+    """Additional interface of a recorded arm that states when it counts as settled."""
+
+    @property
+    def settle_window(self) -> float:
+        """Largest change of a joint at rest [rad]."""
+
+
+def recording(arm: Arm) -> Callable[[], JointRecord]:
+    """Begin to record an arm at rest; return the function that ends it. Both raise ``ArmError``.
+
+    Of an arm that is not a ``SettlingArm``, the only sample is its state at the end.
+    """
+    if isinstance(arm, SettlingArm):
+        arm.start_recording()
+        return arm.end_recording
+
+    def end() -> JointRecord:
+        state = arm.state()
+        return JointRecord(np.array([state.time_s]), state.q[np.newaxis], np.zeros((1, len(state.q))), 1.0)
+
+    return end

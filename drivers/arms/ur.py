@@ -23,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arms.path_checks import checked_path
+from drivers.arms.path_checks import checked_move, checked_path
 from drivers.arms.protocol import (
     ArmIdentity,
     ArmState,
@@ -207,9 +207,7 @@ class UrArm(GuardedLink):
 
         Raises ``LimitExceeded`` before anything is sent, otherwise as the protocol specifies.
         """
-        goal = checked_goal(self._name, q, self._limits)
-        speeds = checked_speed(self._name, speed, self._limits)
-        accelerations = checked_acceleration(self._name, acceleration, self._limits)
+        goal, speeds, accelerations = checked_move(self._name, q, speed, acceleration, self._limits)
         self._connected()
         self._program.started()
         self._call(
@@ -342,24 +340,7 @@ class UrArm(GuardedLink):
         return self._probed
 
 
-# -- Checks of a motion request for a UR arm before anything is sent: goals, speeds, accelerations and their limits ---
-
-
-_ROUNDING_RAD = 1e-9
-_LIMIT_SLACK = 1e-6
-"""Relative tolerance of a speed or acceleration limit for rounding."""
-
-
-def checked_goal(name: str, q: NDArray[np.float64], limits: JointLimits) -> NDArray[np.float64]:
-    """Check a goal of arm ``name``; return its joint positions (6,) [rad]. Raises ``LimitExceeded``."""
-    goal = _checked_vector(name, "position", q)
-    low, high = limits.position.T
-    for joint in np.flatnonzero((goal < low - _ROUNDING_RAD) | (goal > high + _ROUNDING_RAD)):
-        raise LimitExceeded(
-            f"arm {name}: position {goal[joint]:.4f} rad of joint {joint + 1} is outside"
-            f" [{low[joint]:.4f}, {high[joint]:.4f}] rad"
-        )
-    return goal
+# -- Checks of a request before anything is sent ----------------------------------------------------------------------
 
 
 def checked_rows(name: str, q: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -370,16 +351,6 @@ def checked_rows(name: str, q: NDArray[np.float64]) -> NDArray[np.float64]:
     if not np.isfinite(rows).all():
         raise LimitExceeded(f"arm {name}: row {int(np.argmin(np.isfinite(rows).all(axis=1)))} is not finite numbers")
     return rows
-
-
-def checked_speed(name: str, speed: NDArray[np.float64], limits: JointLimits) -> NDArray[np.float64]:
-    """Check speeds; return them, (6,) [rad/s]. Raises ``LimitExceeded``."""
-    return _checked_rates(name, "speed", "rad/s", speed, limits.speed)
-
-
-def checked_acceleration(name: str, acceleration: NDArray[np.float64], limits: JointLimits) -> NDArray[np.float64]:
-    """Check accelerations; return them, (6,) [rad/s^2]. Raises ``LimitExceeded``."""
-    return _checked_rates(name, "acceleration", "rad/s^2", acceleration, limits.acceleration)
 
 
 def narrower(asked: JointLimits, allowed: JointLimits | None) -> JointLimits:
@@ -395,33 +366,6 @@ def narrower(asked: JointLimits, allowed: JointLimits | None) -> JointLimits:
     return replace(asked, position=position, speed=np.minimum(asked.speed, allowed.speed))
 
 
-def _checked_vector(name: str, what: str, value: NDArray[np.float64]) -> NDArray[np.float64]:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise LimitExceeded(f"arm {name}: {what}: expected {JOINTS} numbers") from None
-    if array.shape != (JOINTS,):
-        raise LimitExceeded(
-            f"arm {name}: {what} has shape {array.shape}, expected one number for each of {JOINTS} joints"
-        )
-    if not np.isfinite(array).all():
-        joint = int(np.argmin(np.isfinite(array))) + 1
-        raise LimitExceeded(f"arm {name}: {what} of joint {joint} is not a finite number")
-    return array
-
-
-def _checked_rates(
-    name: str, what: str, unit: str, value: NDArray[np.float64], limit: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    rate = _checked_vector(name, what, value)
-    for joint in np.flatnonzero((rate <= 0.0) | (rate > limit * (1.0 + _LIMIT_SLACK))):
-        raise LimitExceeded(
-            f"arm {name}: {what} {rate[joint]:g} {unit} of joint {joint + 1} is not above 0 and at most"
-            f" {limit[joint]:g} {unit}"
-        )
-    return rate
-
-
 # ---------------------------------------------------------------------------------------------------------------------
 # Recorder of every state that a UR controller sends, over a separate RTDE connection; pulses of a digital output.
 #
@@ -433,6 +377,7 @@ _OPENS_WITHIN_S = 3.0
 _SILENT_S = 2.0
 """A controller that sends nothing for this long has ended the recording."""
 _RECORDING_ENDS_WITHIN_S = 1.0
+_LAST_SAMPLE_LOOK_S = 0.001
 _PULSE_S = 0.02
 _REQUIRED = ("timestamp", "actual_q", "actual_qd")
 _OPTIONAL = ("joint_temperatures", "actual_digital_output_bits")
@@ -488,7 +433,10 @@ class UrRecorder:
         return counts_so_far(count, first_s, latest_s, self._period_s)
 
     def end(self) -> JointRecord:
-        """Close the connection and return all samples. Raises ``LinkLost`` if the connection ended before."""
+        """Close the connection after one more sample; return all. Raises ``LinkLost`` if it ended before."""
+        count, patience = len(self._states), Patience(_SILENT_S)
+        while len(self._states) == count and self._problem is None and not patience.over:
+            time.sleep(_LAST_SAMPLE_LOOK_S)
         problem = self._problem
         self.close()
         if problem is not None:
@@ -587,6 +535,11 @@ class UrPathArm(UrArm):
         return float(self._call("reached", ANSWER_WITHIN_S).get("reached", math.inf))
 
     # -- recording -----------------------------------------------------------------------------------------------------
+
+    @property
+    def settle_window(self) -> float:
+        """Largest change of a joint at rest [rad]."""
+        return self._settings.settle_window
 
     def start_recording(self) -> None:
         """Record every state of the controller over a separate connection. Raises ``LinkLost``."""

@@ -58,7 +58,7 @@ def read_worker_sample(receive: Any, optional: Collection[str]) -> UrSample:
 
 STREAMS_APART_S = 0.05
 """Largest age difference of the two streams: the end of a motion comes over another connection than the positions."""
-_REST_DWELL_S = 0.05
+REST_DWELL_S = 0.05
 
 
 class Unrest:
@@ -88,7 +88,7 @@ class Unrest:
             self._still_since_s = None
         elif self._still_since_s is None:
             self._still_since_s = sample.time_s
-        elif sample.time_s - self._still_since_s >= _REST_DWELL_S:
+        elif sample.time_s - self._still_since_s >= REST_DWELL_S:
             self._moved = False
 
     def settled(self) -> None:

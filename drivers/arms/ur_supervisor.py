@@ -16,7 +16,16 @@ from typing import Any, NoReturn, Protocol
 from drivers.arms.protocol import LinkLost, LiveArm
 from drivers.arms.ur_control import Refusal, UrControl, advised, failed
 from drivers.arms.ur_links import LOCAL_CONTROL, in_local_control, stop_program
-from drivers.arms.ur_motion import STILL_MOVING, STREAMS_APART_S, Kicks, Motion, RestCriterion, Unrest, leading_rates
+from drivers.arms.ur_motion import (
+    REST_DWELL_S,
+    STILL_MOVING,
+    STREAMS_APART_S,
+    Kicks,
+    Motion,
+    RestCriterion,
+    Unrest,
+    leading_rates,
+)
 from drivers.arms.ur_rtde_reader import UrSample, not_ready
 from drivers.patience import Patience, RunningTime
 
@@ -145,8 +154,8 @@ class Application(Protocol):
     def answer(self, message: Mapping[str, Any]) -> None:
         """Send a message."""
 
-    def check(self, kicks: Kicks, live: LiveArm, *, watched: bool) -> str:
-        """Exchange heartbeats; return why the application no longer watches a motion (``watched``), else empty."""
+    def check(self, kicks: Kicks, live: LiveArm) -> str:
+        """Exchange heartbeats; return why the application no longer watches its arm, else empty."""
 
     def exit_link_lost(self, kind: str, text: str) -> NoReturn:
         """Report, stop the arm over the dashboard, and end the process."""
@@ -172,6 +181,8 @@ class Supervisor:
         self._cut_short = False
         self._settle_requests: list[SettleRequest] = []
         self._resting_since: UrSample | None = None
+        self._rests_at: UrSample | None = None  # where it settled; None while a motion or a stop may change that
+        self._left_rest_s: float | None = None  # controller time since when it has been away from there
         self._fault: Refusal | None = None
         self._halted = False
         self._program_stopped_s: float | None = None  # since when the program has been stopped without a brake
@@ -456,6 +467,7 @@ class Supervisor:
         self._check_program(sample, time.monotonic())
         if news:
             self._update_rest(sample)
+            self._watch_rest(sample)
         if self._motion is not None and self._motion.running:
             self._track_motion(self._motion, sample, now, news)
         may_kick = self._fault is None and self._program_stopped_s is None and not self._halted
@@ -467,7 +479,7 @@ class Supervisor:
 
     def _look(self) -> tuple[UrSample, bool]:
         """Check everything that can stop an arm at any time; return its newest state, and whether that is new."""
-        unwatched = self._application.check(self._kicks, self.live, watched=self._moves)
+        unwatched = self._application.check(self._kicks, self.live)
         self._states.check_links()
         sample, news = self._states.look()
         if news:
@@ -522,6 +534,24 @@ class Supervisor:
             self._resting_since = None
         elif first is None or sample.distance(first.q) > self._rest.position:
             self._resting_since = sample
+
+    def _watch_rest(self, sample: UrSample) -> None:
+        """Record a fault if the arm leaves its rest without a motion of ours: something pushes it, or it creeps."""
+        first, at = self._resting_since, self._rests_at
+        meant = self._motion is not None or self.may_move or self._halted or self._application.braked
+        if meant or self._fault is not None or sample.program != "PLAYING":
+            self._rests_at = self._left_rest_s = None
+        elif at is None:
+            if first is not None and sample.time_s - first.time_s >= self._rest.dwell_s:
+                self._rests_at = first
+        elif sample.speed <= self._rest.speed and sample.distance(at.q) <= self._rest.position:
+            self._left_rest_s = None
+        elif self._left_rest_s is None:
+            self._left_rest_s = sample.time_s
+        elif sample.time_s - self._left_rest_s >= REST_DWELL_S:
+            off, speed = math.degrees(sample.distance(at.q)), math.degrees(sample.speed)
+            text = f"it moves without being asked: {off:.3f} deg from where it rested, at {speed:.2f} deg/s"
+            self._record_fault(failed(text))
 
     def _answer_settle_requests(self, sample: UrSample, now: float, news: bool) -> None:
         waiting = []

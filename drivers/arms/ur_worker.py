@@ -57,7 +57,8 @@ _TICK_S = 0.008
 _BEAT_EVERY_S = 0.05
 _UNHEARD_S = 0.5
 _UNHEARD_LOOKS = 20
-"""An application hangs or is suspended if it sends nothing for ``_UNHEARD_S`` and this many looks of the worker."""
+"""An application hangs or is suspended if it sends nothing for ``_UNHEARD_S`` and this many looks of the worker. Then
+the arm needs a person, also at rest: what the application would do next was decided before."""
 _STOP_WITHIN_S = 1.0
 _BRAKE_WITHIN_S = 0.3
 _BRAKE_READ_S = 0.002
@@ -130,8 +131,8 @@ class Worker:
             except OSError:  # the application has ended
                 self.exit_orphaned()
 
-    def check(self, kicks: Kicks, live: LiveArm, *, watched: bool) -> str:
-        """Exchange heartbeats; return why the application no longer watches a motion (``watched``), else empty."""
+    def check(self, kicks: Kicks, live: LiveArm) -> str:
+        """Exchange heartbeats; return why the application no longer watches its arm, else empty."""
         now = time.monotonic()
         if os.name == "posix" and os.getppid() != self._parent:
             self.exit_orphaned()
@@ -139,7 +140,7 @@ class Worker:
             self._beat_s = now
             self.answer({"beat": [kicks.longest_s, kicks.late, live.age_s, live.moving, self._served]})
         self._looks_unheard += 1
-        if watched and now - self._heard_s > _UNHEARD_S and self._looks_unheard > _UNHEARD_LOOKS:
+        if now - self._heard_s > _UNHEARD_S and self._looks_unheard > _UNHEARD_LOOKS:
             return f"this program was silent for {_UNHEARD_S:g} s (suspended, or hung), so its worker stopped the arm"
         return ""
 

@@ -152,7 +152,8 @@ class Cell:
     ``gate`` checks every motion; a trial that drives the same plan many times can pass one that caches its answers.
     ``tracker_unmet`` lists what kept the tracker from measuring when the cell was opened. ``pulse`` is the job's
     heartbeat. ``plant`` is the simulated cell; None in a real one. ``record_sweep`` lets an arm follow
-    joint positions and records it; None in a real cell.
+    joint positions and records it; None in a real cell. ``logs`` are called with the level and the text of what a
+    person should read later.
     """
 
     arms: Mapping[str, Arm]
@@ -167,6 +168,7 @@ class Cell:
     pulse: JobPulse = field(default_factory=JobPulse)
     plant: Plant | None = None
     record_sweep: RecordSweep | None = None
+    logs: list[Callable[[str, str], None]] = field(default_factory=list)
 
     def oldest_data_s(self) -> float:
         """Return the largest age [s] of the newest states of the arms; never block."""

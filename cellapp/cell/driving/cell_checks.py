@@ -48,7 +48,7 @@ class ControllerCheck:
 
 
 def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -> ControllerCheck:
-    """Record new controllers in the run, compare the others with their record, and log the notes.
+    """Record new controllers in the run, compare the others with their record, and log the notes, as all later ones.
 
     With ``insist``, a controller whose own D-H was changed since the run began, or is not that of the profile, is only
     noted; None if the verb has no such option.
@@ -79,6 +79,7 @@ def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -
         run.write_result(
             CONTROLLERS_RESULT, STORED_CONTROLLERS.dump_json(identities | recorded, exclude_none=True).decode("utf-8")
         )
+    cell.logs.append(run.log)
     for note in notes:
         run.log("warning", note)
     if plugins_of_devices(run.profile):

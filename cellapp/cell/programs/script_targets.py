@@ -25,6 +25,8 @@ from xml.parsers import expat
 
 import numpy as np
 
+from cellapp.cell.profile.factory import fitting_types
+from cellapp.cell.profile.loader import own_arm_types
 from cellapp.cell.programs.records import LeftMotion, Place, ProgramTarget, ReadProgram, Six
 from cellapp.cell.programs.urscript import (
     SIX,
@@ -44,7 +46,7 @@ from cellapp.cell.programs.urscript import (
     parts_of,
 )
 from cellapp.ground.errors import InputError
-from cellapp.robot.kinematics.plain_dh import same_chain
+from cellapp.robot.kinematics.plain_dh import of_one_type, same_chain
 from cellapp.robot.kinematics.transforms import Array
 
 _MOTIONS = {
@@ -410,6 +412,7 @@ class _XmlReader:
         self._move: list[str] = []
         self._script: list[str] | None = None
         self._script_line = 0
+        self._types: dict[bytes, str] = {}
 
     def start(self, tag: str, values: Mapping[str, str], index: int, line: int) -> None:
         """Handle the start of an element at byte ``index``."""
@@ -468,6 +471,8 @@ class _XmlReader:
             reason = "the waypoint has no six joint positions"
         elif waypoint.own_pose:
             reason = "an older form of file, with a pose of its own; save it by PolyScope 5"
+        elif other := self._other_type(waypoint):
+            reason = f"it was taught on an arm of another type: its rows are those of {other}"
         elif not self._is_the_controllers(waypoint):
             expected = "another one than that in arms.*.factory of the profile,"
             if np.array_equal(self._table, self._published):
@@ -501,10 +506,24 @@ class _XmlReader:
         """Return whether a waypoint's chain, if stated, is that of the controller."""
         if not waypoint.chain or waypoint.status in ("NOT_INITIALIZED", "NOT_LINEARIZED"):
             return True
+        rows = self._rows(waypoint)
+        return rows is not None and same_chain(rows, self._table, self._published)
+
+    def _rows(self, waypoint: _Waypoint) -> Array | None:
+        """Return the rows (6, 4) of a waypoint's chain; None if it does not state all of them."""
         columns = [_numbers(waypoint.chain.get(name, "")) for name in ("deltaTheta", "d", "a", "alpha")]
         if any(len(column) != len(self._table) for column in columns) or not np.isfinite(columns).all():
-            return False
-        return same_chain(np.array(columns).T, self._table, self._published)
+            return None
+        return np.array(columns).T
+
+    def _other_type(self, waypoint: _Waypoint) -> str:
+        """Return the types of arms that a waypoint was taught on if they are others than this one; else empty."""
+        rows = self._rows(waypoint)
+        if rows is None or of_one_type(rows, self._published):
+            return ""
+        if rows.tobytes() not in self._types:  # a program has the same rows at each waypoint
+            self._types[rows.tobytes()] = fitting_types(rows, 0.0, own_arm_types())
+        return self._types[rows.tobytes()]
 
 
 def _numbers(text: str) -> list[float]:

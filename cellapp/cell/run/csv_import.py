@@ -34,15 +34,16 @@ from cellapp.cell.run.stations import (
     tie_sentences,
     twice_at_a_stop,
 )
-from cellapp.estimation.calibration.registration import COMPUTED, explained
+from cellapp.estimation.calibration.registration import COMPUTED, explained, factory_doubt
+from cellapp.estimation.readings.alike import repeats_words
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, OF_SOCKETS
 from cellapp.estimation.readings.readings import Readings, lost_points, one_pose_a_stop, smr_names
-from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile import Profile
+from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.removed import removed_readings
+from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.model.arguments import too_heavy
-from cellapp.robot.model.nominal import nominal_arm
+from cellapp.robot.model.nominal import published_rows
 
 _FEWEST_JUDGED = 10
 """Least number of rows that show whether points are computed."""
@@ -185,7 +186,12 @@ def readings_of_table(
     readings, made = _one_a_stop(
         table.take([n for n, line in enumerate(table.lines) if line not in lost]), readings, smr
     )
-    notes += [*made, *_computed(profile, readings)]
+    said = {arm: repeats_words(its.q, its.p_M) for arm, its in readings.items() if its.station is None}
+    doubts = {
+        arm: _computed(profile.arms[arm], its) or factory_doubt(profile.arms[arm], its) for arm, its in readings.items()
+    }
+    notes += made
+    notes += [f"{table.path}: arm '{arm}': {words}" for its in (said, doubts) for arm, words in its.items() if words]
     missing = [name for name in profile.arms if name not in readings and name not in recorded]
     if missing:
         raise InputError(
@@ -196,16 +202,10 @@ def readings_of_table(
 
 
 def _seen(cells: ArmCells, its: Readings) -> tuple[Readings, set[int], list[str]]:
-    """Leave out rows whose point is none, as the beam was lost; return also their lines, and sentences on these and on
-    copies of rows."""
-    lost, copies = lost_points(its.q, its.p_M)
-    table, notes = cells.table, list[str]()
-    for row, words in lost.items():
-        notes.append(f"{table.place(cells.line(row))}: x_m, y_m, z_m: {words}: the beam was lost; left out")
-    if copies:
-        last, first = (table.row_words(cells.line(row)) for row in next(iter(copies.items())))
-        count = counted(len(copies), "row is a copy", "rows are copies")
-        notes.append(f"{table.path}: {count} of another in all digits, as {last} of {first}: nothing new is in them")
+    """Leave out rows whose point is none, as the beam was lost; return also their lines, and sentences on them."""
+    lost = lost_points(its.q, its.p_M)
+    places = {row: f"{cells.table.place(cells.line(row))}: x_m, y_m, z_m" for row in lost}
+    notes = [f"{places[row]}: {words}: the beam was lost; left out" for row, words in lost.items()]
     kept = [row for row in range(len(its)) if row not in lost]
     return its.take(kept), {cells.line(row) for row in lost}, notes
 
@@ -221,14 +221,15 @@ def _check_payloads(profile: Profile, table: CsvTable, readings: Mapping[str, Re
     problems.check()
 
 
-def _computed(profile: Profile, readings: Mapping[str, Readings]) -> list[str]:
-    """Say which arm's points the published geometry explains exactly."""
-    return [
-        f"arm '{name}': the published geometry leaves 0.000 mm of the points: {COMPUTED}"
-        for name, its in readings.items()
-        if len(np.unique(its.q, axis=0)) >= _FEWEST_JUDGED
-        and explained(nominal_arm(profile.arms[name]).with_T_M_B(np.eye(4)), its.q, its.p_M).computed
-    ]
+def _computed(arm: Arm, its: Readings) -> str:
+    """Say that the published geometry explains the points exactly; else empty."""
+    if len(np.unique(its.q, axis=0)) < _FEWEST_JUDGED:
+        return ""
+    geometry = nominal_geometry(published_rows(arm), np.zeros(3))
+    return (
+        f"the published geometry leaves 0.000 mm of the points: {COMPUTED}"
+        * explained(geometry, its.q, its.p_M).computed
+    )
 
 
 def _one_a_stop(

@@ -169,7 +169,7 @@ def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody
     joints = _joints(table.names)
     points = POINT if set(POINT) <= {*table.names} else ()
     _check_numbers(table, (*joints, *points))
-    lost = lost_points(_values(table, joints), _values(table, POINT))[0] if points else {}
+    lost = lost_points(_values(table, joints), _values(table, POINT)) if points else {}
     notes += [f"{table.place(table.lines[row])}: {words}: the beam was lost there" for row, words in lost.items()]
     lengths = _stated(path, known, points, _LENGTHS) or length_unit(_values(table, points)) if points else "m"
     stamps, clock = _clock(table, known)

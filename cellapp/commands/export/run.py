@@ -25,7 +25,7 @@ from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.plan.run import export_plan
 from cellapp.commands.record import Request, View, Work
 from cellapp.commands.stages import RunStages, StoredStage, read_stages
-from cellapp.commands.stored_model import model_of, stage_in_force
+from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
@@ -182,6 +182,7 @@ def export_as_run(
         If there is no such format, arm or stage, the run is not calibrated, the format cannot represent an arm, a file
         with another text exists, or a file cannot be written; also as ``export_commands``.
     """
+    require_own_factory(run, "export")
     form, stages = format_named(format_name), read_stages(run)
     if isinstance(form, CommandFormat):
         return export_commands(run, stages, form, out, arm, stage_name, outputs)
@@ -358,6 +359,7 @@ def export_run(
         write_recordings_csv(run, kind, path, outputs)
     lost = None
     if geometry is not None:
+        require_own_factory(run, "export")
         published = {name: published_rows(arm) for name, arm in run.profile.arms.items()}
         content = geometry_export(model_of(run, stage_in_force(run, read_stages(run))), published)
         outputs.write_text(geometry, content.to_json(indent=1) + "\n")

@@ -19,6 +19,7 @@ from cellapp.cell.run.columns import UNITS_OF_TIME, AngleUnit, LengthUnit, usual
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short, table_text
 from cellapp.cell.run.recorded_csv import Choose, Recorded, converted, nobody, read_recorded
 from cellapp.estimation.calibration.registration import COMPUTED, Explained, better_reading, explained
+from cellapp.estimation.readings.alike import repeats_words
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
@@ -197,6 +198,7 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
         *ground,
         *recorded.notes,
         *arm_type.notes,
+        *((words,) if (words := repeats_words(q, p_M)) else ()),
         _judged(arm_type, q, p_M, own.modified),
     )
     return OwnDataWritten(profile, readings, notes, smr=names[0] if len(names) == 2 else None)

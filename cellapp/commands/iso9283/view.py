@@ -525,11 +525,10 @@ def accuracy_chart(result: Iso9283Result, tolerance_mm: float | None = None) -> 
                 continue
             values = [pose.accuracy for pose in poses]
             largest = max(value.value_mm for value in values)
-            hints = [f"{pose.pose}: U = {mm(pose.accuracy.expanded_mm or 0.0)}" for pose in poses]
             numbers = [float(pose.pose[1:]) for pose in poses]
             found = [value.value_mm for value in values]
             title = f"arm {name}, {kind}"
-            drawn.append(series(title, numbers, found, "points", style=len(drawn), hints=hints))
+            drawn.append(series(title, numbers, found, "points", style=len(drawn)))
             words.append(f"{title}: {mm(largest)}")
     return Chart(
         "Pose accuracy at the five poses",

@@ -56,7 +56,7 @@ from cellapp.commands.rehearse.view import log_section
 from cellapp.commands.report.before_after import best_method
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.headlines import headlines, missing_results, verified_headlines, warnings
-from cellapp.commands.report.scene import cell_maps, cell_scene, typical_stops
+from cellapp.commands.report.scene import cell_maps, typical_stops
 from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
 from cellapp.commands.trials.power.result import power_parts, stored_power
 from cellapp.commands.view.charts import Chart, enumerated, mm
@@ -497,10 +497,9 @@ def _pair_message(calibrate: CalibrateResult) -> str:
 def _cell(data: ReportData) -> Section:
     distances = {name: float(np.linalg.norm(arm.geometry.T_M_B()[:3, 3])) for name, arm in data.model.arms.items()}
     words = enumerated(f"arm {name} {distance:.2f} m" for name, distance in distances.items())
-    scene = cell_scene(data)
     return Section(
         "",
-        [scene, *cell_maps(scene), base_table(data.model)],
+        [*cell_maps(data), base_table(data.model)],
         f"Distance of the bases from the tracker: {words}.",
         "Drawn in the tracker frame, rotated so that z points up; the tracker is at the origin.",
     )

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.records import Repeatability
 from cellapp.estimation.readings import Readings, stated_uncertainty
+from cellapp.estimation.readings.alike import repeats
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorSummary, StageErrors
 from cellapp.robot.effects import MeasurementConditions, TemperatureRecord
@@ -290,7 +291,7 @@ def _steps(readings: Readings) -> Array | None:
 
 _SAMPLES = 400
 """Number of bootstrap samples: they fix the ends of a 95 % interval to a few per cent of its width."""
-_SAME_JOINTS_RAD = 1e-4
+_SAME_JOINTS_RAD = 2e-4
 """Joint difference below which two stops are the same: above a controller's repeatability, below any planned step."""
 
 
@@ -350,12 +351,11 @@ def distance_summary(measured: Array, computed: Array, weights: Array | None = N
 
 
 def repeatability(q: Array, p_M: Array) -> Repeatability | None:
-    """Compute the position repeatability of repeated stops (same joints to 0.1 mrad); None if no stop was repeated.
+    """Compute the position repeatability of repeated stops (same joints to 0.2 mrad); None if no stop was repeated.
 
     ISO 9283: mean distance from the barycentre plus three standard deviations, here over all groups of repeats.
     """
-    _, group = np.unique(np.round(q / _SAME_JOINTS_RAD).astype(np.int64), axis=0, return_inverse=True)
-    group = group.ravel()
+    group = repeats(q, _SAME_JOINTS_RAD)
     sizes = np.bincount(group)
     repeated = sizes[group] > 1
     if not repeated.any():

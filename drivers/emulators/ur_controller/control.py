@@ -9,6 +9,7 @@ A request is ``ARM COMMAND [ARGUMENT ...]`` (ARM ``*``: all arms), the answer ``
     fault PORT none|silent|refuse|garbage|flood|trickle [SECONDS]
     start-delay SECONDS                   from an uploaded program to its start, from now on
     short-packets swallow|close           reaction to RTDE data of the wrong length
+    push RAD SPEED [JOINT]                something turns a joint (1) of the arm at rest by RAD at SPEED [rad/s]
     protective now|off|speed V|travel V   stop now, or when the arm reaches V rad/s or has moved by V rad
     release                               the operator releases a protective stop
     estop | estop-release                 the emergency stop button
@@ -176,6 +177,13 @@ def _protective(arm: Emulated, arguments: Sequence[str], _: float) -> None:
             arm.controller.arm_protective_stop(travel=_number(arguments, 1, limit=_FASTEST))
 
 
+def _push(arm: Emulated, arguments: Sequence[str], _: float) -> None:
+    back = -1.0 if arguments and arguments[0].startswith("-") else 1.0
+    by = back * _number([arguments[0].removeprefix("-")] if arguments else [], 0, limit=_FASTEST)
+    joint = int(_number(arguments, 2, limit=6.0, default=1.0))
+    arm.controller.push(max(joint, 1) - 1, by, _number(arguments, 1, limit=_FASTEST))
+
+
 def _remote(arm: Emulated, arguments: Sequence[str], _: float) -> None:
     arm.controller.remote_control = _word(arguments, 0, ("on", "off")) == "on"
 
@@ -252,6 +260,7 @@ _COMMANDS: dict[str, Callable[[Emulated, Sequence[str], float], object]] = {
     "power-on": _without_arguments(Controller.power_on),
     "brake-release": _without_arguments(Controller.release_brakes),
     "power-off": _without_arguments(Controller.power_off),
+    "push": _push,
     "remote": _remote,
     "slider": _slider,
     "foreign": _foreign,

@@ -76,6 +76,8 @@ _MOST_STARTS = 2000
 _LEAST_RATE = 1e-6
 """Joint speeds [rad/s] or accelerations [rad/s^2] below this count as 0: the motion would take days."""
 _ZERO6: Values = (0.0,) * 6
+_PUSH_RAD_S2 = 1e4
+"""Acceleration of an arm that is pushed: it has its speed at once."""
 _COMMAND_REGISTERS = ("input_int_register_0", "input_int_register_24")
 _STOPPING: Mapping[float, str] = {15: "stopl", 16: "stopj", 33: "stopl", 34: "stopj", 255: "end of the script"}
 """Commands of ur_rtde that stop the arm."""
@@ -270,6 +272,13 @@ class Controller:
                 self._note_start("stream")
             self.motions.servo(self.name, np.array(q), rate)
             self._was_moving = True
+
+    def push(self, joint: int, by: float, speed: float) -> None:
+        """Turn a joint of the arm at rest by ``by`` [rad] at ``speed`` [rad/s], as a force from outside does."""
+        goal = self.motions.q(self.name)
+        goal[joint] += by
+        self.motions.start_move(self.name, goal, np.full(6, speed), np.full(6, _PUSH_RAD_S2))
+        self._was_moving = True
 
     def brake(self, deceleration: float | None = None) -> None:
         """Stop the arm like ``stopj`` at ``deceleration`` [rad/s^2], and forget its goal."""

@@ -18,6 +18,7 @@ from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.check import CheckTask, DrivenCheck, check_candidates, drive_check
 from cellapp.cell.driving.locate import LocatingStops
 from cellapp.cell.driving.measuring import APART_M, FoundPoint, covariances, lattice, share_of_chance
+from cellapp.cell.driving.motion import PointAtRest
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_motion, refuse_stop
@@ -47,7 +48,6 @@ from cellapp.interfaces.page.page import write_page
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
-from drivers.trackers.protocol import Point
 from drivers.trackers.simulated import SimulatedTracker
 from tests.twin import PROFILES, plant_of, small_twin
 
@@ -512,8 +512,9 @@ def found_points(rng: np.random.Generator, sigma_m: float, stated_m: float, coun
     found = []
     for _ in range(count):
         repeats_M = rng.normal(0.0, sigma_m, (5, 3))
-        point = Point(repeats_M.mean(axis=0), stated_m**2 * np.eye(3), 0.0, 1.0, None)
-        found.append(FoundPoint("left", np.zeros(6), point, repeats_M, MeasurementConditions(), 0.0))
+        mean_M, covariance_M, q = repeats_M.mean(axis=0), stated_m**2 * np.eye(3), np.zeros(6)
+        point = PointAtRest(mean_M, covariance_M, 0.0, 1.0, None, q=q, q_spread=0.0)
+        found.append(FoundPoint("left", point, repeats_M, MeasurementConditions(), 0.0))
     return found
 
 

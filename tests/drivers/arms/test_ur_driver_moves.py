@@ -51,7 +51,6 @@ from tests.drivers.arms.emulated_ur_cell import (
     SERIALS,
     SPEED,
     UNHURRIED,
-    assert_stays_at_rest,
     configs,
     driven,
     drivers_of,
@@ -60,7 +59,6 @@ from tests.drivers.arms.emulated_ur_cell import (
     repair,
     warnings_about,
 )
-from tests.evidence.wire.link_bench import travel_s
 from tests.evidence.wire.link_results import LinksResult
 from tests.evidence.wire.links import link_trials
 from tests.latency import attempts
@@ -118,17 +116,6 @@ def unconnected(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> Emulato
 # -- motions ----------------------------------------------------------------------------------------------------------
 
 
-def test_both_arms_move_at_once(connected: dict[str, UrArm]) -> None:
-    for goal in (AWAY, HOME):
-        for arm in connected.values():
-            arm.start_move(goal, SPEED * 0.5, ACCELERATION)
-        assert all(arm.state().moving for arm in connected.values())
-        for arm in connected.values():
-            state = arm.wait_settled(PATIENT_S)
-            np.testing.assert_allclose(state.q, goal, atol=1e-6)
-            assert (state.moving, state.ready, state.reason) == (False, True, "")
-
-
 @pytest.mark.parametrize("name", ARMS)
 def test_identity_state_and_tool_are_those_of_the_controller(connected: dict[str, UrArm], name: str) -> None:
     arm = connected[name]
@@ -150,44 +137,6 @@ def test_identity_state_and_tool_are_those_of_the_controller(connected: dict[str
     np.testing.assert_array_equal(limits.speed, np.full(6, 3.0))
     assert warnings_about(arm) == []
     assert arm.state().time_s > state.time_s
-
-
-def test_a_motion_takes_the_time_it_needs_and_no_joint_exceeds_its_speed(connected: dict[str, UrArm]) -> None:
-    arm = connected["right"]
-    speed = np.array([2.0, 2.0, 2.0, 2.0, 0.4, 2.0])  # the fifth joint holds the others back
-    arm.start_move(HOME, SPEED, ACCELERATION)
-    arm.wait_settled(PATIENT_S)
-    began = time.monotonic()
-    arm.start_move(AWAY, speed, ACCELERATION)
-    arm.wait_settled(PATIENT_S)
-    way = float(np.abs(AWAY - HOME).max())
-    led = 0.4 * way / 0.3
-    assert time.monotonic() - began >= travel_s(way, led, float(ACCELERATION[0])) * 0.999
-    arm.start_move(HOME, SPEED, ACCELERATION)
-    arm.wait_settled(PATIENT_S)
-
-
-def test_after_stop_nothing_moves_until_the_next_motion(emulator: EmulatorProcess, connected: dict[str, UrArm]) -> None:
-    arm = connected["left"]
-    arm.start_move(FAR, UNHURRIED, ACCELERATION)
-    until(lambda: abs(arm.state().q[0]) > 0.1, "the arm moves")
-    arm.stop()
-    status = emulator.control("left", "status")
-    assert not status["moving"]
-    assert np.abs(np.array(status["q"]) - FAR).max() > 0.3
-    arm.stop()  # harmless
-    assert_stays_at_rest(emulator, "left")
-    state = arm.state()
-    assert (state.moving, state.ready, state.program) == (False, True, "STOPPED")
-    arm.start_move(HOME, SPEED, ACCELERATION)
-    np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, HOME, atol=1e-6)
-
-
-def test_a_motion_to_the_current_position_ends_well(connected: dict[str, UrArm]) -> None:
-    arm = connected["left"]
-    here = arm.state().q
-    arm.start_move(here, SPEED, ACCELERATION)
-    np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, here, atol=1e-9)
 
 
 positive = st.lists(st.floats(0.01, 10.0), min_size=6, max_size=6)
@@ -212,31 +161,6 @@ def test_leading_rates_keep_every_joint_within_its_limits(
 
 
 # -- refusals before anything is sent ---------------------------------------------------------------------------------
-
-BAD = {
-    "five joints": ({"q": HOME[:5]}, "shape"),
-    "a table": ({"q": np.zeros((6, 1))}, "shape"),
-    "not a number": ({"q": np.where(np.arange(6) == 3, np.nan, HOME)}, "position of joint 4 is not a finite number"),
-    "infinite": ({"q": np.where(np.arange(6) == 0, np.inf, HOME)}, "position of joint 1 is not a finite number"),
-    "text": ({"q": np.array(["a"] * 6)}, "expected 6 numbers"),
-    "beyond the limits": ({"q": HOME + 7.0}, "of joint 1 is outside"),
-    "too fast": ({"speed": np.full(6, 3.1)}, "speed 3.1 rad/s of joint 1 is not above 0 and at most 3 rad/s"),
-    "no speed": ({"speed": np.zeros(6)}, "speed 0 rad/s of joint 1"),
-    "speed not a number": ({"speed": np.full(6, np.nan)}, "speed of joint 1 is not a finite number"),
-    "too hard": ({"acceleration": np.full(6, 9.0)}, "acceleration 9 rad/s"),
-    "no acceleration": ({"acceleration": -ACCELERATION}, "acceleration -8 rad/s"),
-}
-
-
-@pytest.mark.parametrize("bad", BAD)
-def test_bad_input_moves_nothing(emulator: EmulatorProcess, connected: dict[str, UrArm], bad: str) -> None:
-    changes, words = BAD[bad]
-    arguments: dict[str, Any] = {"q": AWAY, "speed": SPEED, "acceleration": ACCELERATION} | changes
-    moves = emulator.control("right", "status")["moves"]
-    with pytest.raises(LimitExceeded, match=words):
-        connected["right"].start_move(**arguments)
-    status = emulator.control("right", "status")
-    assert (status["moves"], status["runtime_state"]) == (moves, "PLAYING")
 
 
 TIGHT = JointLimits(np.tile([-7.0, 7.0], (6, 1)), np.full(6, 3.0), np.full(6, 8.0))
@@ -275,13 +199,6 @@ def test_local_control_is_refused(unconnected: EmulatorProcess) -> None:
     with driven("right") as arm, pytest.raises(NotInRemoteControl, match="from Local to Remote"):
         arm.connect()
     assert_untouched(unconnected, "right")
-
-
-def test_an_arm_without_power_is_refused(unconnected: EmulatorProcess) -> None:
-    unconnected.control("left", "power-off")
-    with driven("left") as arm, pytest.raises(ArmError, match="robot mode: POWER_OFF"):
-        arm.connect()
-    assert_untouched(unconnected, "left")
 
 
 def test_a_changed_calibration_only_warns(unconnected: EmulatorProcess) -> None:
@@ -569,12 +486,6 @@ def test_a_command_that_is_not_served_because_this_computer_stalled_says_so(
     doubt, answer = monitor(0.01, asked)[-2:]
     assert (doubt["doubt"], answer["error"]) == ("stalled", "stalled")
     assert "this computer was silent for 0.3" in answer["text"]
-
-
-def test_a_motion_that_stands_because_of_the_slider_is_no_fault(delayed: Any) -> None:
-    client, monitor = delayed
-    client.running, client.fraction = True, 0.0
-    assert monitor(5.0) == []
 
 
 def test_a_motion_that_stands_at_full_speed_is_a_fault(delayed: Any, monkeypatch: pytest.MonkeyPatch) -> None:

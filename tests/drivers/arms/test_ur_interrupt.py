@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 
-import numpy as np
 import pytest
 
 from drivers.arms.protocol import ArmError, MotionStopped
@@ -18,7 +17,6 @@ from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
     AWAY,
     FOUR_HOSTS,
-    HOME,
     PATIENT_S,
     SPEED,
     Episode,
@@ -200,12 +198,3 @@ ROUNDS: dict[str, dict[str, list[Episode]]] = {
 @pytest.mark.parametrize("episodes", ROUNDS.values(), ids=ROUNDS)
 def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm], episodes: dict[str, list[Episode]]) -> None:
     of_each_arm(emulator, drivers, episodes, make_ready)
-
-
-def test_after_an_interruption_it_connects_and_moves(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
-    for arm in drivers.values():
-        make_ready(emulator, arm)
-        interrupted(arm, UrArm.refuse_motion, lambda: pause(0.02))
-        arm.connect()
-        arm.start_move(HOME, SPEED, ACCELERATION)
-        np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, HOME, atol=1e-6)

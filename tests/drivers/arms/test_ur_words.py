@@ -597,18 +597,6 @@ def test_old_positions_at_the_end_of_a_closed_path_do_not_end_it(
     assert moving(monitor(0.01, STATE))
 
 
-def test_live_says_so_too(delayed: Delayed) -> None:
-    client, monitor = delayed
-    client.running = True
-    monitor(0.05)
-    assert client.supervisor.live.moving
-    assert client.supervisor.live.age_s < 0.05
-    brake(client, monitor)
-    assert client.supervisor.live.moving
-    monitor(0.3)
-    assert not client.supervisor.live.moving
-
-
 def sample(time_s: float, speed: float) -> UrSample:
     zeros = (0.0,) * 6
     return UrSample(time_s, zeros, (speed, *zeros[1:]), "RUNNING", "NORMAL", "PLAYING", 1.0, None, None, zeros)
@@ -628,12 +616,6 @@ def test_rest_counts_only_from_states_after_the_end_and_for_a_while() -> None:
     for k in range(105, 112):
         unrest.look(sample(0.01 * k, 0.0), 0.01 * k, 0.005, running=False)
     assert not unrest.may_move
-
-
-def test_a_refusal_that_says_what_to_do_is_an_error_of_the_arm() -> None:
-    error = arm_error("left", "advised", "it is still moving; wait until it rests, or stop it")
-    assert type(error) is ArmError
-    assert str(error) == "arm left: it is still moving; wait until it rests, or stop it"
 
 
 # -- Payload, TCP and speed slider, checked again once the control program runs; and requests that are refused unsent --

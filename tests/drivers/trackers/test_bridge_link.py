@@ -122,16 +122,6 @@ def fault_is_survived(kind, fault, make_plant):
         assert tracker.unmet() == []
 
 
-def several_faults_one_after_the_other(make_plant):
-    with over("tcp", make_plant()) as (bridge, tracker):
-        for fault in ("garbage", "drop", "silence"):
-            bridge.fault(fault)
-        assert len({tracker.measure(NEST, 1.0).time_s for _ in range(4)}) == 4
-        assert bridge.tracker.measured == 4
-        with pytest.raises(ValueError, match="unknown fault 'earthquake'; known are beam, slow"):
-            bridge.fault("earthquake")
-
-
 def test_errors_of_the_tracker_keep_their_class(make_arm, make_plant):
     plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2))
     with over("tcp", plant, wrong_target_m=0.02) as (bridge, tracker):
@@ -543,7 +533,6 @@ def test_what_waits_for_the_other_side(make_plant):
             a_tracker_that_never_ends_is_halted_and_the_client_gets_a_timeout,
             a_tracker_that_cannot_be_reached_is_reported,
             a_serial_port_that_is_silent_or_babbles,
-            partial(several_faults_one_after_the_other, make_plant),
             partial(a_silent_client_loses_the_tracker_to_another, make_plant),
             partial(a_bridge_that_goes_for_good_ends_the_measurement_in_time, make_plant),
             partial(the_tracker_of_a_shared_plant_waits_for_the_plants_clock, make_plant),

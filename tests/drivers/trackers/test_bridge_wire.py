@@ -400,13 +400,6 @@ def test_a_tracker_without_a_stream_says_so_and_an_old_bridge_too() -> None:
             assert stream_of(tracker) is None
 
 
-def test_rates_out_of_range_are_refused_before_anything_is_sent(make_plant: Any) -> None:
-    with bridged(make_plant) as (_, _, tracker):
-        for wrong in (1e-4, 5.0, np.nan):
-            with pytest.raises(ValueError, match=r"one each 0\.001 to 1 s"):
-                tracker.start_track(NEST, wrong, lambda error: None)
-
-
 def test_a_client_that_is_too_slow_loses_points_and_the_stamps_tell(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bridge_wire, "MOST_WAITING", 50)
     buffer = TrackBuffer("track-0001")
@@ -548,7 +541,7 @@ TestBridgeMachine = BridgeMachine.TestCase
 
 # -- Whatever clients send, the tracker's bridge and its emulator go on to serve a client that behaves -----------------
 
-SEEDS = range(4)
+SEEDS = range(2)
 CONVERSATIONS = 400
 """Of each seed."""
 WORDS = (
