@@ -166,6 +166,7 @@ class _Read:
     """Smaller ranks are preferred: cellapp's own, measured, unmarked, commanded or computed."""
 
 
+_NOTHING = _Read("")
 _Family = dict[int, list[int]]
 """Number of a joint or axis -> places of its columns."""
 
@@ -187,22 +188,27 @@ def understood(
     """
     if any(re.fullmatch(r"(?:q|qd)0", name.lower()) for name in names):
         own = [name for name in own if name.rstrip("0123456789") == name]  # names of joints from 0 are not cellapp's
-    read = [_own(name) if name in own else _read(name, kind) for name in names]
-    if written is not None:
-        read = [None if name in written.columns else one for name, one in zip(names, read, strict=True)]
-        for axis, name in enumerate(written.position):
-            read[names.index(name)] = _Read("p", axis, "matrix")
-    if kind != "points" and not any(one is not None and one.quantity == "q" for one in read):
+    elsewhere, last = ((), ()) if written is None else (written.columns, written.position)
+    read = [
+        _NOTHING
+        if name in elsewhere
+        else _Read("p", last.index(name), "matrix")
+        if name in last
+        else _own(name)
+        if name in own
+        else _read(name, kind) or _NOTHING
+        for name in names
+    ]
+    if kind != "points" and not any(one.quantity == "q" for one in read):
         numbered = _family(names)
-        read = [_read(numbered[name], kind) if name in numbered else one for name, one in zip(names, read, strict=True)]
+        read = [_read(numbered[n], kind) or _NOTHING if n in numbered else one for n, one in zip(names, read)]
     families: dict[str, dict[tuple[int, str], _Family]] = {}
     for place, one in enumerate(read):
-        if one is not None:
+        if one is not _NOTHING:
             its = families.setdefault(one.quantity, {}).setdefault((one.rank, one.family), {})
             its.setdefault(one.number, []).append(place)
-    order = _named_order(names, row)
-    called, doubled, commanded = dict[int, str](), dict[str, tuple[str, ...]](), list[str]()
-    smrs: dict[str, tuple[str, ...]] = {}
+    order, called = _named_order(names, row), dict[int, str]()
+    doubled, commanded, smrs = dict[str, tuple[str, ...]](), list[str](), dict[str, tuple[str, ...]]()
     for quantity, found in families.items():
         rank, best = _best(quantity, found, {place for place, name in enumerate(names) if name in taken})
         commanded += [quantity] * (rank >= _COMMAND)
@@ -210,33 +216,23 @@ def understood(
             smrs = {smr: tuple(names[its[axis][0]] for axis in range(3)) for smr, its in several.items()}
             best = dict([next(iter(best.items()))])
         numbers = {number for its in best.values() for number in its}
-        base = 1 if 0 not in numbers else 0
+        base = min(numbers & {0, 1}, default=1)
         for number in sorted(numbers):
             places = [place for its in best.values() for place in its.get(number, ())]
-            units = [_factor(read[place]) for place in places]
-            if (
-                quantity == "time_s"
-                and len(best) == 1
-                and len(places) == 2
-                and units.count(1.0) == 1
-                and None not in units
-            ):
+            units = [read[place].factor for place in places]
+            if quantity == "time_s" and (len(best), len(units), units.count(1.0), units.count(None)) == (1, 2, 1, 0):
                 whole, part = places if units[0] == 1.0 else places[::-1]
                 called |= {whole: "time_s", part: FRACTION}
-            elif (name := _called(quantity, number, base, order if rank >= 0 else {})) is None:
-                continue
-            elif len(places) == 1:
+            elif (name := _called(quantity, number, base, order if rank >= 0 else {})) and len(places) == 1:
                 called[places[0]] = name
-            else:
+            elif name:
                 doubled[name] = tuple(names[place] for place in places)
-    others = {
-        name: names[place] for place, name in called.items() if (one := read[place]) is not None and one.rank >= 0
-    }
-    units_of = {name: _factor(read[place]) for place, name in called.items() if name in others}
+    foreign = {place: name for place, name in called.items() if read[place].rank >= 0}
+    others = {name: names[place] for place, name in foreign.items()}
     free = (f"{name} (not used)" if name in others else name for name in names)  # q1 beside actual_q_0
     return Understood(
         tuple(called.get(place, name) for place, name in enumerate(free)),
-        {name: unit for name, unit in units_of.items() if unit is not None},
+        {name: unit for place, name in foreign.items() if (unit := read[place].factor) is not None},
         others,
         doubled,
         tuple(commanded),
@@ -253,37 +249,31 @@ def _own(name: str) -> _Read:
     return _Read(name, rank=-1) if joint is None else _Read(joint[1], int(joint[2]), rank=-1)
 
 
-def _factor(one: _Read | None) -> float | None:
-    return None if one is None else one.factor
-
-
 def _best(
     quantity: str, families: Mapping[tuple[int, str], _Family], taken: Collection[int]
-) -> tuple[int, dict[tuple[int, str], _Family]]:
+) -> tuple[int, Mapping[tuple[int, str], _Family]]:
     """Return the rank of the families that may be a quantity, and those; one of a ``taken`` place alone."""
     for key, its in families.items():
         if any(place in taken for places in its.values() for place in places):
-            return key[0], {
-                key: {number: [p for p in places if p in taken] or places for number, places in its.items()}
-            }
-    if quantity == "p" and not any(len(its) == 3 for its in families.values()):
+            return key[0], {key: {n: [p for p in places if p in taken] or places for n, places in its.items()}}
+    whole = {key: its for key, its in families.items() if quantity != "p" or len(its) == 3}
+    if not whole:
         return 1, families
-    fitting = {key: its for key, its in families.items() if quantity != "p" or len(its) == 3}
-    rank = min(rank for rank, _ in fitting)
-    return rank, {key: its for key, its in fitting.items() if key[0] == rank}
+    rank = min(rank for rank, _ in whole)
+    return rank, {key: its for key, its in whole.items() if key[0] == rank}
 
 
-def _called(quantity: str, number: int, base: int, order: Mapping[int, tuple[int, str, str]]) -> str | None:
-    """Return cellapp's name of a column; None for a joint that the file names and the arm does not have."""
+def _called(quantity: str, number: int, base: int, order: Mapping[int, tuple[int, str, str]]) -> str:
+    """Return cellapp's name of a column; empty for a joint that the file names and the arm does not have."""
     if quantity == "p":
         return POINT[number]
     if quantity in ("sigma", "expanded"):
         return f"{quantity}_{'xyzm'[number]}"
     if quantity not in ("q", *_OF_JOINTS):
         return quantity
-    if not order:
-        return f"{quantity}{number + 1 - base}"
-    return f"{quantity}{order[number][0]}" if number in order else None
+    if order and number not in order:
+        return ""
+    return f"{quantity}{order[number][0] if order else number + 1 - base}"
 
 
 def _several_smrs(families: Mapping[tuple[int, str], _Family]) -> dict[str, _Family]:

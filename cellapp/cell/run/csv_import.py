@@ -57,58 +57,6 @@ class WhichSmr(InputError):
         self.names = names
 
 
-def read_readings_csv(
-    path: Path,
-    joint_counts: Mapping[str, int],
-    *,
-    in_order: bool = False,
-    limits: Mapping[str, NDArray[np.float64]] | None = None,
-) -> tuple[dict[str, Readings], list[str]]:
-    """Read and check a file of readings.
-
-    Parameters
-    ----------
-    path : Path
-        UTF-8, comma-separated.
-    joint_counts : mapping
-        Number of joints of each arm that may occur, by name.
-    in_order : bool
-        The rows of an arm stand in the order in which they were measured (with ``time_s``, the order is by time):
-        approach and step that the file does not give follow from the row before, see ``in_measured_order``.
-    limits : mapping, optional
-        Joint limits (N, 2) [rad] of each arm. Joint positions further beyond them than a revolution are refused.
-
-    Returns
-    -------
-    readings : dict
-        Readings of each arm that occurs, ordered by configuration. Unknown columns are in ``extras``.
-    notes : list of str
-        Unknown columns and arms that do not occur.
-
-    Raises
-    ------
-    InputError
-        Names file, line and column of values that are missing, not numbers, repeated or implausible.
-    """
-    readings, _, _, notes = _read(read_csv_table(Path(path)), joint_counts, in_order, limits or {})
-    return readings, notes
-
-
-def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = False) -> RunFile:
-    """Make a run from a file of readings, after the whole file was read and checked.
-
-    Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
-    run then stores what was derived.
-
-    Raises
-    ------
-    InputError
-        As ``read_readings_csv`` and ``RunFile.create`` do, and if an arm of the profile has no readings. No run is
-        made then.
-    """
-    return RunFile.create(folder, profile, readings_from_csv(profile, csv, in_order=in_order))
-
-
 def readings_from_csv(
     profile: Profile,
     csv: Path,
@@ -120,11 +68,11 @@ def readings_from_csv(
 ) -> Callable[[RunFile], None]:
     """Read and check a whole file of readings; return a function that stores them in a new run.
 
-    Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
+    Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``readings_of_table``; the
     run then stores what was derived. ``reference_nests`` is a file of nests that tie tracker stations. Arms that are
     ``recorded`` in motion need no readings. ``smr`` is as in ``readings_of_table``.
 
-    Raises as ``import_csv``.
+    Raises as ``readings_of_table``.
     """
     table = read_csv_table(Path(csv))
     readings, orders, notes = readings_of_table(profile, table, in_order=in_order, recorded=recorded, smr=smr)
@@ -163,6 +111,8 @@ def readings_of_table(
     """Check the readings of a cell, from a file or from ``table_in_memory``; all readings pass here.
 
     Three SMRs or more on a flange give one position and one rotation a stop; ``smr`` takes only the SMR of that name.
+    ``in_order``: the rows of an arm stand in the order in which they were measured (with ``time_s``, the order is by
+    time); approach and step that the file does not give follow from the row before, see ``in_measured_order``.
 
     Returns
     -------
@@ -171,17 +121,18 @@ def readings_of_table(
     orders : dict
         What ``in_order`` derived, by arm; empty without it.
     notes : list of str
-        As those of ``read_readings_csv``.
+        Unknown columns, lost beams, and arms that do not occur.
 
     Raises
     ------
     InputError
-        As ``read_readings_csv`` does, and if an arm of the profile has no readings.
+        Names file, line and column of values that are missing, not numbers, repeated or implausible; and an arm of the
+        profile that has no readings.
     WhichSmr
         If an arm has readings of two SMRs, and ``smr`` does not say which one counts.
     """
     joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
-    readings, orders, lost, notes = _read(table, joint_counts, in_order, joint_limits(profile))
+    readings, orders, lost, notes = arms_of_table(table, joint_counts, in_order, joint_limits(profile))
     _check_payloads(profile, table, readings)
     readings, made = _one_a_stop(
         table.take([n for n, line in enumerate(table.lines) if line not in lost]), readings, smr
@@ -226,10 +177,8 @@ def _computed(arm: Arm, its: Readings) -> str:
     if len(np.unique(its.q, axis=0)) < _FEWEST_JUDGED:
         return ""
     geometry = nominal_geometry(published_rows(arm), np.zeros(3))
-    return (
-        f"the published geometry leaves 0.000 mm of the points: {COMPUTED}"
-        * explained(geometry, its.q, its.p_M).computed
-    )
+    exact = explained(geometry, its.q, its.p_M).computed
+    return f"the published geometry leaves 0.000 mm of the points: {COMPUTED}" if exact else ""
 
 
 def _one_a_stop(
@@ -274,13 +223,17 @@ def joint_limits(profile: Profile) -> dict[str, NDArray[np.float64]]:
     return {name: np.array([joint.limit for joint in arm.type.joints]) for name, arm in profile.arms.items()}
 
 
-def _read(
+def arms_of_table(
     table: CsvTable,
     joint_counts: Mapping[str, int],
     in_order: bool,
     limits: Mapping[str, NDArray[np.float64]],
 ) -> tuple[dict[str, Readings], dict[str, ArmOrder], set[int], list[str]]:
-    """Read the readings; return also what their order of measurement gave, lines that are left out, and notes."""
+    """Read the readings of each arm that occurs, ordered by configuration; unknown columns are in ``extras``.
+
+    Return also what their order of measurement gave, lines that are left out, and notes. Joint positions further beyond
+    the ``limits`` (N, 2) [rad] of an arm than a revolution are refused.
+    """
     problems = Problems(table.place)
     check_names(table, problems)  # of all columns, before those of an orientation are replaced
     table, unsaid = with_quaternions(table)

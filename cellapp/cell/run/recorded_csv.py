@@ -1,7 +1,7 @@
 """Tables of other programs: other names, separators, decimal commas, degrees, millimetres.
 
 ``read_recorded`` detects what each column is and in which unit, and says where that is ambiguous; ``converted`` gives
-the same rows in the format of ``read_readings_csv``. Nothing is written here.
+the same rows in the columns of cellapp. Nothing is written here.
 """
 
 from __future__ import annotations
@@ -231,43 +231,33 @@ def _row_per_smr(table: CsvTable, known: Understood) -> tuple[CsvTable, str]:
 def converted(
     recorded: Recorded, angles: AngleUnit, lengths: LengthUnit, arm: str, clock: float | None = None
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return header and rows of the same readings in the format of ``read_readings_csv``.
+    """Return header and rows of the same readings in the columns of cellapp.
 
     Rows get numbers and the name of the ``arm`` if the file has none; those of several SMRs share that of their stop.
     Unknown columns keep name and text.
     """
-    table, (q, p_M) = recorded.table, recorded.in_si(angles, lengths)
-    others, n = recorded.known.others, len(table.lines)
-    made_of = _MADE & others.keys()
-    columns = {
-        name if is_known(name) else others.get(name, name): its
-        for name, its in table.cells.items()
-        if name not in made_of
-    }
-    if OF_SOCKETS in columns:
-        columns[f"{OF_SOCKETS} (not used)"] = columns.pop(OF_SOCKETS)
-    made = [(recorded.joints, q, _ANGLES[angles]), (POINT, p_M, _LENGTHS[lengths])]
-    if "time_s" in others:
-        stamps, clock = recorded.stamps, recorded.clock or clock
-        cells = columns.pop("time_s")
-        if stamps is not None and clock is not None:
-            made.append((("time_s",), (stamps - stamps[0])[:, np.newaxis] * clock, math.nan))
-        else:
-            columns[others["time_s"]] = cells
-    stated = {
-        name: np.array(list(map(_number, table.cells[name]))) * recorded.known.factors.get(name, _LENGTHS[lengths])
-        for name in made_of - {FRACTION}
-    }
-    if "sigma_m" in (sigma := with_sigma(stated)):
-        made.append((("sigma_m",), sigma["sigma_m"][:, np.newaxis], math.nan))
-    for names, values, factor in made:
-        if factor != 1.0:
-            columns |= {
-                name: tuple("" if math.isnan(one) else repr(one) for one in own)
-                for name, own in zip(names, values.T.tolist(), strict=True)
-            }
+    table, others, n = recorded.table, recorded.known.others, len(recorded.table.lines)
+    q, p_M = recorded.in_si(angles, lengths)
+    made = {name: its for name, its in zip(recorded.joints, q.T) if _ANGLES[angles] != 1.0}
+    made |= {name: its for name, its in zip(POINT, p_M.T) if _LENGTHS[lengths] != 1.0}
+    clock = recorded.clock or clock
+    if "time_s" in others and recorded.stamps is not None and clock is not None:
+        made["time_s"] = (recorded.stamps - recorded.stamps[0]) * clock
+    parts = _MADE & others.keys()
+    made |= with_sigma(
+        {
+            name: np.array([*map(_number, table.cells[name])]) * recorded.known.factors.get(name, _LENGTHS[lengths])
+            for name in parts - {FRACTION}
+        }
+    )
+    texts = {name: tuple("" if math.isnan(one) else repr(one) for one in its.tolist()) for name, its in made.items()}
+    columns = dict[str, tuple[str, ...]]()
+    for name, its in table.cells.items():
+        used = name in made or (is_known(name) and name not in ("time_s", OF_SOCKETS)) or name not in others
+        if name not in parts:
+            columns[f"{name} (not used)" if name == OF_SOCKETS else name if used else others[name]] = its
     given = {"configuration": tuple(map(str, _stops(q, table.cells.get("smr")))), "arm": (arm,) * n}
-    whole = {name: its for name, its in given.items() if name not in columns} | columns
+    whole = {name: its for name, its in given.items() if name not in columns} | columns | texts
     whole = dict(sorted(whole.items(), key=lambda one: not is_known(one[0])))
     return tuple(whole), list(zip(*whole.values(), strict=True))
 

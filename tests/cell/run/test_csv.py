@@ -16,13 +16,13 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import RunFile, import_csv, read_readings_csv, write_readings_csv
+from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.cell.run.stations import STATIONS_RESULT, stored_tie_sentences
 from cellapp.commands.import_ import import_new_run
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import apply, invert, transform
-from tests.cell.run.csv_rows import Rows, written
+from tests.cell.run.csv_rows import Rows, import_csv, read_readings_csv, written
 from tests.cell.run.test_measured_again import change, left_alone
 from tests.cell.run.two_arm_cell import assert_same, two_arms
 

@@ -17,7 +17,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.run import Outcome, RunFile, import_csv, read_readings_csv, write_readings_csv
+from cellapp.cell.run import Outcome, RunFile, write_readings_csv
 from cellapp.cell.run.csv_import import WhichSmr
 from cellapp.cell.run.measured_again import earlier_readings, replace_stop, replaced_counts
 from cellapp.cell.run.measurement_order import in_measured_order
@@ -32,7 +32,7 @@ from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
 from cellapp.robot.kinematics.transforms import rotation_vectors
-from tests.cell.run.csv_rows import Rows, written
+from tests.cell.run.csv_rows import Rows, import_csv, read_readings_csv, written
 from tests.cell.run.small_runs import add_stop, planned_run
 from tests.cell.run.two_arm_cell import assert_same, two_arms
 from tests.commands.quiet_work import quiet_work

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellapp.cell.run import RunFile, import_csv, read_readings_csv, write_readings_csv
+from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.commands.stages import readings_digest
 from cellapp.estimation.readings import joined
 from cellapp.ground.errors import InputError
+from tests.cell.run.csv_rows import import_csv, read_readings_csv
 from tests.cell.run.two_arm_cell import assert_same, two_arms
 
 HEADER = (

@@ -12,7 +12,6 @@ import yaml
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import SurveyPoint
-from cellapp.cell.run import import_csv
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.init.answers import surveyed_base, write_answers
 from cellapp.commands.init.own_data import OwnData, nobody, write_own_data
@@ -23,6 +22,7 @@ from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_from_vector, transform
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 from tests.arms import UR5, UR10
+from tests.cell.run.csv_rows import import_csv
 from tests.twin import PROFILES
 
 ANSWERS = """\

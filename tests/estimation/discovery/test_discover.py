@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.cell import build_plant, plant_arm
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import RunFile, import_csv
+from cellapp.cell.run import RunFile
 from cellapp.cell.targets.invert import invert
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_result, discover_run
@@ -37,6 +37,7 @@ from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import suggest
 from tests.arms import true_geometry
+from tests.cell.run.csv_rows import import_csv
 from tests.estimation.discovery.searched import calibrated_and_searched
 from tests.series import twin
 

@@ -58,7 +58,7 @@ def lost() -> Array:
 
 @dataclass
 class Case:
-    """A file, what is said of it by ``init`` and ``import``, options, rows that are left out, a check of the readings."""
+    """A file, what ``init`` and ``import`` say of it, options, rows that are left out, a check of the readings."""
 
     text: str
     says: tuple[str, ...]
@@ -76,8 +76,8 @@ CASES = {
         ("X meas = x_m", "kept and not used: X, Y, Z"),
     ),
     "nominal behind measured": Case(
-        table([*J, "Actual X", "Actual Y", "Actual Z", "X nom", "Y nom", "Z nom", "dev X"], DEG, MM, MM + 1.0, MM[:, 0]),
-        ("Actual X = x_m", "dev X"),
+        table([*J, *(f"{a} {b}" for a in ("Actual", "Nominal", "Dev") for b in "XYZ")], DEG, MM, MM + 1.0, 0 * MM),
+        ("Actual X = x_m", "Dev X"),
     ),
     "which of two": Case(
         table([*J, *"xyz", "px", "py", "pz"], DEG, MM, MM + 1.0), ("x = x_m",), options=("--column", "x")
@@ -113,7 +113,7 @@ CASES = {
             Q, np.concatenate([np.dstack([TURNED, MM[:, :, None]]), np.tile([0, 0, 0, 1.0], (N, 1, 1))], axis=1),
         ),
         ("counted from 0 of the probe's orientation", "m_23 = z_m"),
-        check=lambda its: bool(np.allclose(Rotation.from_quat(its.quaternion_M, scalar_first=True).as_matrix(), TURNED)),
+        check=lambda its: np.allclose(Rotation.from_quat(its.quaternion_M, scalar_first=True).as_matrix(), TURNED),
     ),
     "a lost beam": Case(
         table([*J, *XYZ], DEG, lost()),
@@ -143,7 +143,7 @@ CASES = {
               [[f"{name}_joint" for name in ALPHABETICAL]] * N, Q[:, ORDER], P),
         ("joints in the order of their names: shoulder_pan_joint, shoulder_lift_joint, elbow_joint",),
     ),
-    "empty columns of a sheet": Case(table([*J, *XYZ], DEG, MM, separator=";", end=";;;"), ("separated by semicolons",)),
+    "empty columns of a sheet": Case(table([*J, *XYZ], DEG, MM, separator=";", end=";;;"), ("by semicolons",)),
     "only the controller's points": Case(
         table([*numbered("actual_q_{}", 0), "TCP_X", "TCP_Y", "TCP_Z"], Q, smr_positions(at_station(UR5, OFF_AXIS), Q)),
         ("computed, not measured",), atol=1.0,
