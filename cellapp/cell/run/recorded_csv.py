@@ -6,11 +6,12 @@ the same rows in the columns of cellapp. Nothing is written here.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -79,6 +80,8 @@ class Recorded:
         How columns of an orientation were interpreted, and several SMRs.
     lost : frozenset of int
         Rows without a point, as the beam was lost.
+    taken : tuple of str
+        Columns that count where two may be meant.
     stamps : array, shape (n,), or None
         Times of the rows in their unit, which is ``clock`` [s] if it is known.
     """
@@ -94,6 +97,7 @@ class Recorded:
     stamps: NDArray[np.float64] | None = None
     clock: float | None = None
     lost: frozenset[int] = frozenset()
+    taken: tuple[str, ...] = ()
 
     @property
     def points(self) -> bool:
@@ -132,10 +136,11 @@ class Recorded:
         return q[kept], p_M[kept]
 
 
-def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody) -> Recorded:
+def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody, most: int | None = None) -> Recorded:
     """Read a file of joint positions, points or both in any columns, and detect what these are.
 
-    ``taken`` columns count where two may be meant; else a person is asked with ``choose``.
+    ``taken`` columns count where two may be meant; else a person is asked with ``choose``. With ``most`` rows, for a
+    first look, cells may be empty.
 
     Raises
     ------
@@ -143,7 +148,7 @@ def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody
         If it cannot be read, has no header row, has a gap in the joints, or a cell that is not a number.
     """
     file = read_header(path, "joint positions and points", EXAMPLES["readings"])
-    stripped = ((line, [cell.strip() for cell in row]) for line, row in file.rows())
+    stripped = ((line, [cell.strip() for cell in row]) for line, row in itertools.islice(file.rows(), most))
     rows = [(line, row) for line, row in stripped if any(row)]
     if len(rows) < _LEAST_ROWS:
         raise InputError(f"{path}: expected a row of names and at least {_LEAST_ROWS} rows of readings")
@@ -168,7 +173,8 @@ def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody
         notes.append(said)
     joints = _joints(table.names)
     points = POINT if set(POINT) <= {*table.names} else ()
-    _check_numbers(table, (*joints, *points))
+    if most is None:
+        _check_numbers(table, (*joints, *points))
     lost = lost_points(_values(table, joints), _values(table, POINT)) if points else {}
     notes += [f"{table.place(table.lines[row])}: {words}: the beam was lost there" for row, words in lost.items()]
     lengths = _stated(path, known, points, _LENGTHS) or length_unit(_values(table, points)) if points else "m"
@@ -185,6 +191,7 @@ def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody
         stamps=stamps,
         clock=clock,
         lost=frozenset(lost),
+        taken=tuple(taken),
     )
 
 
@@ -196,9 +203,9 @@ def _clock(table: CsvTable, known: Understood) -> tuple[NDArray[np.float64] | No
     if not all(map(is_number, cells)):
         stamps = np.array([stamp_seconds(cell) for cell in cells])
         return (None, None) if np.isnan(stamps).any() else (stamps, 1.0)
-    stamps = np.array([_number(cell) for cell in cells])
+    stamps = _values(table, ["time_s"])[:, 0]
     if FRACTION in table.cells:
-        return stamps + known.factors[FRACTION] * np.array([_number(cell) for cell in table.cells[FRACTION]]), 1.0
+        return stamps + known.factors[FRACTION] * _values(table, [FRACTION])[:, 0], 1.0
     found = time_unit(stamps) if len(stamps) > 1 else None
     since_1970 = UNITS_OF_TIME[found[0]] if found is not None and "1970" in found[1] else None
     return stamps, known.factors.get("time_s", since_1970 if "time_s" in known.others else 1.0)
@@ -206,26 +213,24 @@ def _clock(table: CsvTable, known: Understood) -> tuple[NDArray[np.float64] | No
 
 def _row_per_smr(table: CsvTable, known: Understood) -> tuple[CsvTable, str]:
     """Give each SMR of a row a row of its own. Raise ``InputError`` if their distances say that they are none."""
-    own = {smr: columns if place else POINT for place, (smr, columns) in enumerate(known.smrs.items())}
-    p = {smr: np.array([[_number(cell) for cell in table.cells[name]] for name in its]).T for smr, its in own.items()}
-    first, words = p[next(iter(p))], list[str]()
-    for smr, its in [*p.items()][1:]:
-        apart = np.linalg.norm(its - first, axis=1)
-        if not np.nanstd(apart) <= _RIGID * np.nanmean(apart) or np.nanmean(apart) <= _APART * np.nanstd(first):
-            listed = "; ".join(", ".join(columns) for columns in known.smrs.values())
+    own = dict(zip(known.smrs, (POINT, *[*known.smrs.values()][1:])))
+    p = {smr: _values(table, its) for smr, its in own.items()}
+    (name, first), *rest = p.items()
+    apart = {smr: np.linalg.norm(its - first, axis=1) for smr, its in rest}
+    for its in apart.values():
+        if not np.nanstd(its) <= _RIGID * np.nanmean(its) or np.nanmean(its) <= _APART * np.nanstd(first):
+            listed = "; ".join(map(", ".join, known.smrs.values()))
             raise InputError(
                 f"{table.path}: points: which columns? {listed}: no SMRs on one flange, as their distance is"
-                f" {np.nanmin(apart):g} to {np.nanmax(apart):g}; give a column of the point with --column NAME"
+                f" {np.nanmin(its):g} to {np.nanmax(its):g}; give a column of the point with --column NAME"
             )
-        words.append(f"{smr} is {np.nanmean(apart):.6g} from {next(iter(p))}")
-    beside = [name for name in table.names if not any(name in its for its in own.values())]
-    kept = [(row, smr) for row in range(len(table.lines)) for smr in own if not np.isnan(p[smr][row]).any()]
-    cells = {name: tuple(table.cells[name][row] for row, _ in kept) for name in beside}
-    cells |= {name: tuple(table.cells[own[smr][axis]][row] for row, smr in kept) for axis, name in enumerate(POINT)}
-    cells |= {"smr": tuple(smr for _, smr in kept)}
-    cells.setdefault("configuration", tuple(str(row) for row, _ in kept))
-    lines = tuple(table.lines[row] for row, _ in kept)
-    return CsvTable(table.path, tuple(cells), lines, cells), f"SMRs {', '.join(own)} in each row: {', '.join(words)}"
+    kept = [(row, smr) for row in range(len(table.lines)) for smr in own if np.isfinite(p[smr][row]).all()]
+    both = table.take([row for row, _ in kept])
+    cells = {name: its for name, its in both.cells.items() if not any(name in columns for columns in own.values())}
+    cells |= {axis: tuple(table.cells[own[smr][k]][row] for row, smr in kept) for k, axis in enumerate(POINT)}
+    cells = {"configuration": tuple(str(row) for row, _ in kept)} | cells | {"smr": tuple(smr for _, smr in kept)}
+    words = [f"{smr} is {np.nanmean(its):.6g} from {name}" for smr, its in apart.items()]
+    return replace(both, names=tuple(cells), cells=cells), f"SMRs {', '.join(own)} in each row: {', '.join(words)}"
 
 
 def converted(
@@ -246,7 +251,7 @@ def converted(
     parts = _MADE & others.keys()
     made |= with_sigma(
         {
-            name: np.array([*map(_number, table.cells[name])]) * recorded.known.factors.get(name, _LENGTHS[lengths])
+            name: _values(table, [name])[:, 0] * recorded.known.factors.get(name, _LENGTHS[lengths])
             for name in parts - {FRACTION}
         }
     )
@@ -280,7 +285,7 @@ def _joints(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _values(table: CsvTable, names: Sequence[str]) -> NDArray[np.float64]:
-    return np.array([list(map(float, table.cells[name])) for name in names]).T
+    return np.array([[*map(_number, table.cells[name])] for name in names]).T
 
 
 def _number(cell: str) -> float:

@@ -106,8 +106,8 @@ ARM = "robot"
 _IDENTIFY_SHARE = 0.75
 """Share of the rows for identification; the others are held out and show the accuracy of the calibration."""
 _PREVIEWED = 3
-_SWIFT_ROWS = 50
-"""Number of rows that decide between a motion and stops."""
+_LOOKED_AT, _SWIFT_ROWS = 2000, 50
+"""Numbers of rows, at most and at least, that decide between a motion and stops."""
 _OTHER_WAY = 0.3
 """Share of the remaining error below which the other convention of D-H rows is named."""
 _UNITS = {"rad": "radians", "deg": "degrees", "m": "metres", "mm": "millimetres", "um": "micrometres"}
@@ -170,11 +170,12 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
     InputError
         If readings or rows cannot be understood, an answer is missing and nobody can be asked, or a file exists.
     """
-    recorded = read_recorded(own.readings, own.columns, choose)
-    rows, ground = _rows_are(own, recorded, choose)
-    types = _types(own, len(recorded.joints))
+    looked = read_recorded(own.readings, own.columns, choose, most=_LOOKED_AT)
+    rows, ground = _rows_are(own, looked, choose)
+    types = _types(own, len(looked.joints))
     if rows == "motion":
-        return _for_recordings(own, recorded, types, folder, outputs)
+        return _for_recordings(own, looked, types, folder, outputs)
+    recorded = read_recorded(own.readings, looked.taken, choose)
     angles, lengths = _decided_units(own, recorded, types, choose)
     q, p_M = recorded.of_one_point(angles, lengths)
     names = recorded.smrs
@@ -209,40 +210,28 @@ def _rows_are(own: OwnData, recorded: Recorded, choose: Choose) -> tuple[str, tu
 
     Rows seconds apart are stops; rows without points are joint positions of a motion, whose points stand elsewhere.
     """
-    points, stamps = recorded.points, recorded.stamps
-    if stamps is None and not points:
+    stamps, name = recorded.stamps, recorded.known.others.get("time_s", "time_s")
+    if not recorded.points and stamps is None:
         raise InputError(
             f"{own.readings}: joint positions without points and without time; readings at rest need x, y, z in each"
             " row, a recording of a motion needs a column of time, such as time_s"
         )
-    if own.rows or stamps is None or not points:
-        return own.rows or ("motion" if stamps is not None and not points else "stops"), ()
-    if len(stamps) < _SWIFT_ROWS or not (np.diff(stamps) >= 0.0).all():
+    if own.rows or not recorded.points:
+        return own.rows if recorded.points else "motion", ()
+    if stamps is None or len(stamps) < _SWIFT_ROWS or not (np.diff(stamps) >= 0.0).all():
         return "stops", ()
-    swift = _MOTION_S if recorded.clock else _USUAL_MOTION_S
     step, units = usual_step(stamps), [recorded.clock] if recorded.clock else [*UNITS_OF_TIME.values()]
-    q = np.array([list(map(float, recorded.table.cells[name])) for name in recorded.joints]).T
-    share = float(np.median(np.abs(np.diff(q, axis=0)).max(axis=1)) / max(np.ptp(q, axis=0).max(), 1e-300))
+    q, swift = recorded.in_si("rad", "m")[0], _MOTION_S if recorded.clock else _USUAL_MOTION_S
     motion, stops = (any(low <= step * unit <= high for unit in units) for low, high in (swift, _STOPS_S))
     if motion != stops:
         return "motion" if motion else "stops", ()
-    column = recorded.known.others.get("time_s", "time_s")
-    ground = (
-        f"rows {step:.3g} apart in '{column}', joints that move by {100.0 * share:.2g} % of their range between rows"
-    )
-    if share <= _SMOOTH or share >= _JUMPS:
-        rows = "motion" if share <= _SMOOTH else "stops"
-        return rows, (
-            f"{own.readings}: taken as {rows}: {ground}; --rows {'motion' if rows == 'stops' else 'stops'} else",
-        )
-    if (answer := choose(f"Are the rows stops or samples of a motion? {ground}", ("stops", "motion"))) not in (
-        "stops",
-        "motion",
-    ):
-        raise InputError(
-            f"{own.readings}: {ground}: readings at stops, or samples of a motion? Give --rows stops or motion"
-        )
-    return answer, ()
+    share = float(np.median(np.abs(np.diff(q, axis=0)).max(axis=1)) / max(np.ptp(q, axis=0).max(), 1e-300))
+    words = f"{own.readings}: rows {step:.3g} apart in '{name}', joints move by {share:.2g} of their range between rows"
+    kinds = ("stops", "motion")
+    rows = "motion" if share <= _SMOOTH else "stops" if share >= _JUMPS else choose(f"{words}: which are they?", kinds)
+    if rows not in kinds:
+        raise InputError(f"{words}: readings at stops, or samples of a motion? Give --rows stops or --rows motion")
+    return rows, (f"{words}: taken as {rows}; else give --rows",)
 
 
 def _clock_of_stops(recorded: Recorded) -> float | None:

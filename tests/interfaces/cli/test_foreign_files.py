@@ -238,3 +238,20 @@ def test_tables_of_a_maker(call: Any) -> None:  # noqa: F811
     assert "mm: give --modified" in wrong
     right = " ".join(call("init", "b", "--readings", "own.csv", "--arm", "rows.csv", "--modified").out.split())
     assert "arm, units and signs fit" in right
+
+
+@pytest.mark.parametrize(("turns", "rows"), [(0.3, "motion"), (30.0, "stops"), (1.0, "")])
+def test_rows_that_may_be_stops_or_a_motion(turns: float, rows: str, call: Any) -> None:  # noqa: F811
+    """Stamps of 8000 without a unit: milliseconds from stop to stop, or microseconds from sample to sample."""
+    phase = np.linspace(0.0, 2.0 * np.pi * turns, 60)[:, None]
+    q = np.sin(phase + np.arange(6))
+    lines = [
+        ",".join(map(repr, one))
+        for one in np.hstack([8000.0 * np.arange(60)[:, None], q, smr_positions(ARM, q)]).tolist()
+    ]
+    Path("own.csv").write_text("\n".join([",".join(["t", *numbered("J{}"), *"xyz"]), *lines]), "utf-8")
+    ended = call("init", "--readings", "own.csv", "--arm", "ur5")
+    if not rows:
+        one_sentence(ended, "readings at stops, or samples of a motion? Give --rows stops or --rows motion")
+        ended, rows = call("init", "--readings", "own.csv", "--arm", "ur5", "--rows", "stops"), "stops"
+    assert ("--joints" in ended.out.rpartition("next: ")[2]) is (rows == "motion")
