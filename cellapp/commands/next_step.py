@@ -47,7 +47,7 @@ def next_step(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> 
         return "", ""
     verb = _next_verb(run, stages, arms)
     if not verb and (tests := _missing_tests(run, stages)):
-        return "iso9283", f"cellapp iso9283 {tests[0]} PROFILE --run {run.folder}"
+        return "iso9283", f"cellapp iso9283 {tests[0]} --run {run.folder}"
     begun = verb == "collect" and any(arm.measured for arm in arms.values())
     return verb, next_command(verb, run.folder) + (" --resume" if begun else "")
 

@@ -36,9 +36,9 @@ from drivers.arms.protocol import (
     stale,
 )
 from drivers.arms.recording import JointRecord, counts_so_far
-from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, load_checks
+from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, held_by, load_checks
 from drivers.arms.ur_guarded_link import ANSWER_WITHIN_S, CONFIRM_WITHIN_S, GuardedLink, arm_error, arm_state
-from drivers.arms.ur_links import RTDE_PORT, Connection, cause
+from drivers.arms.ur_links import RTDE_PORT, Connection, cause, program_name, running_program
 from drivers.arms.ur_motion import OPTIONAL_VARIABLES, STILL_MOVING
 from drivers.arms.ur_options import UrOptions
 from drivers.arms.ur_probe import UrProbe, probe_ur
@@ -51,6 +51,10 @@ LONGEST_BRAKING_S = 3.0
 """Upper bound of the braking time: several times what a UR arm takes to brake from full speed."""
 
 _HELLO_WITHIN_S = 10.0
+_QUICK_END_S = 0.3
+"""Time limit for the end of an interrupted ``connect``, whose program has begun no motion."""
+_KNOWN_WITHIN_S, _ASK_AGAIN_S = 1.5, 0.1
+"""Time limit for the name of the program of who holds the controller: programs start within a second."""
 _ENDS_WITHIN_S = 3.0
 _MARGIN_S = 1.0
 _ROWS_AT_ONCE = 20
@@ -65,14 +69,22 @@ class UrArm(GuardedLink):
     """One UR arm. Any thread may call ``live`` and the stopping methods, one thread at a time the others."""
 
     def __init__(
-        self, name: str, settings: UrOptions, expected: UrExpectation, *, rest_s: float = LONGEST_BRAKING_S
+        self,
+        name: str,
+        settings: UrOptions,
+        expected: UrExpectation,
+        *,
+        rest_s: float = LONGEST_BRAKING_S,
+        user: str = "",
     ) -> None:
-        """Open nothing yet. An arm in doubt is monitored for at most ``rest_s`` [s] until it rests."""
+        """Open nothing yet. An arm in doubt is monitored for at most ``rest_s`` [s] until it rests.
+
+        ``user``, a job's run, becomes a part of the name of the control program.
+        """
         super().__init__(name, settings, rest_s)
         self._expected = expected
         self._rest_s = rest_s
-        self._interrupted = False
-        """Whether a refusal of motion ended the last ``connect``."""
+        self._user = user
         self._probed: UrProbe | None = None
         self._serial = ""
         self._checksum: str | None = expected.checksum
@@ -93,7 +105,6 @@ class UrArm(GuardedLink):
             if self._latch.brakes != brakes:
                 raise arm_error(self._name, "stopped", "it was stopped while it was being connected")
 
-        self._interrupted = False
         self._latch.wait_for_stops(brakes, self._rest_s + _MARGIN_S)
         try:
             going_on()
@@ -102,7 +113,6 @@ class UrArm(GuardedLink):
             self._latch.release(brakes)
             self._require_not_braked()
         except MotionStopped:
-            self._interrupted = True
             self._give_up()
             raise
         finally:
@@ -110,12 +120,16 @@ class UrArm(GuardedLink):
         self._doubt.report()
 
     def _give_up(self) -> None:
-        """Kill the client and stop the program that it may have started. Takes half a second: nothing has moved yet."""
+        """Kill the client and end the program that it may have started; ``disconnect`` waits for one that starts late.
+
+        Takes half a second: nothing has moved yet.
+        """
         self._drop_worker()
-        if self._program.may_run:
-            with suppress(LinkLost):
-                self._program.bring_to_rest(quickly=True)
-            self._program.started()  # a program that was uploaded may still start
+        with suppress(LinkLost):
+            if self._program.awaited:
+                self._program.end_late_start(_QUICK_END_S)
+            elif self._program.may_run:
+                self._program.bring_to_rest()
 
     def _connect_anew(self, going_on: GoingOn) -> None:
         self._drop_worker()
@@ -229,7 +243,11 @@ class UrArm(GuardedLink):
         return arm_state(answer, self._settings.settle_speed)
 
     def disconnect(self) -> None:
-        """Stop the arm, its program and the client; leave nothing on the controller. Harmless when closed."""
+        """Stop the arm, its program and the client; leave nothing on the controller. Harmless when closed.
+
+        Wait for a program that was uploaded and has not started yet, at most ``startup_timeout``, to end it. Raises
+        ``LinkLost`` if the arm was not seen at rest, or that program was not seen.
+        """
         worker, self._worker = self._worker, None
         self._doubt.mute()
         if worker is not None:
@@ -237,8 +255,12 @@ class UrArm(GuardedLink):
             self._gaps = self._gaps.joined(worker.gaps)
         self._stop_line.close()
         self._probed, self._fault = None, None
+        try:
+            self._program.end_late_start(self._settings.startup_timeout)
+        except LinkLost as error:
+            raise LinkLost(f"arm {self._name}: {error}") from error
         if self._program.may_run:
-            self._require_rest(quickly=self._interrupted)
+            self._require_rest()
 
     # -- connecting ----------------------------------------------------------------------------------------------------
 
@@ -286,7 +308,7 @@ class UrArm(GuardedLink):
 
     def _start_client(self, probe: UrProbe, going_on: GoingOn) -> None:
         going_on()
-        worker = WorkerProcess(self._name, self._doubted, self._program.started)
+        worker = WorkerProcess(self._name, self._doubted, self._program.uploaded)
         self._worker = self._connecting = worker
         self._fault = None
         timeout = self._settings.startup_timeout
@@ -299,6 +321,8 @@ class UrArm(GuardedLink):
                 timeout,
                 going_on,
                 host=self._host,
+                program=program_name(self._user),
+                version=probe.software.split(".")[:2],
                 optional=[name for name, value in zip(OPTIONAL_VARIABLES, reported) if value is not None],
                 watchdog_hz=self._settings.watchdog_hz,
                 settle_s=self._settings.settle_time,
@@ -315,16 +339,23 @@ class UrArm(GuardedLink):
         except WorkerRefusal as error:
             going_on()
             self._give_up()
-            raise arm_error(self._name, error.kind, error.text) from error
+            text = self._who_holds_it() if error.kind == "occupied" else ""
+            raise arm_error(self._name, error.kind, text or error.text) from error
         except WorkerGone as error:
             going_on()
-            doubt = self._link_in_doubt(f"the client did not start: {error}", error.kind)
-            if worker.opening:
-                self._program.started()  # a program that was uploaded may still start
-            raise doubt from error
+            raise self._link_in_doubt(f"the client did not start: {error}", error.kind) from error
         except BaseException:
             self._give_up()
             raise
+
+    def _who_holds_it(self) -> str:
+        """Return who holds the controller, by the name of the program; it may be about to start."""
+        patience = Patience(_KNOWN_WITHIN_S)
+        while not patience.over:
+            if running := running_program(self._host, patience.left_s):
+                return held_by(running)
+            time.sleep(_ASK_AGAIN_S)
+        return ""
 
     def _keep_warnings(self, results: list[Check], probe: UrProbe) -> None:
         now = "" if probe.kinematics is None else probe.kinematics.checksum
@@ -437,7 +468,7 @@ class UrRecorder:
         count, patience = len(self._states), Patience(_SILENT_S)
         while len(self._states) == count and self._problem is None and not patience.over:
             time.sleep(_LAST_SAMPLE_LOOK_S)
-        problem = self._problem
+        problem = self._problem or (LinkLost("no state came") if len(self._states) == count else None)
         self.close()
         if problem is not None:
             raise LinkLost(f"arm {self._name}: the recording of its joints ended early: {cause(problem)}") from problem

@@ -385,5 +385,21 @@ def not_ready(robot_mode: str, safety_mode: str) -> tuple[str, str] | None:
     if safety_mode != "NORMAL":
         return _NAMES.get(safety_error(safety_mode), f"safety mode {safety_mode}"), safety_remedy(safety_mode)
     if robot_mode != "RUNNING":
-        return f"robot mode {robot_mode}, needed is RUNNING", "power the arm on and release its brakes on the pendant"
+        return f"robot mode {robot_mode}, needed is RUNNING", mode_remedy(robot_mode)
     return None
+
+
+_MODE_REMEDY = {
+    "CONFIRM_SAFETY": "look at the pendant and confirm its safety configuration",
+    "BOOTING": "wait until it has booted",
+    "POWER_OFF": "power the arm on and release its brakes on the pendant",
+    "POWER_ON": "release its brakes on the pendant, wait until it is ready",
+    "IDLE": "release its brakes on the pendant, wait until it is ready",
+    "BACKDRIVE": "it is guided by hand: leave the arm alone, and end that mode on the pendant",
+    "UPDATING_FIRMWARE": "wait until its firmware is updated",
+}
+
+
+def mode_remedy(mode: str) -> str:
+    """Return what a person must do about a robot mode other than RUNNING."""
+    return _MODE_REMEDY.get(mode, "look at the pendant")

@@ -47,7 +47,7 @@ class Plant:
         self._air = Air(config.temperature_c, np.random.default_rng([config.seed, 0]))
         self._air_now = (np.nan, np.nan)
         """Cache: a time [s] and the air temperature at that time [degC]."""
-        self._noise = np.random.default_rng([config.seed, 1])
+        self._noise = config.random(1)
         # one random stream per arm and purpose: draws from one do not change another
         self._arms = {
             arm.name: draw_true_arm(arm, config, self._T_M_C, np.random.SeedSequence([config.seed, 2, number]))

@@ -116,8 +116,8 @@ class SimulatedTracker:
         """Stream of the SMR that is being followed; None if there is none."""
         self._blind_until_s = -math.inf
         """Time until which a broken beam cannot be locked again [s]."""
-        self._dynamic = np.random.default_rng([plant.config.seed, 3])
-        self._turns = np.random.default_rng([plant.config.seed, 5])
+        self._dynamic = plant.config.random(3)
+        self._turns = plant.config.random(5)
         self._connected = False
         self._link_cut = False
         self._down_until_s = -math.inf

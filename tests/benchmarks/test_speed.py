@@ -18,7 +18,6 @@ import pytest
 from cellapp.cell.planning.balance import balanced_levels, standardised
 from cellapp.cell.planning.candidates import draw_pool
 from cellapp.cell.planning.transit_paths import TourTask, best_order
-from cellapp.cell.planning.view import view_workspace
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
@@ -256,13 +255,6 @@ def test_plain_rejection_of_100_000_configurations(benchmark):
         return q[clear_alone(CELL, place(CELL.arms["left"], q))]
 
     assert len(benchmark.pedantic(draw, rounds=3)) > 500
-
-
-@pytest.mark.slow
-@pytest.mark.benchmark(group="view of both arms")
-def test_the_view_of_both_arms(benchmark):
-    view = benchmark.pedantic(view_workspace, args=(PROFILE,), rounds=1)
-    assert set(view.arms) == {"left", "right"}
 
 
 # -- Speed of the choice of stops: 400 of 20 000 candidates with 150 columns, and a step of it against fresh products --

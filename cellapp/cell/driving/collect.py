@@ -18,6 +18,7 @@ import numpy as np
 
 from cellapp.cell.driving.cell import Cell, open_cell, start_tracker
 from cellapp.cell.driving.cell_checks import Hung, change_load, check_controllers, other_loads, require_load
+from cellapp.cell.driving.examination import require_links
 from cellapp.cell.driving.live_model import AirTemperature, LiveModel
 from cellapp.cell.driving.measuring import References, SmrMeasurement
 from cellapp.cell.driving.motion import (
@@ -525,6 +526,7 @@ def collect_run(
     if not work.stops and not (again is None and sweeps_left(run)):
         return _collected(run, "complete", [f"all {counted(work.total, 'stop was', 'stops were')} stored already"])
     _require_space(run, work)
+    require_links(run.profile, control.check)
     before = replaced_counts(run)
     sessions = _Sessions(run, listener, control, accept_drift, confirm, opened, watch_clearance)
     for load in work.loads or (0,):
@@ -573,6 +575,8 @@ class _Sessions:
         bodies = cell_bodies(profile)
         if opened is None and self.plant is not None:
             opened = partial(open_cell, plant=self.plant, control=control)
+        if profile.plant is not None:
+            profile = profile.model_copy(update={"plant": profile.plant.after(len(run.sessions()))})
         with opening(profile, control, opened, watch_clearance=self.watch_clearance) as cell:
             self.plant = cell.plant
             if run.profile.loads > 1:

@@ -246,6 +246,7 @@ def running_job(run: RunFile, control: JobControl, name: str, listener: Listener
 
     Yield the listener to report to. Raise as ``taking_requests``.
     """
+    control.run = run.folder.resolve().name
     recording = control.recording(partial(note_halt, run))
     with recording, taking_requests(run.folder, control, name, listener) as heard:
         yield heard

@@ -34,8 +34,8 @@ from cellapp.cell.run.stations import (
     tie_sentences,
     twice_at_a_stop,
 )
+from cellapp.estimation.calibration.quantities import repeats_words
 from cellapp.estimation.calibration.registration import COMPUTED, explained, factory_doubt
-from cellapp.estimation.readings.alike import repeats_words
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, OF_SOCKETS
 from cellapp.estimation.readings.readings import Readings, lost_points, one_pose_a_stop, smr_names
 from cellapp.ground.errors import InputError

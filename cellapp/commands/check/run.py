@@ -175,7 +175,7 @@ def _with_plant(profile: Profile, plant: Plant | None) -> Profile:
     unknown = [name for name in plant.effects if name not in profile.arms]
     if unknown:
         raise InputError(f"check: --simulated-plant: plant.effects: unknown arm {', '.join(unknown)}")
-    placed = plant.model_copy(update={"tracker_pose": plant.tracker_pose or own.tracker_pose})
+    placed = plant.model_copy(update={"tracker_pose": plant.tracker_pose or own.tracker_pose}).after(own.earlier_jobs)
     return profile.model_copy(update={"plant": placed})
 
 

@@ -16,11 +16,12 @@ from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.commands.doctor.result import ControllerCalibration, DeviceReport, DoctorResult
 from cellapp.commands.doctor.result import Finding as ResultFinding
 from cellapp.commands.record import Work
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.device_plugins import device_plugins
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.plugins import in_words
+from drivers.arms.protocol import ArmError
 from drivers.arms.settings import ArmSettings
 from drivers.findings import Finding
 from drivers.plugins import Plugin
@@ -36,6 +37,8 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
     log = {} if request.bundle is None else run_log(request.run_folder or newest_run(profile))
     began_s = time.monotonic()
     result = examine_run(profile, request.reference_nests)
+    if _end_left_programs(profile, result, work):
+        result = examine_run(profile, request.reference_nests)
     seconds = time.monotonic() - began_s
     if request.bundle is not None:
         work.outputs.write(request.bundle, bundle(request.profile, profile, result, log, seconds))
@@ -48,6 +51,21 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
     files = {request.controllers / name: text for name, text in controller_files(profile, own).items()}
     written = (*(result.written or ()), *write_new(files, work.outputs))
     return result.model_copy(update={"written": written})
+
+
+def _end_left_programs(profile: Profile, found: DoctorResult, work: Work) -> bool:
+    """Ask for each arm on which a program of a cellapp runs whether to end it; return whether one was ended."""
+    failed, ended = {finding.subject for finding in found.findings if finding.status == "failed"}, False
+    for name, arm in profile.arms.items():
+        user = arm.driver.left_program() if f"arm {name}: program" in failed else ""
+        words = f"arm {name}: a program of {user}, runs on its controller. A job that still uses it will stop. End it?"
+        if user and work.choose(words, ("no", "yes")) == "yes":
+            try:
+                arm.driver.end_program()
+            except ArmError as error:
+                raise HardwareError(f"arm {name}: {error}") from error
+            ended = True
+    return ended
 
 
 def examine_run(profile: Profile, reference_nests: Path | None = None) -> DoctorResult:

@@ -18,8 +18,8 @@ from cellapp.cell.profile.starters import FOLDER, READINGS, arm_type_files
 from cellapp.cell.run.columns import UNITS_OF_TIME, AngleUnit, LengthUnit, usual_step
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short, table_text
 from cellapp.cell.run.recorded_csv import Choose, Recorded, converted, nobody, read_recorded
+from cellapp.estimation.calibration.quantities import repeats_words
 from cellapp.estimation.calibration.registration import COMPUTED, Explained, better_reading, explained
-from cellapp.estimation.readings.alike import repeats_words
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs

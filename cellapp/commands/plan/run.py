@@ -26,9 +26,9 @@ from cellapp.cell.planning.planned_stops import (
     read_stop_conditions,
     write_planned_stops,
 )
-from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal, ViewResult
+from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
 from cellapp.cell.planning.sweeps import SWEEPS_RESULT, forecast_sweeps, plan_sweeps, read_planned_sweeps
-from cellapp.cell.planning.view import check_each_stop, check_stops, required_plan, view_workspace
+from cellapp.cell.planning.view import check_each_stop, check_stops, required_plan
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import note_profile
@@ -50,16 +50,14 @@ _SEED = 0xADD
 """Mixed with the profile's seed to draw other candidates than those that could partly not be reached."""
 
 
-def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult | ViewResult:
-    """Make, change or check a plan, or show what the tracker can see, as requested."""
+def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult:
+    """Make, change or check a plan, as requested."""
     if request.profile is None:
         assert request.folder is not None, "the request says so"
         return _changed(request, request.folder, work)
     profile, watched = load_profile(request.profile), (work.listener, work.control)
     if request.check is not None:
         return check_plan_file(profile, request.check, *watched)
-    if request.view:
-        return view_workspace(profile, *watched)
     assert request.folder is not None, "the request says so"
     if request.source is not None:
         result = plan_from_file(profile, request.source, request.folder, *watched)

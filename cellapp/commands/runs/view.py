@@ -51,7 +51,7 @@ def run_columns(folder: str) -> tuple[RunColumn, ...]:
         RunColumn("cell", lambda run: CELL_WORDS[run.cell], lambda run: run.cell),
         RunColumn("stops", stops_words, lambda run: run.stops_measured),
         RunColumn("next", next_words, next_words),
-        RunColumn("best mean [mm]", _errors_words, _largest_error_mm),
+        RunColumn("error now [mm]", _errors_words, _largest_error_mm),
         RunColumn("effects", _effects, _effects),
         RunColumn("profile", lambda run: run.profile, lambda run: run.profile),
     )
@@ -111,7 +111,7 @@ def runs_tables(result: RunsResult) -> list[Table]:
         (
             Column("run"),
             Column("arm"),
-            *(number_column(title, _MM) for title in ("geometry", "best", "targets", "compensated")),
+            *(number_column(title, _MM) for title in ("geometry", "in force", "targets", "compensated")),
         ),
         tuple(
             (name, arm, *_pair(figures.heldout_mm), *_pair(figures.verified_mm))
@@ -153,7 +153,7 @@ def history_table(result: ArmHistory) -> Table:
         ("run", lambda one: short_name(one, result.folder)),
         ("began", lambda one: day_of(one.began)),
         ("geometry", lambda one: _pair(one.figures.heldout_mm)[0], _MM),
-        ("best", lambda one: _pair(one.figures.heldout_mm)[1], _MM),
+        ("in force", lambda one: _pair(one.figures.heldout_mm)[1], _MM),
         ("compensated", lambda one: _pair(one.figures.verified_mm)[1], _MM),
         ("effects", lambda one: effects_words(one.figures.effects)),
         ("moved", _moved_words),

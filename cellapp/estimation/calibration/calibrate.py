@@ -377,6 +377,7 @@ def calibrate_readings(
             }
             for name, task in tasks.items():
                 arms[name] = task.result()
+                notes += _network_notes(name, arms[name])
     listener(Progress("calibrate", total - 1, total, "pair"))
     cancel.check()
     good = {name: without(its, arms[name].left_out) for name, its in readings.items()}
@@ -534,6 +535,21 @@ def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
     return notes
 
 
+def _network_notes(name: str, arm: ArmCalibration) -> list[str]:
+    """Say that a network does not help on held-out readings, although it did on left-out ones of the learnt."""
+    if "network" not in arm.validate or arm.training is None:
+        return []
+    with_network, without = (arm.validate[stage].position_mm.rms for stage in ("network", "geometry"))
+    if with_network < without:
+        return []
+    left_out, before = (1e3 * value for value in (arm.training.left_out_rms, arm.training.without_rms))
+    return [
+        f"arm '{name}': the network is in force, as it predicts left-out configurations of the learnt ones better"
+        f" ({left_out:.4f} mm rms, without it {before:.4f}), but not the held-out ones ({with_network:.4f} mm rms,"
+        f" geometry {without:.4f}): '--network none' calibrates without it"
+    ]
+
+
 def left_out_note(name: str, arm: ArmCalibration) -> str:
     """Say which readings were left out, and how many of them are in the validate split."""
     held_out, left_out = arm.counts["validate"], arm.left_out_counts.get("validate", 0)
@@ -632,7 +648,7 @@ def train_arm(
     if arm.model.network is None:
         return arm
     computed = arm.model.predict(held_out.q, held_out.approach, held_out.payload_kg)
-    errors = evaluate(held_out.p_M, computed).model_copy(
+    errors = evaluate(held_out.p_M, computed, held_out.q).model_copy(
         update={"orientation_mrad": arm.validate["geometry"].orientation_mrad}  # the network learns positions only
     )
     return replace(arm, validate={**arm.validate, "network": errors})

@@ -117,7 +117,7 @@ def _with_one(rows: Array) -> Array:
 MARGIN = 0.1
 """Width over which the correction fades to zero outside the trained joint range, as a share of that range."""
 WORTH = 0.98
-"""Largest ratio of the rms errors on left-out blocks at which a network in batches replaces the committee."""
+"""Largest ratio of the rms errors on left-out folds, with and without a network, at which the network is used."""
 _DAMPING = 1e-2
 """Initial damping, as a share of the diagonal of the Hessian."""
 _DAMPING_LIMITS = (1e-9, 1e9)
@@ -179,7 +179,7 @@ class Training:
     Attributes
     ----------
     network : ResidualNetwork or None
-        None if the best candidate predicts left-out folds no better than none, within a standard error.
+        None if the best candidate predicts left-out folds no better than none, by ``WORTH`` and a standard error.
     shape : Shape
         The best candidate.
     left_out_rms, without_rms : float
@@ -295,7 +295,7 @@ def train_network(
     members = tuple(committee.net.layers(member.best) for member in committee.members)
     network = ResidualNetwork(shape.inputs, low, high, margin, shape.rotates_with_joint_1, scale, members)
     return Training(
-        network=network if standard_errors(of_none - squares, group) > 1.0 else None,
+        network=network if left_out < WORTH * without and standard_errors(of_none - squares, group) > 1.0 else None,
         shape=shape,
         left_out_rms=left_out * scale,
         without_rms=without * scale,

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.records import Repeatability
 from cellapp.estimation.readings import Readings, stated_uncertainty
 from cellapp.estimation.readings.alike import repeats
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorSummary, StageErrors
 from cellapp.robot.effects import MeasurementConditions, TemperatureRecord
@@ -345,7 +346,7 @@ def distance_summary(measured: Array, computed: Array, weights: Array | None = N
     # Single precision is enough for the ends of an interval from 400 samples.
     whole = scipy.spatial.distance.squareform(errors.astype(np.float32))
     total = np.einsum("sn,sn->s", weights.astype(np.float32) @ whole, weights)
-    different = n * n - np.einsum("sn,sn->s", weights, weights)
+    different = weights.sum(axis=1) ** 2 - np.einsum("sn,sn->s", weights, weights)
     means = total / np.maximum(different, 1.0)
     return summarise(errors, means)
 
@@ -365,19 +366,37 @@ def repeatability(q: Array, p_M: Array) -> Repeatability | None:
     return Repeatability(mean=float(off.mean()), rp=float(off.mean() + 3.0 * off.std(ddof=1)), n=len(off))
 
 
+def repeats_words(q: Array, p_M: Array) -> str:
+    """Say how many configurations rows (n, N) [rad] with points (n, 3) [m] are, and how far repeats scatter; empty
+    without repeats."""
+    count = len(np.unique(repeats(q)))
+    if count == len(q):
+        return ""
+    found = repeatability(q, p_M)
+    scatter = "" if found is None else f", which scatter by {found.mean:.4f} mm in the mean (RP {found.rp:.4f} mm)"
+    return (
+        f"{counted(count, 'configuration')} and {counted(len(q) - count, 'repeat')}{scatter}: repeats stay on one side"
+        " of every split"
+    )
+
+
 def evaluate_quantities(measured: Quantities, computed: Array) -> StageErrors:
     """Compute the errors of one model, ``computed`` (m, 3), at positions [m] and orientations [rad]."""
     p_M, turned = measured.readings.p_M, measured.turned
     if turned is None:
-        return evaluate(p_M, computed)
-    errors = evaluate(p_M[~turned], computed[~turned])
+        return evaluate(p_M, computed, measured.readings.q)
+    errors = evaluate(p_M[~turned], computed[~turned], measured.readings.q[~turned])
     return errors.model_copy(update={"orientation_mrad": summarise(np.linalg.norm(computed[turned], axis=1))})
 
 
-def evaluate(measured: Array, computed: Array) -> StageErrors:
-    """Compute absolute and distance errors of one model at points (n, 3) [m]; a single point has no distance."""
-    errors, weights = position_errors(measured, computed), _resampled(len(measured))
+def evaluate(measured: Array, computed: Array, q: Array) -> StageErrors:
+    """Compute absolute and distance errors of one model at points (n, 3) [m]; a single point has no distance.
+
+    The bootstrap resamples configurations ``q`` (n, N) [rad], each with its repeats.
+    """
+    group = repeats(q)
+    errors, weights = position_errors(measured, computed), _resampled(len(np.unique(group)))[:, group]
     return StageErrors(
-        position_mm=summarise(errors, weights @ errors / len(errors)),
+        position_mm=summarise(errors, weights @ errors / weights.sum(axis=1)),
         distance_mm=distance_summary(measured, computed, weights) if len(measured) > 1 else None,
     )

@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from cellapp.estimation.calibration.records import TriggerResult
 from cellapp.robot.kinematics.transforms import Array
 
 _Floats = NDArray[np.float64]
@@ -395,17 +396,6 @@ class TriggeredClock:
     pulses: int
 
 
-@dataclass(frozen=True)
-class TriggerCheck:
-    """Offset by the trigger compared with that of the motion: ``difference_s`` is the motion's less the trigger's."""
-
-    offset_s: float
-    standard_error_s: float
-    pulses: int
-    difference_s: float
-    agrees: bool
-
-
 def triggered_clock(controller_s: Array, tracker_s: Array, at_s: float, period_s: float) -> TriggeredClock | None:
     """Compute the offset at the tracker's timestamp ``at_s`` from pulses (k,) and (l,), some of them missing.
 
@@ -423,15 +413,13 @@ def triggered_clock(controller_s: Array, tracker_s: Array, at_s: float, period_s
     return TriggeredClock(float(np.median(there)), error_s, len(there))
 
 
-def checked(trigger: TriggeredClock | None, offset_s: float, standard_error_s: float) -> TriggerCheck | None:
+def checked(trigger: TriggeredClock | None, offset_s: float, standard_error_s: float) -> TriggerResult | None:
     """Compare with the offset of the motion at the same timestamp; None without a trigger."""
     if trigger is None:
         return None
     difference_s = offset_s - trigger.offset_s
     allowed_s = _SIGMAS * math.hypot(trigger.standard_error_s, standard_error_s)
-    return TriggerCheck(
-        trigger.offset_s, trigger.standard_error_s, trigger.pulses, difference_s, abs(difference_s) <= allowed_s
-    )
+    return TriggerResult.like(trigger, difference_s=difference_s, agrees=abs(difference_s) <= allowed_s)
 
 
 def _pairs(controller_s: Array, tracker_s: Array) -> tuple[Array, Array] | None:

@@ -112,21 +112,6 @@ def one_a_stop(readings: Readings) -> Readings:
     return replace(its.take(first), p_M=mean)
 
 
-def repeats_words(q: Array, p_M: Array) -> str:
-    """Say how many configurations rows (n, N) [rad] with points (n, 3) [m] are, and how far their repeats scatter;
-    empty without repeats."""
-    group = repeats(q)
-    size, count = np.bincount(group), int(group.max(initial=-1)) + 1
-    if count == len(q):
-        return ""
-    mean = np.stack([np.bincount(group, column) for column in p_M.T], axis=1) / size[:, None]
-    squares = np.sum((p_M - mean[group]) ** 2) / (len(q) - count)
-    return (
-        f"{counted(count, 'configuration')} and {counted(len(q) - count, 'repeat')}, which scatter by"
-        f" {1e3 * np.sqrt(squares):.4f} mm (one standard deviation of a point): repeats stay on one side of every split"
-    )
-
-
 def neighbours_words(readings: Readings) -> str:
     """Say how many held-out rows have a learnt neighbour, or repeat a learnt row; empty for few."""
     held_out = readings.q[readings.in_split("validate")]

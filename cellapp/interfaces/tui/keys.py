@@ -54,7 +54,7 @@ KEYS: Mapping[str, Key] = {
     "arm": Key("a", "a", "the other arm"),
     "before": Key("comma", ",", "the one before: joint, picture, chart, stop, place in the handbook"),
     "after": Key("full_stop", ".", "the next one: joint, picture, chart, stop"),
-    "look": Key("v", "v", "look: what the tracker sees, from another side"),
+    "look": Key("v", "v", "look: from another side"),
     "check": Key("k", "k", "check: the plan, the calibration"),
     "measure": Key("m", "m", "drive and measure: targets, tests, proposed stops. The arms move"),
     "push": Key("P", "P", "drive to the targets without measuring. The arms move"),

@@ -7,6 +7,8 @@ A request is ``ARM COMMAND [ARGUMENT ...]`` (ARM ``*``: all arms), the answer ``
     log                                   events, newest last
     drop PORT fin|rst [SECONDS]           end its connections; refuse new ones for SECONDS
     fault PORT none|silent|refuse|garbage|flood|trickle [SECONDS]
+    network DELAY [LOSS]                  messages take DELAY s each way, a share LOSS of them 0.2 s more
+    send PORT HEX                         send bytes on its connections: a malformed packet
     start-delay SECONDS                   from an uploaded program to its start, from now on
     short-packets swallow|close           reaction to RTDE data of the wrong length
     push RAD SPEED [JOINT]                something turns a joint (1) of the arm at rest by RAD at SPEED [rad/s]
@@ -157,6 +159,19 @@ def _fault(arm: Emulated, arguments: Sequence[str], now_s: float) -> None:
         port.fail(fault, now_s + _number(arguments, 2, limit=_MOST_S) if len(arguments) > 2 else None)
 
 
+def _network(arm: Emulated, arguments: Sequence[str], _: float) -> None:
+    network = (_number(arguments, 0, limit=_MOST_S), _number(arguments, 1, limit=1.0, default=0.0))
+    for port in arm.ports.values():
+        port.network = network
+
+
+def _send(arm: Emulated, arguments: Sequence[str], _: float) -> None:
+    data = bytes.fromhex(arguments[1] if len(arguments) > 1 else "")
+    for port in _ports(arm, arguments):
+        for link in list(port.links):
+            link.send(data)
+
+
 def _start_delay(arm: Emulated, arguments: Sequence[str], _: float) -> None:
     arm.controller.start_delay_s = _number(arguments, 0, limit=_MOST_S)
 
@@ -251,6 +266,8 @@ _COMMANDS: dict[str, Callable[[Emulated, Sequence[str], float], object]] = {
     "log": lambda arm, _, __: list(arm.controller.log),
     "drop": _drop,
     "fault": _fault,
+    "network": _network,
+    "send": _send,
     "start-delay": _start_delay,
     "short-packets": _short_packets,
     "protective": _protective,

@@ -307,10 +307,9 @@ class Controller:
         self._set_runtime(Runtime.PLAYING)
 
     def stop_program(self, reason: str = "") -> None:
-        """End a program that runs, is paused or is about to start; the arm brakes."""
+        """End a program that runs or is paused, not one that was uploaded and is about to start; the arm brakes."""
         if reason or self.runtime is not Runtime.STOPPED:
             self.journal.note("stop", reason or "a new program")
-        self._uploaded = None
         self._watchdog.watch(0.0, 0)
         if self.runtime in (Runtime.STOPPED, Runtime.STOPPING):
             return
@@ -375,7 +374,7 @@ class Controller:
         self.log.append("emergency stop")
         self.brakes.request("emergency")
         self.stop_program("emergency stop")
-        self._goal = None
+        self._goal = self._uploaded = None
         self._stop_trigger = StopTrigger()
         self.safety_mode = SafetyMode.ROBOT_EMERGENCY_STOP
         self.robot_mode = RobotMode.POWER_OFF
@@ -411,7 +410,7 @@ class Controller:
         """End the program and switch power off."""
         self.brakes.request("program")
         self.stop_program(how)
-        self._goal = None
+        self._goal = self._uploaded = None
         self._mode_due.clear()
         self.robot_mode = RobotMode.POWER_OFF
         self._publish_modes()

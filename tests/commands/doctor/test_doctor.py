@@ -93,6 +93,11 @@ def real() -> Profile:
     return with_driver(load_profile(PROFILES / "ur10-ur5.yaml"), "left", serial="20153012345")
 
 
+@pytest.fixture(autouse=True)
+def fast_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.arms.ur_probe.time_link", lambda host, timeout_s, look: (1e-3, "round trip 1.0 ms"))
+
+
 def one_ready(host: str, timeout_s: float) -> UrProbe:
     return READY if host == "192.168.0.10" else replace(READY, host=host, model="UR5", serial="20153567890")
 
@@ -143,6 +148,7 @@ def test_a_ready_controller_fails_in_nothing(real: Profile) -> None:
     found = findings(real, one_ready)
     failed = {subject for subject, finding in found.items() if finding.status == "failed"}
     assert failed == {"tracker"}
+    assert found["arm left: timing"] == Finding("arm left: timing", "ok", "round trip 1.0 ms")
     assert found["arm left: motion"] == Finding("arm left: motion", "ok", "no check failed; no motion was tried")
     assert "LMF needs Windows" in found["tracker"].text
     assert found["arm left: serial"].status == "ok"
@@ -215,7 +221,7 @@ def tight(high: float = 6.2832, speed: float = 3.15) -> UrProbe:
         (replace(E_SERIES, remote_control=False), "remote control", "failed", ["Local to Remote"]),
         (replace(E_SERIES, remote_control=None), "remote control", "warning", ["Remote"]),
         (E_SERIES, "remote control", "ok", ["on"]),
-        (replace(READY, program_running=True), "program", "failed", ["a program runs"]),
+        (replace(READY, program_running=True), "program", "failed", ["not this driver's runs", "pendant"]),
         (replace(READY, ports={30004: False}), "port 30004", "failed", ["firewall"]),
         (replace(READY, sample=None, sample_note="port 30004: silent"), "state", "failed", ["30004: silent"]),
         (reporting(replace(SAMPLE, qd=(0.0, 0.1, 0.0, 0.0, 0.0, 0.0))), "state", "failed", ["the arm moves"]),

@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,8 +51,10 @@ from tests.drivers.arms.emulated_ur_cell import (
     MODELS,
     PATIENT_S,
     SERIALS,
+    SETTLE_S,
     SPEED,
     UNHURRIED,
+    WATCHDOG_HZ,
     configs,
     driven,
     drivers_of,
@@ -231,7 +233,7 @@ def other_clients_program(host: str) -> Iterator[None]:
 
 def test_a_program_of_another_client_is_left_alone(unconnected: EmulatorProcess) -> None:
     with other_clients_program(HOSTS["left"]), driven("left") as arm:
-        with pytest.raises(ArmError, match="a program runs"):
+        with pytest.raises(ArmError, match=r"a program \(rtde_control\) that is not this driver.s runs, and"):
             arm.connect()
         assert unconnected.control("left", "status")["runtime_state"] == "PLAYING"
     stop_program(HOSTS["left"], 1.0)
@@ -248,6 +250,40 @@ def test_inputs_that_another_client_holds_are_told(unconnected: EmulatorProcess)
             findings = UrSettings(host=host).probe(arm, WAIT_S)
         found[holds] = next(one.status for one in findings if one.subject == "RTDE inputs")
     assert found == {True: "failed", False: "ok"}
+
+
+def test_of_two_that_begin_together_one_is_refused_and_stops_nothing(unconnected: EmulatorProcess) -> None:
+    """The program of the other may not have started yet, when one is refused; it is told who the other one is."""
+    settings = UrSettings(host=HOSTS["left"], watchdog_hz=WATCHDOG_HZ, settle_time=SETTLE_S)
+    unconnected.control("left", "start-delay", 0.3)
+    for _ in range(6):
+        two = {user: UrArm("left", settings, expectation("left"), user=user) for user in ("day", "night")}
+        with ThreadPoolExecutor(2) as pool:
+            ends = {user: pool.submit(arm.connect) for user, arm in two.items()}
+            refused = {user: error for user, end in ends.items() if (error := end.exception()) is not None}
+        (first,) = two.keys() - refused.keys()
+        ((second, error),) = refused.items()
+        assert f"another cellapp, on {socket.gethostname()}, run {first}, holds the arm: its program runs" in str(error)
+        two[second].disconnect()
+        until_s = time.monotonic() + 0.4
+        while time.monotonic() < until_s:
+            assert two[first].state().ready
+        assert unconnected.control("left", "status")["runtime_state"] == "PLAYING"
+        two[first].disconnect()
+    unconnected.control("left", "start-delay", 0.05)
+
+
+def test_a_program_that_was_left_is_known_by_its_name_and_can_be_ended(unconnected: EmulatorProcess) -> None:
+    settings = UrSettings(host=HOSTS["left"], watchdog_hz=WATCHDOG_HZ)
+    assert settings.left_program() == ""
+    arm = UrArm("left", settings, expectation("left"), user="my run.2")
+    with ExitStack() as stack:
+        stack.callback(arm.disconnect)
+        arm.connect()
+        assert settings.left_program() == f"another cellapp, on {socket.gethostname()}, run my_run_2"
+        settings.end_program()
+        until(lambda: unconnected.control("left", "status")["runtime_state"] == "STOPPED", "it has stopped")
+        assert settings.left_program() == ""
 
 
 def assert_untouched(emulator: EmulatorProcess, name: str) -> None:
@@ -433,7 +469,7 @@ def test_a_stop_by_something_else_is_a_fault(delayed: Any, moves_at_once: bool) 
         doubt, answer = monitor(0.01, MOVE)[-2:]
     else:
         doubt, answer = monitor(0.4)
-    assert "its program was stopped on the pendant" in answer["text"]
+    assert "its program ended; possible: it was stopped on the pendant" in answer["text"]
     assert doubt["doubt"] == "failed"
 
 

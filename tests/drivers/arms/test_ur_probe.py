@@ -36,6 +36,7 @@ MARGIN_S = 1.0
 """Beyond its time limit, for a probe to look at the other ports."""
 QUESTIONS = {
     "PolyscopeVersion", "get robot model", "get serial number", "robotmode", "safetymode", "safetystatus", "running",
+    "programState",
     "is in remote control",
 }  # fmt: skip
 CB3 = personality("CB3", "UR10", "20153012345")
@@ -232,7 +233,7 @@ def test_a_peer_that_is_not_a_dashboard_is_refused(data: bytes, expected: str) -
 def test_old_software_that_does_not_know_the_questions_is_still_probed() -> None:
     unknown = b"could not understand\n"
     lines = [b"Connected: Universal Robots Dashboard Server\n", b"3.0.15547, Jul 25 2014\n", unknown, unknown]
-    lines += [b"Robotmode: IDLE\n", b"Safetymode: NORMAL\n", unknown, b"Robot running: True\n"]
+    lines += [b"Robotmode: IDLE\n", b"Safetymode: NORMAL\n", unknown, b"Robot running: True\n", unknown]
     with (
         dashboard_that_says(b"".join(lines)) as port,
         closed_port() as a,

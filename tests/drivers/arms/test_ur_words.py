@@ -115,11 +115,16 @@ def power(client: DelayedClient) -> None:
     client.mode = 3
 
 
+def by_hand(client: DelayedClient) -> None:
+    client.mode = 6
+
+
 WORKER: dict[str, tuple[Callable[[DelayedClient], None], type[ArmError], str]] = {
-    "stopped on the pendant": (pendant, ArmError, "its program was stopped on the pendant"),
+    "stopped on the pendant": (pendant, ArmError, "its program ended; possible: it was stopped on the pendant"),
     "local control": (local, NotInRemoteControl, "the pendant is in local control"),
     "cut short": (cut_short, ArmError, "its motion was cut short"),
-    "no power": (power, ArmError, "robot mode POWER_OFF, needed is RUNNING"),
+    "no power": (power, ArmError, "robot mode POWER_OFF, needed is RUNNING; power the arm on"),
+    "guided by hand": (by_hand, ArmError, "robot mode BACKDRIVE, needed is RUNNING; it is guided by hand"),
 }
 
 
@@ -165,6 +170,7 @@ def test_a_motion_that_takes_too_long(delayed: Delayed) -> None:
 ENDS: dict[str, tuple[Callable[[DelayedClient], object], str, str]] = {
     "broken": (lambda client: setattr(client, "isConnected", lambda: False), "link", "the RTDE link broke"),
     "not a number": (lambda client: setattr(client, "q", [float("nan")] * 6), "nonsense", "that are no numbers"),
+    "malformed": (lambda client: setattr(client, "safety", 0), "nonsense", "its state has no safety mode"),
     "five joints": (lambda client: setattr(client, "q", [0.0] * 5), "link", "not one of six joints"),
 }
 
@@ -193,7 +199,7 @@ def test_a_client_that_does_not_start(text: str) -> None:
 
 @pytest.mark.parametrize("kind", REFUSALS)
 def test_each_kind_without_a_remedy_of_its_own_has_one_in_its_text(kind: str) -> None:
-    own = kind in ("protective", "emergency", "local", "advised")
+    own = kind in ("protective", "emergency", "local", "advised", "occupied")
     assert bool(TO_DO.search(str(arm_error("left", kind, "something is wrong")))) is not own
 
 

@@ -87,7 +87,7 @@ def test_errors_on_a_worked_example():
     assert (summary.mean, summary.max, summary.n) == pytest.approx((2.0, 3.0, 2))
     assert summary.rms == pytest.approx(np.sqrt(5.0))
     assert summary.std == pytest.approx(np.sqrt(2.0))
-    assert evaluate(measured[:1], computed[:1]).distance_mm is None
+    assert evaluate(measured[:1], computed[:1], measured[:1]).distance_mm is None
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -230,8 +230,6 @@ def test_arguments_of_plan_that_do_not_belong_together_are_told(
         ((profile, "--run", run, "--add", 3), "give --run DIR and no PROFILE"),
         (("--replan",), "give --run DIR and no PROFILE"),
         ((profile, "--run", run, "--check", file), "leave out --run"),
-        ((profile, "--run", run, "--view"), "leave out --run"),
-        ((profile, "--view", "--replan"), "do not go together"),
         ((profile, "--check", file), "file not found"),
         ((profile, "--run", run, "--from", file), "file not found"),
         (("--run", run, "--add", 3), "run folder not found"),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import controller_file_text
@@ -15,6 +17,7 @@ from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.plain_dh import plain_geometry
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import OFF_AXIS, UR5, UR10, Array, at_station, true_geometry
+from tests.cell.programs.plain_controller import forward
 from tests.interfaces.cli.test_cli import call, exit_code, one_sentence  # noqa: F401 - a fixture
 
 
@@ -113,3 +116,48 @@ def test_the_factory_file_of_another_arm(call: Any, monkeypatch: pytest.MonkeyPa
     for own in rows:
         own[-1, 2:4] = 0.0  # behind the last joint: a description has its origin alone
     np.testing.assert_allclose(rows[1], rows[0], atol=2e-9)
+
+
+def test_the_posture_is_the_one_that_was_measured(call: Any) -> None:  # noqa: F811
+    taught = np.array([0.3, -1.2, 1.6, -1.0, 1.2, 0.2])
+    T = forward(UR5, taught)
+    pose = [*T[:3, 3].tolist(), *Rotation.from_matrix(T[:3, :3]).as_rotvec().tolist()]
+    Path("a.script").write_text(f"def a():\n  set_tcp(p[0,0,0,0,0,0])\n  movel(p{pose})\nend\n", "utf-8")
+    rng = np.random.default_rng(0)
+    for run, spread in (("narrow", 0.6), ("wide", 3.0)):
+        q = taught + rng.uniform(-spread, spread, (60, 6))
+        write_table(Path(f"{run}.csv"), q, points(q))
+        call("init", "--readings", f"{run}.csv", "--arm", "ur5")
+        call("import", f"profiles/{run}.yaml", f"readings/{run}.csv", "--run", run)
+        call("calibrate", run)
+    found = call("correct", "narrow", "a.script", "--out", "b.script", "--json", "b.json")
+    (target,) = json.loads(Path("b.json").read_text("utf-8"))["targets"]
+    np.testing.assert_allclose(target["q_new"], taught, atol=0.02)
+    assert target["nearest_to"] == "readings"
+    assert "posture (17, -69, 92, -57, 69, 11) deg, the only one within the ranges" in " ".join(found.out.split())
+    refused = call("correct", "wide", "a.script", "--out", "c.script")
+    assert (refused.code, Path("c.script").exists()) == (2, False)
+    assert "postures reach it, (17, -69, 92, -57, 69, 11)" in " ".join(refused.out.split())
+
+
+def test_sigma_is_the_targets_own_and_what_is_common_stands_once(call: Any) -> None:  # noqa: F811
+    """An arm that is as published, measured with noise: its corrections are not significant."""
+    rng = np.random.default_rng(0)
+    q = np.array([0.3, -1.2, 1.6, -1.0, 1.2, 0.2]) + rng.uniform(-1.0, 1.0, (60, 6))
+    p_M = smr_positions(at_station(UR5, OFF_AXIS), q) + rng.normal(0.0, 50e-6, (60, 3))
+    calibrated(call, q, p_M)
+    moves = "".join(f"  movej({one.tolist()})\n" for one in q[:2])
+    Path("a.script").write_text(f"def a():\n{moves}end\n", "utf-8")
+    said = call("correct", "run", "a.script", "--out", "b.script").out
+    assert "sigma is not stated: only a discovery estimates" in " ".join(said.split())
+    call("discover", "run")
+    said = call("correct", "run", "a.script", "--out", "c.script", "--json", "c.json").out
+    assert "2 targets are left as taught" in " ".join(said.split())
+    assert Path("c.script").read_bytes() == Path("a.script").read_bytes()
+    found = json.loads(Path("c.json").read_text("utf-8"))
+    (common,) = found["common"]
+    assert common["flange_mm"][2] > 1.0, "a single SMR does not tell how far the flange is from it"
+    for target in found["targets"]:
+        assert target["own_mm"] < 0.1 < 0.5 < target["uncertainty_mm"]
+    call("correct", "run", "a.script", "--out", "d.script", "--insignificant")
+    assert Path("d.script").read_bytes() != Path("a.script").read_bytes()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,7 @@ from typer.testing import CliRunner
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.stages import DATA_MARK, data_mark
-from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.ground.errors import CheckFailed
 from cellapp.interfaces.page import page
 from tests.program import app
 
@@ -44,18 +43,3 @@ def test_strict_fails_only_where_something_is_out_of_date(finished_copy: Path) -
     assert "'verify' is out of date" in str(ended.exception)
     assert "calibrate" in json.loads((finished_copy / "r.json").read_text("utf-8"))["out_of_date"]
     assert (finished_copy / "report.html").is_file(), "the page is written all the same"
-
-
-def test_pdf_without_a_browser(finished_copy: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(shutil, "which", lambda name: None)
-    ended = RUNNER.invoke(app, ["report", str(finished_copy), "--pdf"])
-    assert isinstance(ended.exception, InputError)
-    assert ended.exception.exit_code == 2
-    assert (finished_copy / "report.html").is_file()
-    assert not (finished_copy / "report.pdf").exists()
-
-
-def test_a_file_needs_pdf(finished_run: Path) -> None:
-    ended = RUNNER.invoke(app, ["report", str(finished_run), "--out", "x.pdf"])
-    assert isinstance(ended.exception, InputError)
-    assert "--out is the file of --pdf" in str(ended.exception)

@@ -1,8 +1,9 @@
-"""An arm that something moves while it is measured, over real sockets: no false reading is stored, all arms stop."""
+"""Collecting over real sockets: no reading of an arm that something moved, no motion over a link that is too slow."""
 
 from __future__ import annotations
 
 import re
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,6 +25,7 @@ from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import Control
 from drivers.trackers.protocol import Point
 from tests.commands.emulated_cell import behind_bridge, patiently
+from tests.drivers.arms.emulated_ur_cell import pause
 from tests.evidence.wire.storm_cell import StormCell, emulated_cell
 from tests.loopback import free_port, own_arms
 from tests.twin import small_twin
@@ -40,10 +42,10 @@ Attack = Callable[[Control], None]
 
 def pushed(by: float, speed: float, arm: str = "left", after_s: float = 0.0, back_after_s: float = 0.0) -> Attack:
     def attack(control: Control) -> None:
-        time.sleep(after_s)
+        pause(after_s)
         control(arm, "push", by, speed)
         if back_after_s:
-            time.sleep(back_after_s)
+            pause(back_after_s)
             control(arm, "push", -by, speed)
 
     return attack
@@ -77,7 +79,7 @@ def collected(profile: Profile, emulator: StormCell, run: RunFile, attacks: list
                 began_s = time.monotonic()
                 if attacks:
                     attacks.pop(0)(emulator.control)
-                time.sleep(max(began_s + averaging_s - time.monotonic(), 0.0))
+                pause(max(began_s + averaging_s - time.monotonic(), 0.0))
                 return Point(expected_M, 1e-10 * np.eye(3), time.monotonic() - 0.5 * averaging_s, averaging_s, None)
 
             cell.tracker.measure = measure  # type: ignore[method-assign]
@@ -123,6 +125,36 @@ def test_no_reading_of_an_arm_that_was_moved_is_stored(
             return ", ".join(event.text for event in run.events() if "rejected" in event.text)
 
     assert re.search(says, patiently(act))
+
+
+def test_a_link_that_cannot_hold_the_watchdog_is_refused_before_anything_moves(
+    profile: Profile, emulator: StormCell, tmp_path: Path
+) -> None:
+    emulator.repair()
+    moves, ended = emulator.status()["left"]["moves"], threading.Event()
+
+    def disturb() -> None:
+        while not ended.wait(0.7):
+            emulator.control("left", "fault", "rtde", "silent", 0.5)
+
+    disturbing = threading.Thread(target=disturb)
+    disturbing.start()
+    try:
+        with RunFile.create(tmp_path / "run", profile) as run:
+            run.write_plan(plan_stops(profile))
+            with pytest.raises(HardwareError) as caught:
+                collected(profile, emulator, run, [])
+    finally:
+        ended.set()
+        disturbing.join()
+    found = re.search(
+        r"arm left: round trip .* states at most (\d+)\.\d ms late, .* too slow for the watchdog, which stops the arm"
+        r" after 0.50 s of silence; .* or set arms.left.driver.watchdog_hz to (1\.\d); nothing was moved",
+        str(caught.value),
+    )
+    assert found is not None, caught.value
+    assert int(found[1]) > 400
+    assert emulator.status()["left"]["moves"] == moves
 
 
 def test_stored_joints_are_those_of_the_averaging() -> None:
