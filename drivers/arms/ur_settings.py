@@ -83,8 +83,8 @@ class UrSettings(UrOptions):
             return [Finding("type", "failed", f"arms.{arm.name}.{error}")]
         patience = Patience(min(self.timeout, patience_s))
         if answers.ports.get(RTDE_PORT):
-            with suppress(LinkLost), Connection.to(self.host, RTDE_PORT, patience) as link:
-                found.append(ur_checks.inputs(inputs_taken(link, patience)))
+            with suppress(LinkLost), Connection.to(self.host, RTDE_PORT, patience) as rtde:
+                found.append(ur_checks.inputs(inputs_taken(rtde, patience)))
         where = f"{answers.series} controller at {answers.host}, PolyScope {answers.software}"
         failed = ", ".join(check.subject for check in found if check.status == "failed")
         motion = Finding("motion", "ok", "no check failed; no motion was tried")

@@ -948,12 +948,14 @@ def with_sigma(columns: Columns) -> dict[str, NDArray[np.float64]]:
     found = dict(columns)
     for kind, coverage in (("sigma", 1.0), ("expanded", 2.0)):
         own = [found.pop(f"{kind}_{axis}") for axis in "xyz" if f"{kind}_{axis}" in found]
-        whole = found.pop("expanded_m", None) if kind == "expanded" else None
-        if "sigma_m" not in found and (len(own) == 3 or whole is not None):
-            square = np.sum(np.square(own), axis=0) if len(own) == 3 else np.square(whole)
-            sigma = np.sqrt(square / 3.0) / coverage
+        own = (
+            own if len(own) == 3 else [found[name] for name in ("expanded_m",) if kind == "expanded" and name in found]
+        )
+        if "sigma_m" not in found and own:
+            sigma = np.sqrt(np.sum(np.square(own), axis=0) / 3.0) / coverage
             least = sigma[sigma > 0.0].min(initial=math.inf)
             found["sigma_m"] = np.where(sigma == 0.0, least, sigma)
+    found.pop("expanded_m", None)
     return found
 
 

@@ -390,11 +390,11 @@ def _written(path: Path, what: str, lines: Sequence[tuple[int, str]], example: s
                 f"{path}:{line}: there is no row of names above the first row of {len(cells)} numbers; write one, such"
                 f" as {example}"
             )
-        head, names = above[-1]
-        if len(above) > 1 and all(_UNIT_ALONE.fullmatch(name) for name in names):
-            names = [f"{name} {unit}".strip() for name, unit in zip(above[-2][1], names, strict=True)]
-        kept = _named(names)
-        return CsvFile(path, what, head, tuple(kept), separator, comma, len(names) - len(kept))
+        head, row = above[-1]
+        if len(above) > 1 and all(_UNIT_ALONE.fullmatch(name) for name in row):
+            row = [f"{name} {unit}".strip() for name, unit in zip(above[-2][1], row, strict=True)]
+        kept = _named(row)
+        return CsvFile(path, what, head, tuple(kept), separator, comma, len(row) - len(kept))
     return None
 
 

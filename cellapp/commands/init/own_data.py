@@ -54,7 +54,7 @@ def arm_type_text(path: Path, joints: int = 0, *, modified: bool = False) -> tup
     if modified:
         after = [(a, alpha) for _, _, a, alpha in rows[1:]] + [(0.0, 0.0)]
         rows = [(theta, d, *link) for (theta, d, _, _), link in zip(rows, after, strict=True)]
-    notes = ()
+    notes: tuple[str, ...] = ()
     if len(rows) == joints + 1:
         theta, d, a, alpha = rows.pop()
         fixed = (
@@ -292,7 +292,7 @@ def _types(own: OwnData, joints: int) -> list[_Type]:
     """Return the named type, else all types of this program with this number of joints."""
     path = Path(own.arm)
     if own.arm and path.suffix.lower() in (".yaml", ".yml", ".csv"):
-        notes, other = (), None
+        notes, other = tuple[str, ...](), None
         if path.suffix.lower() == ".csv":
             text, notes = arm_type_text(path, joints, modified=own.modified)
             other = arm_type_of_text(arm_type_text(path, joints, modified=not own.modified)[0], path)

@@ -219,9 +219,10 @@ def _check_as_readings(where: str, name: str, values: Array) -> None:
     column = next(one for one in COLUMNS if one.name == name)
     matrix = column.matrix(values)
     wrong = matrix[~np.isnan(matrix) & ~np.isin(matrix, column.allowed)] if column.allowed else matrix[:0, 0]
-    fault = None if column.check is None else column.check(matrix)
-    if len(wrong) or fault is not None:
-        raise InputError(f"{where}: {f'expected {column.expected}, got {wrong[0]:g}' if len(wrong) else fault.text}")
+    if len(wrong):
+        raise InputError(f"{where}: expected {column.expected}, got {wrong[0]:g}")
+    if column.check is not None and (fault := column.check(matrix)) is not None:
+        raise InputError(f"{where}: {fault.text}")
 
 
 def _values(where: str, value: Any, shape: tuple[int, ...] | None) -> Array:

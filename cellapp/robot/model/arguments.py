@@ -91,5 +91,5 @@ def too_heavy(payload_kg: Array, masses: Array) -> int | None:
 
     None if there is no such row, or the masses are not known.
     """
-    wrong = np.flatnonzero(payload_kg > np.sum(masses)) if np.sum(masses) > 0.0 else []
+    wrong = np.flatnonzero((payload_kg > np.sum(masses)) & (np.sum(masses) > 0.0))
     return int(wrong[0]) if len(wrong) else None

@@ -12,9 +12,10 @@ import yaml
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import SurveyPoint
+from cellapp.cell.run.recorded_csv import nobody
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.init.answers import surveyed_base, write_answers
-from cellapp.commands.init.own_data import OwnData, nobody, write_own_data
+from cellapp.commands.init.own_data import OwnData, write_own_data
 from cellapp.commands.init.run import InitResult, view
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose
