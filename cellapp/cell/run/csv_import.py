@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.arm_cells import ArmCells, is_known, not_per_joint, read_arm, stem_and_joint
-from cellapp.cell.run.columns import names_with_quaternion, with_quaternions
 from cellapp.cell.run.csv_text import (
     CsvTable,
     Problems,
@@ -25,6 +24,7 @@ from cellapp.cell.run.csv_text import (
 )
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measurement_order import in_measured_order, order_fault, order_sentences, write_in_order
+from cellapp.cell.run.orientation_columns import names_with_quaternion, with_quaternions
 from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.run.stations import (
     STATIONS_RESULT,

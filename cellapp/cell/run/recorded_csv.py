@@ -31,11 +31,10 @@ from cellapp.cell.run.columns import (
     length_unit,
     time_unit,
     understood,
-    with_quaternions,
     with_sigma,
-    written_orientation,
 )
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, is_number, read_header, short, stamp_seconds
+from cellapp.cell.run.orientation_columns import with_quaternions, written_orientation
 from cellapp.estimation.readings.columns import OF_SOCKETS
 from cellapp.estimation.readings.readings import lost_points
 from cellapp.ground.errors import InputError

@@ -22,14 +22,12 @@ from cellapp.cell.run.columns import (
     KINDS,
     OPTIONAL_OF_JOINTS,
     POINT,
-    QUATERNION,
     TEXTS,
     TRIGGER,
     UNITS_OF_TIME,
     Implausible,
     Kind,
     Understood,
-    Written,
     beside_faults,
     evenly_stamped,
     in_si,
@@ -39,10 +37,10 @@ from cellapp.cell.run.columns import (
     stems,
     understood,
     without_part_of_orientation,
-    written_orientation,
 )
 from cellapp.cell.run.csv_import import joint_limits
 from cellapp.cell.run.csv_text import CsvFile, Problems, read_header, short
+from cellapp.cell.run.orientation_columns import QUATERNION, Written, written_orientation
 from cellapp.cell.run.records import RecordingState
 from cellapp.cell.run.stream_csv import StreamTable, read_stream_table
 from cellapp.estimation.readings.columns import SPLITS
