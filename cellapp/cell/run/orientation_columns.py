@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from cellapp.cell.run.arm_cells import ArmCells
 from cellapp.cell.run.csv_text import CsvTable, Problems
 from cellapp.estimation.readings.columns import Fault
+from cellapp.ground.errors import InputError
 
 Array = NDArray[np.float64]
 QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
