@@ -52,7 +52,6 @@ LOADED_LATER = {
     "cellapp.commands.record": "a verb's run and view are loaded when it runs; words of errors on an error",
     "cellapp.commands.init.request": "starters are read where one has to be named",
     "cellapp.commands.calibrate.run": "the fit of recordings is loaded where some were made",
-    "cellapp.commands.compensate.details": "scipy is loaded where a target has a work frame",
     "cellapp.commands.docs.handbook": "chapters are read without the mathematics",
     **{
         f"drivers.{module}": "a profile is read without any driver"

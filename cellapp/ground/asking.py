@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, Literal, NamedTuple, get_args
 
 from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.shell import shell_word
 
 if sys.platform != "win32":
     import fcntl
@@ -151,7 +152,8 @@ def look_at_job(folder: Path) -> JobSeen | None:
         return JobSeen(**json.loads(answer.partition(" ")[2]))
     except (ValueError, TypeError):
         raise InputError(
-            f"the job in {folder} is of another version of cellapp; look at it with that one. 'cellapp stop {folder}'"
+            f"the job in {folder} is of another version of cellapp; look at it with that one. 'cellapp stop"
+            f" {shell_word(folder)}'"
             " stops it all the same"
         ) from None
 

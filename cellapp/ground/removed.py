@@ -18,6 +18,7 @@ COMMANDS: Mapping[str, str] = {
     "recalibrate": "use 'cellapp calibrate DIR' and 'cellapp discover DIR' of each run; 'cellapp runs' lists them",
     "touch": "measure the arm with a tracker ('cellapp collect'), or take readings of one with 'cellapp import'",
     "replay": "'cellapp show DIR collection' lists the stops of a run and its faults, the page draws them",
+    "docs screens": "the source's 'python -m tests.handbook screens' draws the terminal application",
     "power": "use 'cellapp trials power DIR'",
     **{
         f"trials {name}": _EVIDENCE
@@ -31,6 +32,7 @@ COMMANDS: Mapping[str, str] = {
 PROFILE_KEYS: Mapping[str, str] = {
     "plant.torques": "leave it out; masses are those that the profile states",
     "notify": "delete it; in a script, call your command after 'cellapp collect' by its exit code",
+    "arms.*.driver.trigger_output": "delete it; the motion tells the offset of the clocks",
     **{
         f"arms.*.smr.{key}": "mount a 6-D probe (smr.probe), or import readings of three SMRs"
         for key in ("name", "nests", "distances")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -26,8 +26,6 @@ class JointRecord:
         Time between two samples [s].
     temperature_c : array, shape (n, N), or None
         Joint temperatures [degC]; None if not reported.
-    triggers_s : array, shape (k,)
-        Timestamps of the samples in which a pulse to the tracker began [s].
     """
 
     time_s: NDArray[np.float64]
@@ -35,7 +33,6 @@ class JointRecord:
     qd: NDArray[np.float64]
     period_s: float
     temperature_c: NDArray[np.float64] | None = None
-    triggers_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     @property
     def missing(self) -> int:
@@ -54,12 +51,6 @@ class RecordingArm(Protocol):
 
     def start_recording(self) -> None:
         """Start recording over a separate connection; return after the first sample. Raises ``LinkLost``."""
-
-    def pulse(self) -> bool:
-        """Send a pulse to the tracker's trigger input; return False if the profile has no output for it.
-
-        Only while a recording runs. Raises ``LinkLost``.
-        """
 
     def recorded(self) -> tuple[int, int]:
         """Return the numbers of received and lost samples of the running recording; never block."""

@@ -66,13 +66,11 @@ class Package:
 class EmulatedController:
     """How an emulated UR controller may replace an arm's own.
 
-    ``host`` is its loopback address, None for any free one; ``serial`` is the serial number it reports, None for any;
-    ``trigger_output`` is the digital output that is wired to the tracker's trigger input.
+    ``host`` is its loopback address, None for any free one; ``serial`` is the serial number it reports, None for any.
     """
 
     host: str | None = None
     serial: str | None = None
-    trigger_output: int | None = None
 
 
 class ArmSettings(Section):
@@ -84,8 +82,6 @@ class ArmSettings(Section):
     has_device: ClassVar[bool] = True
     """Whether there is an arm to move; if not, readings come from a file."""
     packages: ClassVar[tuple[Package, ...]] = ()
-    repeatable_probe: ClassVar[bool] = False
-    """Whether a probe may be repeated every few seconds: it only reads, and does not block the device for others."""
 
     @property
     def controller_address(self) -> str:

@@ -398,10 +398,10 @@ def narrower(asked: JointLimits, allowed: JointLimits | None) -> JointLimits:
 
 
 # ---------------------------------------------------------------------------------------------------------------------
-# Recorder of every state that a UR controller sends, over a separate RTDE connection; pulses of a digital output.
+# Recorder of every state that a UR controller sends, over a separate RTDE connection.
 #
 # The RTDE client that moves the arm keeps only the newest of several states that arrive together. Here a thread keeps
-# all. Lost states are counted by the controller's own clock. The connection claims only the digital output.
+# all. Lost states are counted by the controller's own clock.
 
 
 _OPENS_WITHIN_S = 3.0
@@ -409,10 +409,8 @@ _SILENT_S = 2.0
 """A controller that sends nothing for this long has ended the recording."""
 _RECORDING_ENDS_WITHIN_S = 1.0
 _LAST_SAMPLE_LOOK_S = 0.001
-_PULSE_S = 0.02
 _REQUIRED = ("timestamp", "actual_q", "actual_qd")
-_OPTIONAL = ("joint_temperatures", "actual_digital_output_bits")
-_INPUTS = ("standard_digital_output_mask", "standard_digital_output")
+_OPTIONAL = ("joint_temperatures",)
 
 Values = dict[str, tuple[float, ...]]
 
@@ -420,11 +418,9 @@ Values = dict[str, tuple[float, ...]]
 class UrRecorder:
     """Recorder from construction, which waits for the first state, until ``end``."""
 
-    def __init__(
-        self, name: str, host: str, period_s: float, trigger_output: int | None = None, *, port: int = RTDE_PORT
-    ) -> None:
+    def __init__(self, name: str, host: str, period_s: float, *, port: int = RTDE_PORT) -> None:
         """Connect. Raises ``LinkLost``."""
-        self._name, self._period_s, self._output = name, period_s, trigger_output
+        self._name, self._period_s = name, period_s
         self._states: list[Values] = []
         self._problem: LinkLost | None = None
         self._ending = threading.Event()
@@ -434,7 +430,6 @@ class UrRecorder:
             self._link = Connection.to(host, port, patience)
             try:
                 self._outputs = Outputs(self._link, patience, _REQUIRED, _OPTIONAL, 1.0 / period_s)
-                self._pulses = self._outputs.claim(_INPUTS) if trigger_output is not None else None
             except BaseException:
                 self._link.close()
                 raise
@@ -446,16 +441,6 @@ class UrRecorder:
             self.close()
             why = "no state came" if self._problem is None else cause(self._problem)
             raise LinkLost(f"arm {name}: its joints are not recorded: {why}")
-
-    def pulse(self) -> bool:
-        """Switch the digital output on for a moment; return False if there is none. Raises ``LinkLost``."""
-        if self._pulses is None or self._output is None:
-            return False
-        bit = 1 << self._output
-        self._pulses((bit, bit))
-        time.sleep(_PULSE_S)
-        self._pulses((bit, 0))
-        return True
 
     def so_far(self) -> tuple[int, int]:
         """Return the numbers of received and lost states; from any thread."""
@@ -473,18 +458,13 @@ class UrRecorder:
         if problem is not None:
             raise LinkLost(f"arm {self._name}: the recording of its joints ended early: {cause(problem)}") from problem
         states = self._states
-        output = self._output
-        bits = [int(state.get("actual_digital_output_bits", (0,))[0]) for state in states]
-        level = np.array([0 if output is None else (value >> output) & 1 for value in bits], dtype=np.int8)
-        time_s = _table(states, "timestamp")[:, 0]
         temperature = _table(states, "joint_temperatures")
         return JointRecord(
-            time_s=time_s,
+            time_s=_table(states, "timestamp")[:, 0],
             q=_table(states, "actual_q"),
             qd=_table(states, "actual_qd"),
             period_s=self._period_s,
             temperature_c=temperature if temperature.any() else None,
-            triggers_s=time_s[1:][np.diff(level) > 0],
         )
 
     def close(self) -> None:
@@ -575,11 +555,7 @@ class UrPathArm(UrArm):
     def start_recording(self) -> None:
         """Record every state of the controller over a separate connection. Raises ``LinkLost``."""
         self._end_recorder()
-        self._recorder = UrRecorder(self._name, self._host, self.path_period_s, self._settings.trigger_output)
-
-    def pulse(self) -> bool:
-        """Send a pulse at the controller's output; return False if there is none."""
-        return self._recorder is not None and self._recorder.pulse()
+        self._recorder = UrRecorder(self._name, self._host, self.path_period_s)
 
     def recorded(self) -> tuple[int, int]:
         """Return the numbers of received and lost samples."""

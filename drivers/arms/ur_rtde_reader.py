@@ -18,7 +18,7 @@ from drivers.arms.ur_links import RTDE_PORT, Connection
 from drivers.patience import Patience
 
 _HEADER = struct.Struct(">HB")
-_VERSION, _OUTPUTS, _INPUTS, _START, _DATA = ord("V"), ord("O"), ord("I"), ord("S"), ord("U")
+_VERSION, _OUTPUTS, _START, _DATA = ord("V"), ord("O"), ord("S"), ord("U")
 _FREQUENCY_HZ = 125.0
 """Rate that every series supports."""
 _MAX_PACKETS = 1000
@@ -238,19 +238,6 @@ class Outputs:
             raise LinkLost(f"{link.where}: the controller did not start to send its state")
         self.names = names
         self._formats = [struct.Struct(f">{_FORMATS[kind]}") for kind in types]
-
-    def claim(self, inputs: tuple[str, ...]) -> Callable[[Sequence[int]], None]:
-        """Claim inputs of one byte each; return the function that writes them. Raises ``LinkLost`` if taken."""
-        answer = self._packets.ask(_INPUTS, ",".join(inputs).encode("ascii"))
-        types = answer[1:].decode("ascii", errors="replace").strip(",").split(",")
-        if not answer or not answer[0] or types != ["UINT8"] * len(inputs):
-            raise LinkLost(f"{self._packets.where}: another program uses its digital outputs, or it has none")
-        number = answer[:1]
-
-        def write(values: Sequence[int]) -> None:
-            self._packets.send(_DATA, number + bytes(values))
-
-        return write
 
     def states(self, patience: Callable[[], Patience]) -> Iterator[dict[str, tuple[float, ...]]]:
         """Yield states as they arrive, as output -> its values; ``patience`` returns the time limit of each wait."""

@@ -379,7 +379,7 @@ def _air_sensor(profile: Profile, plant: Plant | None) -> AirSensor | None:
 # -- the simulated cell -----------------------------------------------------------------------------------------------
 
 
-def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions: bool = False) -> Plant:
+def build_plant(profile: Profile, *, watch_clearance: bool = False) -> Plant:
     """Return the simulated cell that a profile describes. Raise ``InputError`` on an unknown effect or parameter."""
     settings = profile.plant
     tracker = profile.tracker
@@ -407,7 +407,7 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions
             floor=profile.plan.floor,
             factory=None if settings.factory is None else GeometryErrors(**settings.factory.model_dump()),
         )
-        return Plant(config, watch_clearance=watch_clearance, keep_motions=keep_motions)
+        return Plant(config, watch_clearance=watch_clearance)
     except ValueError as error:
         raise InputError(f"profile {profile.name}: plant: {error}") from error
 

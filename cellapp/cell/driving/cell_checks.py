@@ -32,6 +32,7 @@ from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import SAME_PAYLOAD_KG, Profile
 from cellapp.ground.profile import Arm as ArmProfile
 from cellapp.ground.profile.device_plugins import plugins_of_devices
+from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.plain_dh import same_chain
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import controller_rows, published_rows
@@ -312,7 +313,8 @@ def change_load(run: RunFile, load: int, stated: Mapping[str, float] | None, hun
         if hung is None or not hung(f"The next stops need another load. {words}."):
             answer = ",".join(f"{name}={one.mass:g}" for name, one in changes.items())
             raise Stopped(
-                f"the next stops need another load: {words}; then 'cellapp collect {run.folder} --resume --payload"
+                f"the next stops need another load: {words}; then 'cellapp collect {shell_word(run.folder)}"
+                " --resume --payload"
                 f" {answer}'"
             )
     if changes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import platform
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -62,12 +62,6 @@ def require_links(profile: Profile, look: Callable[[], None]) -> None:
         raise HardwareError(f"{'; '.join(slow)}; nothing was moved")
 
 
-def probe(profile: Profile, devices: Collection[str]) -> list[Finding]:
-    """Probe some devices; nothing moves, and nothing else is checked."""
-    with ThreadPoolExecutor(max_workers=_devices(profile), thread_name_prefix="probe") as pool:
-        return _found(profile, _start_probes(pool, profile, devices))
-
-
 _Probes = Mapping[str, Future[Sequence[Finding]]]
 """Device, as named in findings -> future of its probe's findings."""
 
@@ -76,14 +70,14 @@ def _devices(profile: Profile) -> int:
     return len(profile.arms) + 2
 
 
-def _start_probes(pool: Executor, profile: Profile, devices: Collection[str] | None = None) -> _Probes:
-    """Probe devices concurrently; all of them if ``devices`` is None."""
+def _start_probes(pool: Executor, profile: Profile) -> _Probes:
+    """Probe all devices concurrently."""
     air, tracker = profile.sensors.air, profile.tracker.driver
 
     def probe_arm(name: str) -> list[Finding]:
         arm = profile.arms[name]
         found = [*arm.driver.probe(arm_context(name, arm), LONGEST_PROBE_S)]
-        if devices is None and found and found[0].status != "failed":
+        if found and found[0].status != "failed":
             found += arm.driver.link(arm_context(name, arm), lambda: None)
         return found
 
@@ -93,7 +87,7 @@ def _start_probes(pool: Executor, profile: Profile, devices: Collection[str] | N
     probes["tracker"] = partial(tracker.probe, tracker_context(profile), LONGEST_PROBE_S)
     if air is not None:
         probes["sensor air"] = air.probe
-    return {name: pool.submit(probe) for name, probe in probes.items() if devices is None or name in devices}
+    return {name: pool.submit(probe) for name, probe in probes.items()}
 
 
 def _found(profile: Profile, probes: _Probes) -> list[Finding]:

@@ -112,7 +112,7 @@ def mean_point(points: list[PointAtRest]) -> PointAtRest:
     """Return the mean of repeated measurements of a resting SMR.
 
     Its covariance is that of one measurement, because repeats do not reduce all of the tracker's errors (angles,
-    scale); ``precision_M`` is the standard error of the mean.
+    scale).
     """
     if len(points) == 1:
         return points[0]
@@ -123,7 +123,6 @@ def mean_point(points: list[PointAtRest]) -> PointAtRest:
         p_M=positions.mean(axis=0),
         time_s=0.5 * (first.time_s + last.time_s),
         averaging_s=last.time_s - first.time_s + 0.5 * (first.averaging_s + last.averaging_s),
-        precision_M=positions.std(axis=0, ddof=1) / np.sqrt(len(points)),
         quality=tuple(dict.fromkeys(warning for point in points for warning in point.quality)),
         quaternion_M=_mean_quaternion([point.quaternion_M for point in points]),
         q=first.q + np.mean([point.q - first.q for point in points], axis=0),

@@ -42,6 +42,7 @@ from cellapp.ground.asking import (
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Listener, Progress, StateChange, ignore
+from cellapp.ground.shell import shell_word
 
 _LOCK_AGAIN_S, _LOCK_TRIES = 0.001, 50
 _POLL_S = 0.05
@@ -108,7 +109,7 @@ def _refuse_second(folder: Path) -> None:
 
 
 def _another(folder: Path) -> InputError:
-    return InputError(f"{folder}: another job runs here; 'cellapp stop {folder}' stops it")
+    return InputError(f"{folder}: another job runs here; 'cellapp stop {shell_word(folder)}' stops it")
 
 
 class _Server(socketserver.ThreadingTCPServer):

@@ -448,6 +448,7 @@ class _XmlReader:
         self._script: list[str] | None = None
         self._script_line = 0
         self._types: dict[bytes, str] = {}
+        self._of_program: dict[str, str] = {}
 
     def start(self, tag: str, values: Mapping[str, str], index: int, line: int) -> None:
         """Handle the start of an element at byte ``index``."""
@@ -459,8 +460,11 @@ class _XmlReader:
             self._waypoint = _Waypoint(values.get("name", "?"), values.get("type", ""), line)
         elif tag in ("cachedContents", "script"):
             self._script, self._script_line = [], line
+        elif tag == "kinematics":
+            self._of_program = {}
         elif waypoint is None:
-            return
+            if tag in ("deltaTheta", "a", "d", "alpha"):
+                self._of_program.setdefault(tag, values.get("value", ""))
         elif tag == "JointAngles" and "angles" in values:
             waypoint.angles, waypoint.span = values["angles"], self._attribute(index, "angles")
         elif tag == "position" and "joints" in values:
@@ -545,8 +549,9 @@ class _XmlReader:
         return rows is not None and same_chain(rows, self._table, self._published)
 
     def _rows(self, waypoint: _Waypoint) -> Array | None:
-        """Return the rows (6, 4) of a waypoint's chain; None if it does not state all of them."""
-        columns = [_numbers(waypoint.chain.get(name, "")) for name in ("deltaTheta", "d", "a", "alpha")]
+        """Return the rows (6, 4) of a waypoint's chain, else of the program's; None if one is not stated."""
+        chain = waypoint.chain or self._of_program
+        columns = [_numbers(chain.get(name, "")) for name in ("deltaTheta", "d", "a", "alpha")]
         if any(len(column) != len(self._table) for column in columns) or not np.isfinite(columns).all():
             return None
         return np.array(columns).T

@@ -23,7 +23,7 @@ from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
 from cellapp.cell.targets.invert import Inverted
-from cellapp.estimation.uncertainty.common import divided
+from cellapp.estimation.uncertainty.common import beyond, divided
 from cellapp.estimation.uncertainty.records import CommonUncertainty
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -116,9 +116,11 @@ def judged(
 ) -> tuple[list[CorrectedTarget], list[CommonUncertainty]]:
     """Return the corrections with their uncertainties, and what is common to the targets of each TCP.
 
-    A correction that is not significant against the target's own uncertainty is left as taught, unless ``every``.
+    A correction that is not significant against the target's own uncertainty is left as taught, unless ``every``; all
+    are, if neither an own part nor what is common is significant. Else what is common moves all targets together.
     """
     found, common = list(corrected), list[CommonUncertainty]()
+    any_significant = every
     solved = [(targets[k].tcp, k) for k, one in enumerate(corrected) if one.q_new is not None]
     for tcp, rows in grouped(solved).items():
         q = np.array([corrected[k].q_new for k in rows])
@@ -129,6 +131,7 @@ def judged(
         if parts is None:
             return found, common
         common.append(parts.record(tcp))
+        any_significant |= parts.common_significant or parts.own_significant
         for row, k in enumerate(rows):
             own = {
                 "uncertainty_mm": float(parts.whole_m[row]) * 1e3,
@@ -137,8 +140,11 @@ def judged(
                 "own_mrad": float(parts.own_rad[row]) * 1e3,
             }
             found[k] = corrected[k].model_copy(update=own)
-            if not (every or parts.significant[row]):
-                found[k] = found[k].model_copy(update={"new": found[k].old, "significant": False})
+    for _, k in () if every else solved:
+        one = found[k]
+        sizes = (one.correction_mm, one.correction_mrad, one.own_mm, one.own_mrad)
+        if not (any_significant and beyond(*(np.array(size, dtype=np.float64) for size in sizes))):
+            found[k] = one.model_copy(update={"new": one.old, "significant": False})
     return found, common
 
 

@@ -28,6 +28,7 @@ from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
+from cellapp.ground.shell import shell_word
 from cellapp.robot.plugins import program_of
 
 
@@ -302,7 +303,8 @@ def make_empty_folder(folder: Path) -> list[Path]:
             names = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith(UNFINISHED))
         if FILE_NAME in names:
             raise InputError(
-                f"{folder} already holds a run ({FILE_NAME}): 'cellapp show {folder}' says what comes next in it;"
+                f"{folder} already holds a run ({FILE_NAME}): 'cellapp show {shell_word(folder)}' says what"
+                " comes next in it;"
                 " for another run choose a new folder"
             )
         if names:

@@ -174,8 +174,9 @@ def stay_apart(first: Paths, second: Paths, clearance: float) -> Bools:
     needed = clearance + (EVERY + STRIDE) * (first.deviation + second.deviation)
     near = _may_meet(first.coarse_bodies, first.coarse[0], second.coarse_bodies, second.coarse[0], needed)
     apart = ~near
-    for row in np.flatnonzero(near):
-        gap, allowance = gap_on_paths(first.take(row[None]), second.take(row[None]), clearance)
+    for row in np.flatnonzero(near).tolist():
+        one = np.array([row])
+        gap, allowance = gap_on_paths(first.take(one), second.take(one), clearance)
         apart[row] = gap >= clearance + allowance
     return apart
 
@@ -540,7 +541,7 @@ def _heights_free(cell: CellBodies, paths: Paths) -> tuple[Bools, str]:
 
 
 def _obstacles_free(cell: CellBodies, paths: Paths) -> tuple[Bools, str]:
-    refusals = [_refuse_obstacles(cell, paths.take(row[None])) for row in np.arange(len(paths.count))]
+    refusals = [_refuse_obstacles(cell, paths.take(np.array([row]))) for row in range(len(paths.count))]
     return np.array([not one for one in refusals], dtype=np.bool_), next(filter(None, refusals), "")
 
 

@@ -36,6 +36,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, CERTIFICATE, ISO9283, VERIFY, StageName
+from cellapp.ground.shell import shell_word
 from cellapp.robot.plugins import program_of
 
 PAGE_FILE = "certificate.html"
@@ -119,7 +120,8 @@ def certificate_run(
     if not any(name in stages.current for name in (CALIBRATE, *CERTIFIED_STAGES)):
         raise InputError(
             f"{run.folder}: nothing here was measured that a certificate could state: no calibration"
-            f" ('cellapp calibrate {run.folder}'), no verified targets ('cellapp push'), no test ('cellapp iso9283')"
+            f" ('cellapp calibrate {shell_word(run.folder)}'), no verified targets ('cellapp push'), no test"
+            " ('cellapp iso9283')"
         )
     basis = certified_basis(run, stages)
     with tempfile.TemporaryDirectory(prefix="cellapp-certificate-") as temporary:

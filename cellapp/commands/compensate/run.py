@@ -31,6 +31,7 @@ from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Progress, ignore
 from cellapp.ground.results import COMPENSATE, PATH
+from cellapp.ground.shell import shell_word
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.model import ArmModel, CellModel
 
@@ -46,7 +47,8 @@ def run(request: CompensateRequest, work: Work) -> CompensateResult | PathResult
             return compensate_paths(opened, paths, request.out, work.listener, work.control, work.outputs)
         if request.out is not None:
             raise InputError(
-                f"compensate: --out is for path files; 'cellapp export {request.folder} --as commands --out FILE'"
+                f"compensate: --out is for path files; 'cellapp export {shell_word(request.folder)} --as"
+                " commands --out FILE'"
                 " writes commands at targets"
             )
         return compensate_run(opened, listed_targets(request.targets, opened.profile))

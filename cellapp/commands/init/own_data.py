@@ -24,6 +24,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile.schema import ArmType
+from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import Array
 
@@ -254,9 +255,8 @@ def _for_recordings(
     profile = folder / FOLDER / f"{name}.yaml"
     text = _profile_text(name, recorded.arms or (ARM,), types[0].file, 100, Path("READINGS.csv"), profile)
     points = own.readings if recorded.points else "FILE"
-    head = (
-        f"# For recordings of motion: `cellapp import {profile} --joints {own.readings} --points {points} --run DIR`.\n"
-    )
+    streams = f"--joints {shell_word(own.readings)} --points {shell_word(points)}"
+    head = f"# For recordings of motion: `cellapp import {shell_word(profile)} {streams} --run DIR`.\n"
     write_new({folder / FOLDER / types[0].file: types[0].text, profile: head + text}, outputs)
     where = "the points of the tracker stand beside them" if recorded.points else "the points come from another file"
     note = f"{own.readings}: joint positions of a motion, {len(recorded.joints)} joints; {where}"
@@ -406,7 +406,8 @@ def _profile_text(name: str, arms: tuple[str, ...], type_file: str, rows: int, r
         "calibration": {"parameter_set": "auto", "priors": {"length": "3 mm", "angle": "5 mrad"}},
     }
     head = (
-        f"# Readings that were recorded elsewhere, for `cellapp import {profile} {readings} --run DIR`.\n"
+        f"# Readings that were recorded elsewhere, for `cellapp import {shell_word(profile)}"
+        f" {shell_word(readings)} --run DIR`.\n"
         "# Nothing is planned or moved, so no poses are needed. `cellapp docs readings` goes on from here.\n"
         "# smr.offset: where the measured point lies on the flange; the data find it.\n"
         "# splits: readings that identify the arm; the others are held out and show what the calibration is worth.\n"

@@ -46,6 +46,7 @@ from cellapp.ground.outputs import NEW_ONLY
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
 from cellapp.ground.results import ISO9283
+from cellapp.ground.shell import shell_word
 
 _NO_ORIENTATION = (
     "positions only: one SMR on each flange shows nothing of the norm's characteristics of orientation (AP and RP of"
@@ -125,8 +126,8 @@ def opened_run(folder: Path, profile: Profile | None, *, new: bool) -> RunFile:
             " PROFILE and --nominal to test the arms as they are. Nothing was moved"
         )
     run = RunFile.open(folder, write=True)
-    for section in () if profile is None else ("arms", "tracker", "obstacles"):
-        if getattr(run.profile, section) != getattr(profile, section):
+    for section in ("arms", "tracker", "obstacles"):
+        if profile is not None and getattr(run.profile, section) != getattr(profile, section):
             run.close()
             raise InputError(
                 f"{run.path}: its profile differs from '{profile.name}' in section '{section}': it is a run of another"
@@ -186,7 +187,8 @@ def _commands(run: RunFile, request: Iso9283Request, *, calibrated: bool) -> tup
     asked = ("nominal",) if request.nominal else request.commands or ISO_COMMANDS
     if "calibrated" in asked and not calibrated:
         raise InputError(
-            f"iso9283: {run.folder} is not calibrated: 'cellapp calibrate {run.folder}' first, or add --nominal to test"
+            f"iso9283: {run.folder} is not calibrated: 'cellapp calibrate {shell_word(run.folder)}' first, or"
+            " add --nominal to test"
             " the arms as they are, by the published geometry. Nothing was moved"
         )
     return tuple(kind for kind in ISO_COMMANDS if kind in asked)

@@ -14,6 +14,7 @@ from cellapp.estimation.readings.readings import stated_uncertainty
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
 from cellapp.ground.results import CHECK, ISO9283, LOCATE, VERIFY
+from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 
@@ -57,7 +58,8 @@ def refuse_second_station(run: RunFile) -> None:
         return
     what = "the tracker" if located.model is not None else "the tracker or an arm"
     raise InputError(
-        f"{run.path}: {what} was moved since the readings of this run were taken: 'cellapp show {run.folder} location'."
+        f"{run.path}: {what} was moved since the readings of this run were taken: 'cellapp show"
+        f" {shell_word(run.folder)} location'."
         " Readings from two stations do not calibrate together: plan and collect a new run, or put it back and locate"
         " the tracker again"
     )

@@ -139,7 +139,7 @@ def time_chart(travel: TravelTime | None, time: PlannedTime | None) -> Chart:
         bars |= rest | {"references": time.references_s, "warm-up": time.warm_up_s}
     shown = {name: (seconds / 60.0, duration_words(seconds)) for name, seconds in bars.items() if seconds > 0.0}
     sentences = [] if time is None else [f"Collecting takes about {duration_words(time.total_s)}."]
-    if travel is not None:
+    if travel is not None and travel.saved >= 0.005:
         sentences.append(f"The order of the stops saves {100.0 * travel.saved:.0f} % of the motions' time.")
     return bar_chart("Time of the plan", shown, Axis("time", "min"), " ".join(sentences) or "Time is not known yet.")
 

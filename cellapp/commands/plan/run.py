@@ -27,7 +27,7 @@ from cellapp.cell.planning.planned_stops import (
     write_planned_stops,
 )
 from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
-from cellapp.cell.planning.sweeps import SWEEPS_RESULT, forecast_sweeps, plan_sweeps, read_planned_sweeps
+from cellapp.cell.planning.sweeps import SWEEPS_RESULT, plan_sweeps, read_planned_sweeps
 from cellapp.cell.planning.view import check_each_stop, check_stops, required_plan
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
@@ -42,6 +42,7 @@ from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
+from cellapp.ground.shell import shell_word
 from cellapp.ground.threads import one_blas_thread
 
 _CHANGED = "plan changed: "
@@ -114,8 +115,6 @@ def new_planned_run(
             stops = plan_run(run, with_eta(listener), cancel)
             if sweeps is not None:
                 planned = plan_sweeps(profile, stops, with_eta(listener), cancel)
-                foreseen = forecast_sweeps(profile, stops, planned.sweeps)
-                planned = planned.model_copy(update={"forecast": foreseen})
                 run.write_result(SWEEPS_RESULT, planned.model_dump_json())
                 for note in planned.notes:
                     run.log("note", note)
@@ -167,9 +166,8 @@ def planned_loads(profile: Profile, stops: PlannedStops) -> tuple[PlannedLoad, .
 
 
 def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
-    """Return the number, duration and forecast of the planned sweeps of each arm; None if there are none."""
-    planned = read_planned_sweeps(run)
-    sweeps = planned.sweeps
+    """Return the number and duration of the planned sweeps of each arm; None if there are none."""
+    sweeps = read_planned_sweeps(run).sweeps
     by_arm = {name: [one for one in sweeps if one.arm == name] for name in run.profile.arms}
     if not sweeps:
         return None
@@ -177,7 +175,6 @@ def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
         name: SweepCount(
             n=len(its),
             seconds=sum(one.period_s for one in its),
-            forecast=planned.forecast.get(name),
             swinging=sum(one.beside is not None for one in its) or None,
         )
         for name, its in by_arm.items()
@@ -338,7 +335,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
         if needed <= 0:
             raise InputError(
                 f"{run.path}: every stop is measured, proposed or frozen: nothing is left to design; extend the run"
-                f" with 'cellapp plan --run {run.folder} --add N'"
+                f" with 'cellapp plan --run {shell_word(run.folder)} --add N'"
             )
         kept = stops.take([*parts.fixed, *parts.frozen])
         made, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=needed)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 from rich import filesize
 
 from cellapp.commands.record import Request, View
-from cellapp.commands.runs.request import RunsRequest
 from cellapp.commands.runs.result import (
     CELL_WORDS,
     ArmFigures,
@@ -24,12 +22,12 @@ from cellapp.commands.runs.result import (
     short_name,
     stops_words,
 )
-from cellapp.commands.runs.today import today_sentences, today_tables
 from cellapp.commands.view.table import Column, Table, number_column, table_of, with_rows
 from cellapp.commands.view.words import display_unit
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
+from cellapp.ground.shell import shell_word
 from cellapp.ground.times import day_of, minute_of
 
 
@@ -87,12 +85,9 @@ _MM = ".3f"
 
 
 def view(result: RunsResult | ArmHistory, request: Request | None = None) -> View:
-    """Show every run below the folder, what is due today, or one arm over its runs."""
+    """Show every run below the folder, or one arm over its runs."""
     if isinstance(result, ArmHistory):
         return View((history_table(result), *history_sentences(result)))
-    if isinstance(request, RunsRequest) and request.today:
-        now = datetime.now(UTC)
-        return View((*today_tables(result, now), *today_sentences(result, now)))
     return View((*runs_tables(result), *runs_sentences(result)))
 
 
@@ -220,7 +215,8 @@ def resume_sentence(run: RunSummary) -> str:
     """Offer to continue an interrupted run."""
     return (
         f"{run.run}: collecting was interrupted ({session_words(run)}) with {run.stops_left} of"
-        f" {counted(run.stops_measured + run.stops_left, 'stop')} left; 'cellapp collect {run.run} --resume'"
+        f" {counted(run.stops_measured + run.stops_left, 'stop')} left; 'cellapp collect {shell_word(run.run)}"
+        " --resume'"
         " continues it"
     )
 

@@ -6,7 +6,7 @@ from cellapp.cell.planning.view import check_plan_run, forecast_run
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import recording_states
 from cellapp.commands.collect.state import collection_state
-from cellapp.commands.compensate.details import stored_state
+from cellapp.commands.compensate.target_list import stored_state
 from cellapp.commands.plan.run import stored_plan
 from cellapp.commands.record import Work
 from cellapp.commands.registry import STORING, records
@@ -15,9 +15,11 @@ from cellapp.commands.show.overview import run_history, run_log, run_overview
 from cellapp.commands.show.request import ShowRequest
 from cellapp.commands.show.result import RecordingsResult, Shown
 from cellapp.commands.show.view import profile_text
-from cellapp.commands.stages import complaints_of
+from cellapp.commands.stages import complaints_of, read_stages
+from cellapp.commands.stored_model import model_of, values_in_force
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import Result
+from cellapp.ground.shell import shell_word
 
 
 def run(request: ShowRequest, work: Work) -> Shown:
@@ -71,7 +73,8 @@ def _target(run: RunFile, name: str) -> Shown:
     state = stored_state(results, name)
     if state is None or results.compensate is None:
         raise InputError(
-            f"{run.path}: no compensated target '{name}' is stored; 'cellapp show {run.folder} targets' lists them"
+            f"{run.path}: no compensated target '{name}' is stored; 'cellapp show {shell_word(run.folder)}"
+            " targets' lists them"
         )
     alone = results.compensate.model_copy(update={"targets": state.commands})
     return Shown(part="targets", result=alone, results=results)
@@ -88,4 +91,6 @@ def _stored(run: RunFile, request: ShowRequest) -> Shown:
     if stored is None:
         why = f"{name} is stored, but {reason}" if reason else f"{how.missing} stored"
         raise InputError(f"{run.path}: {why}; run '{made_by}' first")
+    if request.part == "parameters" and (used := read_stages(run).in_force) is not None:
+        stored = values_in_force(stored, model_of(run, used))
     return Shown(part=request.part, result=stored, out_of_date=reason, made_by=made_by)

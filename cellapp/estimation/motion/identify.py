@@ -17,7 +17,7 @@ from cellapp.estimation.calibration.weights import MEDIAN_NORM
 from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import GROSS, Problem, Solution, problem_of, solve
 from cellapp.estimation.motion.observe import Model, Stops, residuals, stop_residuals
-from cellapp.estimation.motion.streams import Recording, checked
+from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import Law, Masses
 from cellapp.estimation.motion.tracks import Track, track_of
 from cellapp.ground.errors import InputError
@@ -347,7 +347,6 @@ def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockResult
             for (value, error, _), begin, end in (segments if len(segments) > 1 else ())
         ),
         correlation=track.start.correlation,
-        trigger=checked(track.trigger, offset_s, error_s),
     )
 
 

@@ -37,10 +37,13 @@ Groups = NDArray[np.intp]
 def repeats(q: Array, within: float = SAME_RAD) -> Groups:
     """Group rows of joint positions (n, N) [rad] that agree with the first row of their group."""
     tree, group, count = scipy.spatial.KDTree(q), np.full(len(q), -1, dtype=np.intp), 0
+    alone = tree.query(q, k=[2], p=np.inf)[0][:, 0] > within
     for row in range(len(q)):
         if group[row] < 0:
-            near = np.array(tree.query_ball_point(q[row], within, p=np.inf), dtype=np.intp)
-            group[near[group[near] < 0]] = count
+            if not alone[row]:
+                near = np.array(tree.query_ball_point(q[row], within, p=np.inf), dtype=np.intp)
+                group[near[group[near] < 0]] = count
+            group[row] = count
             count += 1
     return group
 

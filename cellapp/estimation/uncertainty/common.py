@@ -18,6 +18,7 @@ from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import flange_poses
 from cellapp.robot.kinematics.transforms import Array, rotation_vectors, twist_columns
 from cellapp.robot.model import ArmModel
+from cellapp.robot.model.model import PosteriorDraws
 
 MOST_CONFIGURATIONS = 200
 """Largest number of readings whose configurations decide what is common."""
@@ -45,8 +46,8 @@ class Divided:
         What is common in the base frame: of a coordinate at the targets, and of the rotation, the rms angle.
     common_significant : bool
         Whether what is common to the corrections is significant against what is common to the uncertainties.
-    significant : array of bool, shape (n,)
-        Whether a correction is significant: what is common, or the target's own part against its own uncertainty.
+    own_significant : bool
+        Whether the own part of some correction is significant against the target's own uncertainty.
     """
 
     whole_m: Array
@@ -58,7 +59,7 @@ class Divided:
     base_m: float
     base_rad: float
     common_significant: bool
-    significant: NDArray[np.bool_]
+    own_significant: bool
 
     def record(self, tcp: Six | None, *, corrected: bool = True) -> CommonUncertainty:
         """Return what is common, for a result; ``corrected`` says whether there were corrections to judge."""
@@ -86,16 +87,11 @@ def divided(
     """Divide the uncertainty of the point ``tcp`` (3,) on the flange at ``q`` (n, N); None if the model states none.
 
     ``conditions`` are those of the targets; ``measured`` (m, N) are the configurations of the readings; ``correction``
-    returns shift [m] and rotation [rad] of the TCP, each (k, 3), at any configurations; none if None. The uncertainty
-    of the SMR's offset does not affect another TCP and is left out there.
+    returns shift [m] and rotation [rad] of the TCP, each (k, 3), at any configurations; none if None.
     """
     if arm.posterior is None:
         return None
-    known = measured[:: max(1, len(measured) // MOST_CONFIGURATIONS)]
-    of_tool = np.array(arm.posterior.columns) >= 6 + 5 * arm.geometry.joints
-    of_tool &= not np.array_equal(tcp, arm.geometry.tool)
-    posterior = replace(arm.posterior, geometry=np.where(of_tool, 0.0, arm.posterior.geometry))
-    at_tcp = replace(arm, geometry=replace(arm.geometry, tool=tcp), posterior=posterior)
+    known, at_tcp = measured[:: max(1, len(measured) // MOST_CONFIGURATIONS)], _with_tcp(arm, arm.posterior, tcp)
     usual = MeasurementConditions(
         payload_kg=None if conditions.payload_kg is None else np.full(len(known), conditions.payload_kg[0])
     )
@@ -115,9 +111,7 @@ def divided(
     own_m, whole_m = (np.sqrt(np.mean(one**2, axis=(0, 2)) + of_network) for one in (own, moved[1]))
     own_rad, whole_rad = (np.sqrt(np.mean(np.sum(one**2, axis=2), axis=0)) for one in (own_turns, turned[1]))
     common = _beyond(rigid_shift, rigid) or _beyond(common_turn, angles)
-    significant = (np.linalg.norm(own_shift[0], axis=1) > _LENGTH_95 * own_m) | (
-        np.linalg.norm(own_turn[0], axis=1) > _LENGTH_95 / np.sqrt(3.0) * own_rad
-    )
+    shift, rotation = (np.linalg.norm(one[0], axis=1) for one in (own_shift, own_turn))
     sigma, turn = (np.sqrt(np.mean(one**2, axis=1)) for one in (rigid, angles))
     return Divided(
         whole_m,
@@ -129,8 +123,16 @@ def divided(
         base_m=float(np.sqrt(np.mean(sigma[3:6] ** 2))),
         base_rad=float(np.sqrt(np.sum(turn[3:] ** 2))),
         common_significant=common,
-        significant=significant | common,
+        own_significant=bool(beyond(shift, rotation, own_m, own_rad).any()),
     )
+
+
+def _with_tcp(arm: ArmModel, posterior: PosteriorDraws, tcp: Array) -> ArmModel:
+    """Return the arm with the TCP in place of the SMR; draws of the SMR's offset do not move another TCP."""
+    of_tool = np.array(posterior.columns) >= 6 + 5 * arm.geometry.joints
+    of_tool &= not np.array_equal(tcp, arm.geometry.tool)
+    posterior = replace(posterior, geometry=np.where(of_tool, 0.0, posterior.geometry))
+    return replace(arm, geometry=replace(arm.geometry, tool=tcp), posterior=posterior)
 
 
 def _nothing(q: Array, conditions: MeasurementConditions) -> tuple[Array, Array]:
@@ -167,6 +169,12 @@ def _with_identity(rotations: Array) -> Array:
     return np.concatenate([rotations, np.broadcast_to(np.eye(3), rotations.shape)], axis=2)
 
 
+def beyond(shift: Array, turn: Array, own: Array, own_turn: Array) -> NDArray[np.bool_]:
+    """Return where lengths (n,) of shifts and rotations are significant against standard uncertainties, as those of
+    ``Divided``."""
+    return np.asarray((shift > _LENGTH_95 * own) | (turn > _LENGTH_95 / np.sqrt(3.0) * own_turn))
+
+
 def _beyond(values: Array, draws: Array) -> bool:
     """Return whether values (k, 1) are not a likely one of the draws (k, S) about zero."""
     covariance = draws @ draws.T / draws.shape[1] + _LEAST**2 * np.eye(len(draws))
@@ -178,5 +186,5 @@ def _common(columns: list[Array], draws: list[Array]) -> tuple[Array, Array]:
     """Return the common part (k, S) by the readings' configurations, and what is left (S, n, 3) at the targets."""
     (known, here), (of_known, of_here) = columns, draws
     wanted = of_known.reshape(len(of_known), -1).T
-    common: Array = np.linalg.lstsq(known.reshape(-1, known.shape[2]), wanted, rcond=None)[0]
+    common = np.asarray(np.linalg.lstsq(known.reshape(-1, known.shape[2]), wanted, rcond=None)[0], dtype=np.float64)
     return common, np.asarray(of_here - np.einsum("nck,ks->snc", here, common))

@@ -123,7 +123,7 @@ class Controller:
         self.payload_inertia: Values = _ZERO6
         self.tcp: Values = tuple(config.tcp)
         self.gravity: Values = (0.0, 0.0, 9.82)
-        self.slider, self.outputs = SpeedSlider(), DigitalOutputs()
+        self.slider = SpeedSlider()
         self.brakes = Brakes(config.name, motions, config.braking, config.speed, config.acceleration, clock)
         self.program: Program[Controller] | None = None
         self.log: deque[str] = deque(maxlen=200)
@@ -426,7 +426,7 @@ class Controller:
             self.motions.scale_speed(self.name, self.slider.scaling)
         self._publish_speed()
         self._read_drives()
-        self.outputs.cycle(self.values)
+        switched(self.values)
         while self._mode_due and self._clock_s >= self._mode_due[0][0]:
             self.robot_mode = self._mode_due.pop(0)[1]
             self._publish_modes()
@@ -568,29 +568,16 @@ class Journal:
         return [asdict(event) for event in self._events if event.at_s >= at_s]
 
 
-# -- Digital outputs of a controller: clients set them, and something may be wired to them ----------------------------
+# -- Digital outputs of a controller, which clients set ----------------------------------------------------------------
 
 
 _BITS, _MASK, _LEVELS = "actual_digital_output_bits", "standard_digital_output_mask", "standard_digital_output"
 
 
-class DigitalOutputs:
-    """Outputs with wired callbacks: number -> function that is called on a rising edge."""
-
-    def __init__(self) -> None:
-        self.wired: dict[int, Callable[[], None]] = {}
-
-    def cycle(self, values: dict[str, Values]) -> None:
-        """Set the outputs to the values that clients wrote since the last control cycle."""
-        mask = int(values[_MASK][0])
-        if not mask:
-            return
-        before = int(values[_BITS][0])
-        now = (before & ~mask) | (int(values[_LEVELS][0]) & mask)
-        values[_BITS], values[_MASK] = (now,), (0,)
-        for number, rises in self.wired.items():
-            if (now & ~before) >> number & 1:
-                rises()
+def switched(values: dict[str, Values]) -> None:
+    """Set the outputs to the values that clients wrote since the last control cycle."""
+    if mask := int(values[_MASK][0]):
+        values[_BITS], values[_MASK] = ((int(values[_BITS][0]) & ~mask) | (int(values[_LEVELS][0]) & mask),), (0,)
 
 
 # -- The speed slider of a controller: it scales every motion, also one in progress, but not the braking of a stop ----

@@ -58,7 +58,7 @@ def program_of(name: str, block: bytes) -> Program[Controller]:
     numbers = [int(found.group(1)) for found in offsets if found is not None]
     if len(numbers) == 2 and all(number in (0, 24) for number in numbers):
         first = _FIRST_WATCHDOG.search(block)
-        return ControlScript(*numbers, name, 0.0 if first is None else float(first.group(1)))
+        return ControlScript(numbers[0], numbers[1], name, 0.0 if first is None else float(first.group(1)))
     return UnknownProgram(name)
 
 

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import re
 import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.cell import Cell, open_cell
-from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.motion import PointAtRest
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
@@ -22,10 +17,9 @@ from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from drivers.arms.recording import JointRecord
 from drivers.arms.ur_settings import UrSettings
-from drivers.emulators.ur_controller import Control
 from drivers.trackers.protocol import Point
 from tests.commands.emulated_cell import behind_bridge, patiently
-from tests.drivers.arms.emulated_ur_cell import pause
+from tests.evidence.wire.moved_arms import STEP, Attack, collected, pushed
 from tests.evidence.wire.storm_cell import StormCell, emulated_cell
 from tests.loopback import free_port, own_arms
 from tests.twin import small_twin
@@ -35,20 +29,6 @@ pytestmark = pytest.mark.waits
 
 HOSTS = own_arms(76)
 AVERAGING_S = 0.3
-STEP = 1e3
-"""Speed of a push that shows no speed: the arm is elsewhere in the next state."""
-Attack = Callable[[Control], None]
-
-
-def pushed(by: float, speed: float, arm: str = "left", after_s: float = 0.0, back_after_s: float = 0.0) -> Attack:
-    def attack(control: Control) -> None:
-        pause(after_s)
-        control(arm, "push", by, speed)
-        if back_after_s:
-            pause(back_after_s)
-            control(arm, "push", -by, speed)
-
-    return attack
 
 
 @pytest.fixture(scope="module")
@@ -68,27 +48,7 @@ def emulator(profile: Profile) -> Iterator[StormCell]:
         yield cell
 
 
-def collected(profile: Profile, emulator: StormCell, run: RunFile, attacks: list[Attack]) -> None:
-    """Collect with a tracker that notices no motion; an attack begins with each of its first averagings."""
-
-    @contextmanager
-    def opened(profile: Profile, **options: Any) -> Iterator[Cell]:
-        with open_cell(profile, **options) as cell:
-
-            def measure(expected_M: np.ndarray, averaging_s: float) -> Point:
-                began_s = time.monotonic()
-                if attacks:
-                    attacks.pop(0)(emulator.control)
-                pause(max(began_s + averaging_s - time.monotonic(), 0.0))
-                return Point(expected_M, 1e-10 * np.eye(3), time.monotonic() - 0.5 * averaging_s, averaging_s, None)
-
-            cell.tracker.measure = measure  # type: ignore[method-assign]
-            yield cell
-
-    collect_run(run, opened=opened)
-
-
-MOVES = "moves without being asked"
+MOVES = "left its rest without being asked"
 
 
 @pytest.mark.parametrize(
@@ -112,7 +72,7 @@ def test_no_reading_of_an_arm_that_was_moved_is_stored(
         with RunFile.create(tmp_path / f"run-{attempt}", profile) as run:
             run.write_plan(plan := plan_stops(profile))
             try:
-                collected(profile, emulator, run, [*attacks])
+                collected(emulator, run, [*attacks])
             except HardwareError as error:
                 assert run.stops_done() == set()
                 until(lambda: all(one["runtime_state"] == "STOPPED" for one in emulator.status().values()), "both stop")
@@ -143,7 +103,7 @@ def test_a_link_that_cannot_hold_the_watchdog_is_refused_before_anything_moves(
         with RunFile.create(tmp_path / "run", profile) as run:
             run.write_plan(plan_stops(profile))
             with pytest.raises(HardwareError) as caught:
-                collected(profile, emulator, run, [])
+                collected(emulator, run, [])
     finally:
         ended.set()
         disturbing.join()

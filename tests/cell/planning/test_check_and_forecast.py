@@ -15,7 +15,7 @@ from cellapp.cell.planning.planned_stops import read_planned_stops, write_planne
 from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 from cellapp.cell.planning.view import check_plan_run, forecast_run, joint_coverage
 from cellapp.cell.run import RunFile
-from cellapp.commands.plan.check_view import check_sentences, coverage_bar, forecast_sentences, forecast_tables
+from cellapp.commands.plan.check_view import check_sentences, forecast_sentences, forecast_tables
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -119,8 +119,6 @@ def test_coverage_names_the_used_part_and_the_largest_gap() -> None:
     assert first.largest_gap == pytest.approx(2.0)
     assert first.share == pytest.approx(0.25)
     assert second.share == 0.0
-    assert coverage_bar(first, 8) == "░░██░░░░"
-    assert coverage_bar(second, 4) == "░░░░"
 
 
 def test_motions_take_what_the_simulated_arm_takes() -> None:

@@ -101,9 +101,14 @@ def corrected(cell: Cell, source: str, folder: Path, kind: str = ".script") -> t
     (folder / f"old{kind}").write_bytes(source.encode() if kind == ".script" else gzip.compress(source.encode()))
     with RunFile.open(cell.run.folder) as run:
         result = correct_run(run, folder / f"old{kind}", folder / f"new{kind}", cell.name)
-    assert result.refused == ()
+        assert result.refused == ()
+        with pytest.raises(InputError, match="is a corrected copy"):
+            correct_run(run, folder / f"new{kind}", folder / f"twice{kind}", cell.name)
     data = (folder / f"new{kind}").read_bytes()
-    return (data if kind == ".script" else gzip.decompress(data)).decode(), result
+    text = (data if kind == ".script" else gzip.decompress(data)).decode()
+    *lines, mark, empty = text.split("\n")
+    assert "never correct this copy again" in mark
+    return "\n".join([*lines, empty]), result
 
 
 def driven(cell: Cell, source: str) -> Array:
@@ -203,7 +208,7 @@ def test_nothing_is_written_where_a_target_cannot_be_corrected(cell: Cell, tmp_p
         assert result.out is None
         assert not (tmp_path / "new.script").exists()
         part = correct_run(run, tmp_path / "old.script", tmp_path / "new.script", "left", partly=True)
-    first, second = (tmp_path / "new.script").read_text().splitlines()
+    first, second, _ = (tmp_path / "new.script").read_text().splitlines()
     assert first == "movej(somewhere())"
     assert second != f"movej({text(cell.q[0])})"
     assert CorrectResult.from_json(part.to_json(), "test") == part

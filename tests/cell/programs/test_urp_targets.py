@@ -62,6 +62,7 @@ def test_fixed_waypoints_are_targets(position: str) -> None:
             3,
             "an arm of another type: its rows are those of no arm",
         ),
+        (OF_UR3E.replace("Kinematics", "kinematics") + waypoint(ANGLES), 3, "its rows are those of ur3e"),
         (waypoint(ANGLES + OF_UR3E), 3, "an arm of another type: its rows are those of ur3e"),
         (waypoint(ANGLES, "Variable"), 3, "type Variable"),
         (waypoint(ANGLES, "Relative"), 3, "type Relative"),

@@ -17,7 +17,8 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.examination import LONGEST_PROBE_S, examine
 from cellapp.cell.profile import load_profile
 from cellapp.commands.doctor.result import DoctorResult
-from cellapp.commands.doctor.run import examine_run, probe_devices, repeatable_devices
+from cellapp.commands.doctor.result import Finding as ResultFinding
+from cellapp.commands.doctor.run import _end_left_programs, examine_run
 from cellapp.commands.emulate import EmulatedArm, emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
@@ -25,10 +26,12 @@ from cellapp.ground.progress import CancelToken
 from drivers.arms.protocol import JointLimits, LinkLost
 from drivers.arms.ur_probe import UrKinematics, UrProbe, probe_ur
 from drivers.arms.ur_rtde_reader import UrSample
+from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import FREE_PORTS, ControllerConfig, UrControllerServer, personality
 from drivers.findings import Finding
 from drivers.plant import Plant
 from tests.commands.free_ports import on_free_ports
+from tests.commands.quiet_work import quiet_work
 
 PROFILES = Path(__file__).parents[3] / "profiles"
 PATIENT_S = 10.0
@@ -172,17 +175,6 @@ def test_what_a_device_reports_is_a_value_and_no_text(real: Profile, monkeypatch
     assert {finding.subject.split(":")[0] for finding in result.failed} <= {"arm right", "tracker"}
 
 
-def test_only_devices_that_nobody_else_needs_are_asked_again_and_again(
-    real: Profile, twin: Profile, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("drivers.arms.ur_probe.probe_ur", one_ready)
-    assert repeatable_devices(real) == ("arm left", "arm right")
-    assert repeatable_devices(twin) == ()
-    found = probe_devices(real, ["arm left"]).findings
-    assert {finding.subject.split(":")[0] for finding in found} == {"arm left"}
-    assert not probe_devices(real, []).findings
-
-
 E_SERIES = replace(READY, series="e-Series", software="5.11.1.1108318", safety_status="NORMAL", remote_control=True)
 
 
@@ -317,6 +309,21 @@ def test_looking_at_a_twin_loads_neither_torch_nor_a_device_library() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("answer", ["no", "yes"])
+def test_a_program_that_a_cellapp_left_is_ended_after_one_question(
+    real: Profile, monkeypatch: pytest.MonkeyPatch, answer: str
+) -> None:
+    asked, ended = list[str](), list[UrSettings]()
+    monkeypatch.setattr(UrSettings, "left_program", lambda self: "another cellapp, on vm, run night")
+    monkeypatch.setattr(UrSettings, "end_program", lambda self: ended.append(self))
+    work = replace(quiet_work(), choose=lambda words, answers: asked.append(words) or answer)
+    found = DoctorResult(findings=(ResultFinding(subject="arm left: program", status="failed", text="it runs"),))
+    assert _end_left_programs(real, found, work) is (answer == "yes")
+    (words,) = asked
+    assert words.startswith("arm left: a program of another cellapp, on vm, run night, runs on its controller.")
+    assert ended == ([real.arms["left"].driver] if answer == "yes" else [])
 
 
 # -- emulate ----------------------------------------------------------------------------------------------------------

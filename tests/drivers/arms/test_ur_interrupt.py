@@ -60,7 +60,7 @@ def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
     arm.disconnect()
 
 
-def interrupted(arm: UrArm, refuse: Refuse, when: Callable[[], None]) -> float:
+def interrupted(arm: UrArm, refuse: Refuse, when: Callable[[], object]) -> float:
     """Connect, refuse motion when ``when`` returns, and return how long after that the connection ended [s]."""
     asked: list[float] = []
 

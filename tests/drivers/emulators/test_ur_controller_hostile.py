@@ -277,7 +277,8 @@ def test_no_conversation_ends_the_controllers(
             arm, name = draw.choice(["left", "right"]), draw.choice(list(SPEAKS))
             if draw.random() < 0.15:  # else most would find a controller without power
                 stage.set_right()
-                stage.server._arms[arm].controller.upload(ControlScript(*[draw.choice([0, 24])] * 2))
+                offset = draw.choice([0, 24])
+                stage.server._arms[arm].controller.upload(ControlScript(offset, offset))
                 name = "rtde"
             with stage.connected(arm, name) as (link, ours):
                 for said in SPEAKS[name](draw):

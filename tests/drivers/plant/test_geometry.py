@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant
-from drivers.plant.changes import lengthened, link_moved, zero_shifted
 from drivers.plant.clearance import segment_distances
 from drivers.plant.mechanism import nominal, with_errors
 from drivers.plant.transforms import across, inverse, quaternion, rigid, transform_points
 from drivers.trackers.simulated import SimulatedTracker
 from tests.arms import OFF_AXIS, UR10, at_station, plant_of
+from tests.evidence.shared.changes import lengthened, link_moved, zero_shifted
 
 
 @settings(max_examples=40, deadline=None)

@@ -25,7 +25,6 @@ from drivers.trackers.lmf import LmfTracker
 from drivers.trackers.lmf_settings import LmfSettings
 from drivers.trackers.protocol import (
     Halted,
-    Inclination,
     NotReady,
     Point,
     Preparation,
@@ -82,21 +81,19 @@ def test_the_bridge_returns_the_trackers_own_results(kind, make_plant):
     def all_of(tracker, plant):
         smr = plant.targets()[0].p_M
         tracker.prepare(Preparation(temperature_c=25.0))
-        pair = tracker.measure_two_face(NEST, 2.0)
-        return [tracker.measure(smr, 1.0), tracker.measure(NEST, 0.5), pair.first, pair.second]
+        return [tracker.measure(smr, 1.0), tracker.measure(NEST, 0.5)]
 
-    wrong = Imperfections(collimation_rad=2e-5, tilt_rad=(1e-4, -2e-4), clock_offset_s=1e6)
+    wrong = Imperfections(warm_up_rad=(2e-5, 0.0, 1e-5), warm_up_m=1e-5)
     direct_plant, plant = make_plant(noise=True), make_plant(noise=True)
     direct = SimulatedTracker(direct_plant, wrong, nests={"n": NEST})
     direct.connect()
     with over(kind, plant, imperfections=wrong) as (_, tracker):
         assert tracker.identify() == direct.identify()
         assert tracker.unmet() == []
-        assert tracker.inclination() == direct.inclination() == Inclination((1e-4, -2e-4), 0.0, 15e-6)
         for one, other in zip(all_of(direct, direct_plant), all_of(tracker, plant), strict=True):
-            for name in ("p_M", "covariance_M", "precision_M"):
+            for name in ("p_M", "covariance_M"):
                 assert np.array_equal(getattr(one, name), getattr(other, name)), name
-            rest = set(one.__dataclass_fields__) - {"p_M", "covariance_M", "precision_M"}
+            rest = set(one.__dataclass_fields__) - {"p_M", "covariance_M"}
             assert {name: getattr(one, name) for name in rest} == {name: getattr(other, name) for name in rest}
     assert plant.clock_s == direct_plant.clock_s
 
@@ -314,16 +311,11 @@ class SlowTracker:
                 raise Halted("slow: a halt was requested")
         raise AssertionError("the test did not end the measurement")
 
-    measure_two_face = measure
-
     def confirm(self, within_s):
         pass
 
     def data_age_s(self):
         return 0.0
-
-    def inclination(self):
-        return None
 
     def halt(self):
         self.halted.set()
@@ -364,7 +356,6 @@ def a_slow_tracker_is_waited_for_longer_than_the_link_may_be_silent():
         assert slow.begun.wait(5.0)
         threading.Timer(1.7, slow.may_end.set).start()
         assert outcome().p_M == pytest.approx(NEST)
-        assert tracker.inclination() is None
     assert slow.calls == 1
     assert len(slow.threads) == 1
 
@@ -440,8 +431,6 @@ def test_a_leica_tracker_is_served():
         assert tracker.measure(NEST, 1.0).p_M == pytest.approx(NEST, abs=1e-3)
         with pytest.raises(TargetLost):
             tracker.measure(NEST - 1.0, 1.0)
-        pair = tracker.measure_two_face(NEST, 1.0)
-        assert (pair.first.face, pair.second.face) == (1, 2)
     scene.release.set()
     assert scene.violations == []
 

@@ -252,26 +252,13 @@ def test_it_is_initialised_where_needed(tracker: Make, scene: Scene) -> None:
 
 
 def test_level(tracker: Make, scene: Scene) -> None:
-    scene.tilt_rad = (1e-3, -2e-3)
-    assert tracker().inclination() is None
     driver = tracker(address="AT960Simulator", gravity=True)
     driver.prepare(Preparation())
     assert tree(scene).InclinationSensor.InclinedToGravity.Value is True
-    still = driver.inclination()
-    assert still is not None
-    assert still.tilt_rad == pytest.approx((1e-3, -2e-3))
-    assert (still.drift_rad, still.moved) == (0.0, False)
-    scene.tilt_rad = (1e-3 + 12e-6, -2e-3 + 16e-6)
-    bumped = driver.inclination()
-    assert bumped is not None
-    assert bumped.drift_rad == pytest.approx(20e-6)
-    assert bumped.threshold_rad == pytest.approx(15e-6)
-    assert bumped.moved
 
 
 def test_a_tracker_without_level(tracker: Make, scene: Scene) -> None:
     scene.level = False
-    assert tracker().inclination() is None
     with pytest.raises(ValueError, match="has no level"):
         tracker(address="AT960Simulator", gravity=True).prepare(Preparation())
 
@@ -299,12 +286,9 @@ def test_a_point(tracker: Make, scene: Scene) -> None:
     second = driver.measure(RIGHT, 1.0)
     assert first.p_M == pytest.approx(LEFT, abs=1e-12)  # metres, independent of LMF's defaults
     assert second.p_M == pytest.approx(RIGHT, abs=1e-12)
-    assert first.precision_M == pytest.approx(np.full(3, 4e-6 / math.sqrt(3.0)))
     assert (first.temperature_c, first.pressure_hpa, first.humidity_percent) == (21.5, 1009.0, 41.0)
-    assert (first.face, first.reflector) == (1, "BRR 1.5in")
-    assert (first.tracker_time_s, second.tracker_time_s) == (1.0, 2.0)
+    assert first.reflector == "BRR 1.5in"
     assert first.time_s < second.time_s
-    assert first.host_time_s is not None
     assert 0.0 <= first.averaging_s <= took_s  # the tracker decides; it is what the call took
     assert first.quality == ("Head moved (LMF 8)",)
     assert driver.notices()[-1] == "Head moved (LMF 8)"
@@ -361,30 +345,11 @@ def test_a_shaking_target(tracker: Make, scene: Scene) -> None:
         driver.measure(LEFT, 1.0)
 
 
-def test_two_faces(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
-    scene.face2_shift_m = (0.0, 30e-6, 0.0)
-    both = driver.measure_two_face(LEFT, 1.0)
-    assert (both.first.face, both.second.face) == (1, 2)
-    assert both.second.p_M - both.first.p_M == pytest.approx([0.0, 30e-6, 0.0], abs=1e-12)
-    assert tree(scene).face2 is False
-    assert driver.measure(LEFT, 1.0).face == 1
-
-
 def test_left_in_face_2_it_turns_back(tracker: Make, scene: Scene) -> None:
     driver = tracker()
     tree(scene).face2 = True
-    assert driver.measure(LEFT, 1.0).face == 1
-
-
-def test_not_found_again_in_face_2(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
-    scene.hidden_in_face2.add("left")
-    with pytest.raises(TargetLost, match="did not find the SMR again in face 2"):
-        driver.measure_two_face(LEFT, 1.0)
-    assert tree(scene).face2 is False  # turned back all the same
-    scene.hidden_in_face2.clear()
-    assert driver.measure_two_face(LEFT, 1.0).second.face == 2
+    driver.measure(LEFT, 1.0)
+    assert tree(scene).face2 is False
 
 
 def test_the_other_arms_smr(tracker: Make, scene: Scene) -> None:

@@ -23,7 +23,6 @@ from drivers.trackers.protocol import (
     stream_of,
 )
 from drivers.trackers.simulated import (
-    FACE_CHANGE_S,
     INITIALISE_S,
     POINTING_S,
     SETTLE_S,
@@ -334,23 +333,6 @@ def test_refraction_that_is_not_corrected_scales_the_cell(make_plant):
     assert point.quality == ()
 
 
-def test_two_faces_show_errors_that_averaging_does_not(make_plant):
-    plant = make_plant()
-    wrong = Imperfections(collimation_rad=2e-5, index_rad=1e-5)
-    tracker = _ready(plant, wrong, nests={"n": NEST})
-    before = plant.clock_s
-    pair = tracker.measure_two_face(NEST, 1.0)
-    assert plant.clock_s - before == pytest.approx(2 * (POINTING_S + 1.0 + FACE_CHANGE_S))
-    assert (pair.first.face, pair.second.face) == (1, 2)
-    distance = np.linalg.norm(NEST)
-    assert pair.across_m == pytest.approx(2 * distance * np.hypot(2e-5, 1e-5), rel=1e-3)
-    assert pair.along_m == pytest.approx(0.0, abs=1e-9)
-    assert 0.5 * (pair.first.p_M + pair.second.p_M) == pytest.approx(NEST, abs=1e-8)
-    assert tracker.measure(NEST, 1.0).p_M == pytest.approx(pair.first.p_M, abs=1e-12)  # back in face 1
-    perfect = _ready(plant, nests={"n": NEST}).measure_two_face(NEST, 1.0)
-    assert (perfect.across_m, perfect.along_m) == (0.0, 0.0)
-
-
 # -- setting up, starting anew -----------------------------------------------------------------------------------------
 
 
@@ -361,7 +343,7 @@ def test_after_a_restart_it_must_be_prepared(make_plant):
     assert plant.clock_s == 0.0  # nothing had to be initialised
     assert tracker.measure(NEST, 1.0).temperature_c == 30.0
     tracker.reboot(down_s=60.0)
-    for call in (tracker.unmet, tracker.connect, lambda: tracker.measure(NEST, 1.0), tracker.inclination):
+    for call in (tracker.unmet, tracker.connect, lambda: tracker.measure(NEST, 1.0)):
         with pytest.raises(TrackerLinkLost, match="down: the tracker is starting"):
             call()
     plant.advance(60.0)
@@ -460,19 +442,6 @@ def test_a_slow_receiver_loses_points_and_they_are_counted(plant):
     whole = round(np.ptp(track.device_time_s) / INTERVAL_S) + 1
     assert track.missing(INTERVAL_S) == whole - len(track.p_M)
     assert 0.05 * whole < track.missing(INTERVAL_S) < 0.4 * whole
-
-
-def test_pulses_are_stamped_by_the_trackers_clock(plant):
-    tracker = SimulatedTracker(plant, CLOCK)
-    tracker.connect()
-    tracker.start_track(plant.targets()[0].p_M, INTERVAL_S, lambda error: None)
-    pulses = []
-    for _ in range(3):
-        plant.advance(0.05)
-        tracker.trigger()
-        pulses.append(plant.clock_s)
-    track = tracker.end_track()
-    np.testing.assert_allclose(track.triggers_s, CLOCK.own_time_s(np.array(pulses)), atol=1e-5)
 
 
 def test_another_measurement_ends_a_track_and_intervals_are_checked(plant):

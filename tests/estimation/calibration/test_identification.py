@@ -281,15 +281,12 @@ def test_failure_to_converge_is_reported():
     assert found.message.startswith("1 steps were not enough; the next step, ")
 
 
-def test_observability_falls_when_a_joint_hardly_moves():
+def test_the_condition_grows_when_a_joint_hardly_moves():
     nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=14, n=200)
     still = q.copy()
     still[:, 3] = 0.3 + 0.05 * q[:, 3]
     wide, narrow = identify(nominal, q, p_M), identify(nominal, still, smr_positions(nominal, still))
     assert narrow.condition > 3.0 * wide.condition
-    for index in ("O1", "O2", "O3", "O4", "O5"):
-        assert narrow.observability[index] < wide.observability[index]
-    assert 1.0 / wide.observability["O2"] == pytest.approx(wide.condition)
 
 
 def test_the_scatter_is_that_of_the_noise_for_a_scara_with_two_parallel_axes():

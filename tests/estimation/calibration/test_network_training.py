@@ -50,7 +50,7 @@ def test_pure_noise_gets_no_network():
         q, np.random.default_rng(4).normal(0.0, 15e-6, (200, 3)), seed=3, shapes=SMALL, iterations=40
     )
     assert training.network is None
-    assert training.left_out_rms > 0.95 * training.without_rms
+    assert training.left_out_rms > training.without_rms, "a fold that ends the training is no judge of it"
 
 
 def test_the_same_seed_gives_the_same_network(trained):

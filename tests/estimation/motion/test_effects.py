@@ -9,18 +9,16 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.commands.discover.charts import picture_chart
 from cellapp.commands.discover.view import view
-from cellapp.commands.discover.words import picture_words
 from cellapp.estimation.discovery.discover import discover_cell
-from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult, Picture
+from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult
 from cellapp.estimation.motion.calibrate import calibrate_with_motion
-from cellapp.estimation.motion.discovery import SearchWithRecordings, loop_picture
+from cellapp.estimation.motion.discovery import SearchWithRecordings
 from cellapp.estimation.motion.effects import _Search, effects_in_motion, refining_terms
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
 from cellapp.estimation.motion.joint_path import Fading, joint_path, play
-from cellapp.estimation.motion.steps import State, Step, effects_of, loops, vibration
+from cellapp.estimation.motion.steps import State, Step, effects_of, vibration
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.motion.terms import (
     JointLaws,
@@ -34,7 +32,6 @@ from cellapp.estimation.motion.terms import (
 )
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Discovery
-from cellapp.ground.progress import ignore_words
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.effects import EFFECTS, EffectContext, EffectTerm, MeasurementConditions
 from cellapp.robot.effects.effect import displacement, term_from_json, term_to_json
@@ -421,60 +418,6 @@ def test_samples_with_their_history_have_the_points_of_the_motion_by_laws_at_res
     turned = np.abs(moves.direction) == 1.0
     same = np.where(turned, plain.joints_with_history(path, t) - plain.joints_at_rest(path, t), 0.0)
     np.testing.assert_allclose(same, 0.0, atol=1e-6)
-
-
-# -- Loops of lost motion: what a joint lies behind its motor after upward and after downward motion -------------------
-
-PLAY = 50e-6
-
-
-@pytest.fixture(scope="module")
-def drawn():
-    """Loops of joint 1, which has play, of joint 2 and of joint 6, of which the latter has none."""
-    rng = np.random.default_rng(4)
-    arm = true_arm(rng, half_play=[PLAY, PLAY, 0.0, 0.0, 0.0, 0.0])
-    recording = record(rng, arm, sweep(rng, 6), seconds=90.0, slow=15e-6)
-    problem, rows = motion_problem(
-        RecordedArm(nominal_geometry(UR10, np.zeros(3)), [recording], tool_unknown=True), ignore_words
-    )
-    found = loops(problem, solve(problem, rows), [1, 2, 6])
-    bare = problem.without_terms()
-    return found, loops(bare, solve(bare, rows), [1])
-
-
-def widths(loop):
-    return [
-        float(values[loop.direction < 0.0].mean() - values[loop.direction > 0.0].mean())
-        for values in (loop.measured, loop.computed)
-    ]
-
-
-def test_the_loop_of_a_joint_is_as_wide_as_its_play(drawn):
-    for loop in drawn[0][:2]:
-        measured, computed = widths(loop)
-        assert measured == pytest.approx(2 * PLAY, rel=0.1)
-        assert computed == pytest.approx(2 * PLAY, rel=0.1)
-    assert {loop.joint for loop in drawn[0]} == {1, 2, 6}
-    assert widths(drawn[0][2])[1] < 0.4 * PLAY
-
-
-def test_a_loop_is_measured_where_the_model_has_none(drawn):
-    measured, computed = widths(drawn[1][0])
-    assert computed == 0.0
-    assert measured > 0.4 * PLAY, "a fit without play takes a part of it for geometry and for a delay, not all"
-
-
-def test_a_picture_of_a_loop_draws_both_directions_and_says_its_width(drawn):
-    picture = loop_picture(drawn[0][0])
-    assert Picture.model_validate_json(picture.model_dump_json()) == picture
-    chart = picture_chart("left", picture)
-    assert [one.name for one in chart.series] == [
-        f"{words}, {what}" for words in ("upward", "downward") for what in ("measured", "computed")
-    ]
-    upward, downward = chart.series[0], chart.series[2]
-    assert upward.y.mean() < downward.y.mean(), "after upward motion a joint lies below its motor"
-    assert "wide as measured" in picture_words(picture)
-    assert chart.y.unit == "µrad"
 
 
 # -- Discovery of an arm that was recorded in motion: its model where it predicts better, and its words ----------------

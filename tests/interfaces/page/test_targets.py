@@ -18,14 +18,14 @@ from cellapp.cell.targets.records import (
 from cellapp.cell.targets.targets import Partner, Target
 from cellapp.commands.compensate.charts import parts_chart, target_charts
 from cellapp.commands.compensate.charts import target_charts as all_charts
-from cellapp.commands.compensate.details import stored_state, target_details
-from cellapp.commands.compensate.tables import measured_tables, refusal_tables, uncertainty_tables
-from cellapp.commands.compensate.target_list import target_list, target_state, target_words
-from cellapp.commands.compensate.view import targets_section
+from cellapp.commands.compensate.tables import measured_tables, uncertainty_tables
+from cellapp.commands.compensate.target_list import stored_state, target_list, target_state, target_words
+from cellapp.commands.compensate.view import target_parts, targets_section
 from cellapp.commands.compensate.words import PART_WORDS, compensate_lines, verify_message
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.result import RunResults, read_results
 from cellapp.commands.view.charts import Chart
+from cellapp.commands.view.table import Table
 from cellapp.estimation.uncertainty.records import UncertaintyParts
 from cellapp.interfaces.page.drawn import chart_figure
 from cellapp.interfaces.tui.plots.drawing import draw
@@ -182,10 +182,6 @@ def test_what_the_product_stores_is_shown(whole: RunFile) -> None:
     assert lines[0] == "4 of 5 targets compensated, 1 refused"
     assert any(line.startswith(f"target {UNREACHABLE}: out of reach: the nearest pose is") for line in lines)
     assert any(line.startswith("95 % bound of the measured error: median") for line in lines)
-    assert (
-        refusal_tables(results.compensate)[0].rows[0][-1]
-        == "move the target nearer to the arm, or leave its rotation free"
-    )
     assert verify_message(results.verify).startswith("mean error ")
     assert [table.title for table in measured_tables(results.verify)][-1] == "Targets that were not measured"
     states = [row[3] for row in target_list(targets_of(LEFT, RIGHT), results).rows]
@@ -207,15 +203,14 @@ def test_the_parts_add_up_to_the_uncertainty(whole: RunFile) -> None:
     assert len(table.rows) == 4
 
 
-def test_one_target_in_its_details(whole: RunFile) -> None:
-    state = stored_state(read_results(whole), TARGET)
+def test_one_target_alone(whole: RunFile) -> None:
+    results = read_results(whole)
+    state = stored_state(results, TARGET)
     assert state is not None
-    details = target_details(state)
-    text = "\n".join(details.sentences)
-    assert "solutions within the joint limits" in text
-    assert "mm with the nominal command" in text
-    assert len(details.charts) == 1
-    assert [row[0] for row in details.tables[0].rows][:3] == ["wanted", "predicted", "measured"]
+    parts = target_parts(results, state)
+    assert "1 of 1 target compensated" in parts
+    assert any(isinstance(one, str) and one.startswith("mean error ") for one in parts)
+    assert {row[0] for one in parts if isinstance(one, Table) for row in one.rows} <= {TARGET, "1"}
 
 
 def test_the_page_begins_with_the_message(whole: RunFile) -> None:

@@ -12,7 +12,7 @@ from textual.widgets import Input, Static
 from cellapp.cell.run import RunFile
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.first_run import Welcome
-from cellapp.interfaces.tui.dialogs.own_readings import OwnReadings
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from tests.arms import UR5
 from tests.interfaces.tui.pilot import until
@@ -34,10 +34,10 @@ async def dialog(pilot: Pilot[None], app: CellApp, **typed: str) -> None:
     """Fill in the dialog from the first start on, and send it."""
     await until(pilot, lambda: isinstance(app.screen, Welcome), "the question")
     await pilot.press("r")
-    await until(pilot, lambda: isinstance(app.screen, OwnReadings), "the dialog")
+    await until(pilot, lambda: isinstance(app.screen, VerbQuestion), "the dialog")
     for name, text in typed.items():
-        field = app.screen.query_one(f"#{name}")
-        (field if isinstance(field, Input) else field.query_one(Input)).value = text
+        app.screen.query_one(f"#{name}", Input).value = text
+    await until(pilot, lambda: isinstance(app.focused, Input), "the first field")
     await pilot.press("enter")
 
 
@@ -54,8 +54,8 @@ async def test_from_a_table_to_an_open_run(app: CellApp) -> None:
 async def test_wrong_words_are_refused_in_the_dialog(app: CellApp) -> None:
     async with app.run_test(size=SIZE) as pilot:
         await dialog(pilot, app, readings="mine.txt", angles="turns")
-        await until(pilot, lambda: "rad or deg" in str(app.screen.query_one("#why", Static).content), "the sentence")
-        assert isinstance(app.screen, OwnReadings)
+        await until(pilot, lambda: "rad" in str(app.screen.query_one("#why", Static).content), "the sentence")
+        assert isinstance(app.screen, VerbQuestion)
 
 
 async def test_an_arm_that_is_not_named_is_a_message(app: CellApp) -> None:

@@ -112,7 +112,7 @@ async def test_the_list_of_the_profile_with_what_the_run_says(finished_copy: Pat
         pose = "mm; roll 121.67, pitch 46.27, yaw 17.13 deg"
         await until(pilot, lambda: pose in shown_text(app), "the pose of the first target")
         await pilot.press("t")
-        await until(pilot, lambda: "in the base of arm left" in shown_text(app), "all about the first target")
+        await until(pilot, lambda: "Arm left: compensated commands" in shown_text(app), "all about the first target")
         await until(pilot, lambda: "mm from the target" in shown_text(app), "what was measured there")
         await pilot.press("t")
         await until(pilot, lambda: "noise floor" in shown_text(app), "the errors of the left arm")
