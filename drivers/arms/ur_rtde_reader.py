@@ -18,7 +18,7 @@ from drivers.arms.ur_links import RTDE_PORT, Connection
 from drivers.patience import Patience
 
 _HEADER = struct.Struct(">HB")
-_VERSION, _OUTPUTS, _START, _DATA = ord("V"), ord("O"), ord("S"), ord("U")
+_VERSION, _OUTPUTS, _INPUTS, _START, _DATA = ord("V"), ord("O"), ord("I"), ord("S"), ord("U")
 _FREQUENCY_HZ = 125.0
 """Rate that every series supports."""
 _MAX_PACKETS = 1000
