@@ -23,7 +23,7 @@ from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_from_vector, transform
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 from tests.arms import UR5, UR10
-from tests.cell.run.csv_rows import import_csv
+from tests.cell.run.small_runs import import_csv
 from tests.twin import PROFILES
 
 ANSWERS = """\

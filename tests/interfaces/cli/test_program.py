@@ -43,7 +43,7 @@ from cellapp.interfaces.cli.program import wants_json
 from cellapp.interfaces.page.page import page_text
 from cellapp.interfaces.tui.workspace import load_workspace
 from drivers.findings import Finding
-from tests.cell.run.csv_rows import import_csv
+from tests.cell.run.small_runs import import_csv
 from tests.interfaces.cli.test_cli import call, exit_code  # noqa: F401 - a fixture
 from tests.interfaces.page.cases import calibration
 from tests.interfaces.page.parsed_page import NOON
