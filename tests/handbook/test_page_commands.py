@@ -1,22 +1,26 @@
-"""The commands and examples on the page about certificates, as they stand there."""
+"""Commands and files of single chapters, as they stand there, do what the chapter says; ``test_commands`` runs all."""
 
 from __future__ import annotations
 
+import gzip
 import json
 import re
 import shlex
 import shutil
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, get_args
 
 import jsonschema
 import numpy as np
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 import cellapp
 from cellapp.cell.driving.iso9283.tests import IsoTask
 from cellapp.cell.exports.formats import all_formats
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.compensate.words import PART_WORDS, advice
 from cellapp.commands.docs.handbook import chapter_text
@@ -24,7 +28,9 @@ from cellapp.commands.iso9283 import run as verb
 from cellapp.commands.registry import records
 from cellapp.commands.schema import json_schema, results_by_name, written_results
 from cellapp.estimation.iso9283.norm import ISO_TESTS
+from cellapp.estimation.monitoring.check.records import CheckVerdict
 from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.profile.schema import Plant
 from cellapp.interfaces.tui.screens import SCREENS
 from tests.handbook.chapters import blocks
 from tests.program import app
@@ -73,24 +79,6 @@ def test_the_commands_do_what_the_page_says(
     assert code == 1, "the twin is simulated"
     assert "OUT OF DATE: certificate.json is not a certificate that the run stores" in ran("show", "logs/my-run")[1]
     assert ran("show", "logs/my-run", "--strict")[0] == 1
-
-
-# -- The file on the page about paths, as it stands there --------------------------------------------------------------
-
-
-def test_the_file_of_the_page_is_compensated(
-    finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    shutil.copytree(finished_run, "logs/my-run")
-    (file,) = blocks("paths", "yaml")
-    Path("seam.yaml").write_text(file, encoding="utf-8")
-    for command in "".join(blocks("paths", "sh")).splitlines():
-        words = shlex.split(command.replace("profiles/paths/twin.yaml", "seam.yaml"))[1:]
-        done = CliRunner().invoke(app, words)
-        assert done.exit_code == 0, done.output
-    assert len(Path("q.csv").read_text("utf-8").splitlines()) > 500
-    assert Path("q.script").read_text("utf-8").count("  servoj(") > 500
 
 
 # -- What the chapter about Python says that mistakes are answered with. ``test_commands`` runs its examples -----------
@@ -191,3 +179,74 @@ def test_the_commands_ask_for_what_the_page_says(
     assert tasks[2].drift_s == 480.0 * 60.0
     assert tasks[2].model is None
     assert tasks[3].also_speeds == (0.5, 0.1)
+
+
+def changed_profile(folder: Path, plant: Plant) -> Path:
+    """The twin's profile with the physics of a run and the lines of the page."""
+    shutil.copytree(PROFILES, folder)
+    content = yaml.safe_load((folder / "twin.yaml").read_text("utf-8"))
+    content["plant"]["effects"] = {name: dict(own) for name, own in plant.effects.items()}
+    content["plant"]["effects"]["left"].update(yaml.safe_load(blocks("check", "yaml")[0]))
+    path = folder / "changed.yaml"
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    assert load_profile(path).plant is not None
+    return path
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_check_find_what_the_page_says(
+    finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(finished_run, "logs/my-run")
+    with RunFile.open(Path("logs/my-run")) as run:
+        assert run.profile.plant is not None
+        path = changed_profile(tmp_path / "profiles", run.profile.plant)
+    ends = []
+    for line in (line for line in "".join(blocks("check", "sh")).splitlines() if " check" in line):
+        program, *arguments = shlex.split(line.replace("changed.yaml", str(path)))
+        ended = CliRunner().invoke(app, [*arguments, "--json", "result.json", "--force"])
+        found = json.loads(Path("result.json").read_text("utf-8"))
+        ends.append((program, found["schema"], found["verdict"], ended.exit_code))
+    valid = ("cellapp", "cellapp-check", "valid", 0)
+    assert ends == [valid, valid, ("cellapp", "cellapp-check", "arm changed", 1)]
+
+
+def test_every_verdict_is_explained() -> None:
+    listed = re.findall(r"^\| ([a-z ]+) \| .* \| .*\|$", chapter_text("check"), re.M)
+    assert set(listed) - {"verdict"} == set(get_args(CheckVerdict))
+
+
+COMMANDS_OF_PROGRAMS = "".join(blocks("programs", "sh")).splitlines()
+
+
+@pytest.mark.slow
+def test_programs_are_corrected_as_the_page_says(
+    finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(finished_run, "logs/my-run")
+    with RunFile.open(finished_run) as run:
+        q = run.readings("left").q[5].tolist()
+    Path("day.script").write_text(f"set_tcp(p[0,0,0.1,0,0,0])\nmovej({q})\n")
+    Path("loops.script").write_text(f"movej({q})\nmovel(pose_add(get_actual_tcp_pose(), p[0,0,0.1,0,0,0]))\n")
+    Path("bare.script").write_text(f"movej({q})\n")
+    waypoint = f'<Waypoint type="Fixed" name="a"><position><JointAngles angles="{str(q)[1:-1]}"/></position></Waypoint>'
+    Path("taught.urp").write_bytes(gzip.compress(f"<URProgram>{waypoint}</URProgram>".encode()))
+    assert len(COMMANDS_OF_PROGRAMS) == 4
+    for command in COMMANDS_OF_PROGRAMS:
+        program, *arguments = shlex.split(command)
+        ended = CliRunner().invoke(app, [*arguments, "--json", "result.json", "--force"])
+        assert (program, ended.exit_code) == ("cellapp", 0), f"{command}: {ended.exception}"
+        result = json.loads(Path("result.json").read_text("utf-8"))
+        assert result["schema"] == "cellapp-correct"
+        assert result["targets"][0]["new"] != result["targets"][0]["old"]
+        assert Path(result["out"]).is_file()
+    refused = CliRunner().invoke(app, ["correct", "logs/my-run", "loops.script", "--out", "x.script", "--arm", "left"])
+    assert refused.exit_code != 0
+    assert "line 2 have no correction" in str(refused.exception)
+    assert not Path("x.script").exists()
+    typed = CliRunner().invoke(
+        app, ["correct", "logs/my-run", "bare.script", "--out", "x.script", "--arm", "left", "--tcp", "120,0,0"]
+    )
+    assert "expected six numbers" in str(typed.exception)
