@@ -12,10 +12,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.measured_again import replace_stop
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.commands.collect.state import collection_state
-from cellapp.commands.collect.view import collection_tables
 from cellapp.commands.confirm import MotionNotConfirmed, asked_once, confirmation, first_path_words, require_permission
-from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.report.result import read_results
 from cellapp.commands.report.run import report_run
 from cellapp.commands.show.overview import run_overview
@@ -62,29 +59,6 @@ def test_what_rests_on_readings_that_were_replaced_is_out_of_date(run: RunFile, 
     measure_again(run, 1)
     found = read_stages(run, basis_now).out_of_date  # type: ignore[arg-type]
     assert found == {"calibrate": "2 readings were measured again since"}
-
-
-def test_a_run_that_was_accurate_enough_stays_so(run: RunFile) -> None:
-    before = next_step(run, read_stages(run), arm_states(run))
-    measure_again(run, 1)
-    assert next_step(run, read_stages(run), arm_states(run)) == before
-    state = collection_state(run)
-    assert state is not None
-    assert state.last is not None
-    assert (state.last.outcome, state.sessions[-1].again) == ("accurate enough", "2")
-
-
-def test_the_readings_before_are_listed_beside_the_sessions(run: RunFile) -> None:
-    measure_again(run, 1)
-    measure_again(run, 1)
-    state = collection_state(run)
-    assert state is not None
-    titles = {table.title: table for table in collection_tables(state)}
-    replaced = titles["Stops measured again: the readings before, which are kept and not used"]
-    assert [row[:2] for row in replaced.rows] == [(2, "left"), (2, "left"), (2, "right"), (2, "right")]
-    sessions = titles["Sessions of collecting"]
-    assert [row[3] for row in sessions.rows] == ["accurate enough", *["complete, stops 2 again"] * 2]
-    assert {(one.stop, one.again) for one in state.stops} == {(0, 0), (1, 2)}
 
 
 @pytest.mark.parametrize(

@@ -246,18 +246,6 @@ def test_an_old_model_is_compensated_with_and_that_is_said(old_run: Path) -> Non
         assert NOT_RECORDED in compensate_run(run, TARGETS).notes[0]
 
 
-def test_an_old_run_is_upgraded_by_calibrating_it_again(old_run: Path) -> None:
-    with RunFile.open(old_run, write=True) as run:
-        calibrate_run(run)
-        stages = read_stages(run)
-        assert CALIBRATE not in stages.out_of_date
-        assert stages.out_of_date == {"discover": NOT_RECORDED}
-        assert slugs(old_run) == {"left": [], "right": []}
-        discover_run(run)
-        assert read_stages(run).out_of_date == {}
-    assert slugs(old_run)["left"] == ["joint_compliance"]
-
-
 def test_a_result_that_cannot_be_read_is_named(old_run: Path) -> None:
     connection = sqlite3.connect(old_run / "run.sqlite")
     connection.execute("UPDATE result SET text = '{\"schema\": \"cellapp-discover\"}' WHERE name = 'discover'")

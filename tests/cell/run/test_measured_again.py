@@ -35,7 +35,7 @@ from cellapp.robot.kinematics.transforms import rotation_vectors
 from tests.cell.run.csv_rows import Rows, written
 from tests.cell.run.small_runs import add_stop, planned_run
 from tests.cell.run.two_arm_cell import assert_same, two_arms
-from tests.commands.quiet_work import quiet_work
+from tests.commands.emulated_cell import quiet_work
 from tests.twin import PROFILES, small_twin
 
 

@@ -93,10 +93,6 @@ def test_limits_name_what_was_not_measured_corrected_or_may_be_otherwise() -> No
     assert "arm right: not verified" in found.warnings
 
 
-def test_a_cell_with_one_simulated_device_is_marked() -> None:
-    assert certified(results()).warnings[0].startswith("simulated cell")
-
-
 # -- Instruments whose calibration was not in force when they were used, and data that nobody gave ---------------------
 
 MEASURED = ("2026-03-02T23:59:59.000+00:00", "2026-03-04T08:00:00.000+00:00")
@@ -224,10 +220,6 @@ def test_decision_rules_at_a_tolerance_of_a_tenth(
     value: float | None, expanded: float | None, rule: str, expected: str
 ) -> None:
     assert conformity(value, expanded, 0.1, rule) == expected  # type: ignore[arg-type]
-
-
-def test_nothing_is_judged_without_a_tolerance() -> None:
-    assert judged(results(verify=verification(LEFT_OF_JUDGEMENTS))) == {}
 
 
 def test_the_largest_verified_error_of_each_arm_is_judged_with_its_expanded_uncertainty() -> None:

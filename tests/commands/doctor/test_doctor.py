@@ -5,10 +5,8 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,11 +14,14 @@ import pytest
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.examination import LONGEST_PROBE_S, examine
 from cellapp.cell.profile import load_profile
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import refuse_stop
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.doctor.run import examine_run, probe_devices, repeatable_devices
 from cellapp.commands.emulate import EmulatedArm, emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
+from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, Placement, SphereObstacle
 from cellapp.ground.progress import CancelToken
 from drivers.arms.protocol import JointLimits, LinkLost
 from drivers.arms.ur_probe import UrKinematics, UrProbe, probe_ur
@@ -28,9 +29,10 @@ from drivers.arms.ur_rtde_reader import UrSample
 from drivers.emulators.ur_controller import FREE_PORTS, ControllerConfig, UrControllerServer, personality
 from drivers.findings import Finding
 from drivers.plant import Plant
-from tests.commands.free_ports import on_free_ports
+from tests.cell.safety.test_obstacles import with_obstacles
+from tests.commands.emulated_cell import on_free_ports
+from tests.twin import PROFILES, small_twin
 
-PROFILES = Path(__file__).parents[3] / "profiles"
 PATIENT_S = 10.0
 SAMPLE = UrSample(
     time_s=10.0,
@@ -95,12 +97,6 @@ def real() -> Profile:
 
 def one_ready(host: str, timeout_s: float) -> UrProbe:
     return READY if host == "192.168.0.10" else replace(READY, host=host, model="UR5", serial="20153567890")
-
-
-def test_the_simulated_cell_is_sound(twin: Profile) -> None:
-    found = findings(twin)
-    assert {finding.status for finding in found.values()} == {"ok"}
-    assert {"arm left", "arm right", "home", "plant", "arm left: SMR", "arm right: SMR", "tracker"} <= set(found)
 
 
 def test_readings_from_a_file_need_no_device() -> None:
@@ -378,17 +374,6 @@ def test_the_doctor_finds_emulated_controllers_until_they_are_cancelled(real: Pr
     assert found["arm left: kinematics"].status == "ok"
 
 
-def test_emulation_waits_until_it_is_cancelled(twin: Profile) -> None:
-    cancel, up = CancelToken(), threading.Event()
-    thread = threading.Thread(target=emulate, args=(twin, cancel, lambda _: up.set(), on_free_ports(twin)))
-    thread.start()
-    assert up.wait(PATIENT_S)
-    assert thread.is_alive()
-    cancel.cancel()
-    thread.join(PATIENT_S)
-    assert not thread.is_alive()
-
-
 def test_a_port_in_use_is_named_and_nothing_is_left_open(twin: Profile) -> None:
     before = threading.active_count()
     other = ControllerConfig("other", "127.0.0.3", personality("CB3", "UR5", "20150000001"), ports=FREE_PORTS)
@@ -423,10 +408,54 @@ def test_a_simulated_cell_that_fails_ends_the_emulation(twin: Profile, monkeypat
     assert threading.active_count() == before
 
 
-def test_waiting_on_a_token_ends_early_when_it_is_cancelled() -> None:
-    cancel = CancelToken()
-    assert cancel.wait(0.0) is False
-    cancel.cancel()
-    began = time.monotonic()
-    assert cancel.wait(60.0) is True
-    assert time.monotonic() - began < 30.0
+def found_of(profile: Profile) -> dict[str, Finding]:
+    return {one.subject: one for one in examine(profile)}
+
+
+def test_distances_at_home_and_what_stands_on_what() -> None:
+    profile = with_obstacles(
+        table=BoxObstacle(shape="box", size=(1.0, 3.0, 0.1), pose=Placement(position=(0.0, 0.0, -0.15))),
+        lamp=SphereObstacle(shape="sphere", radius=0.1, pose=Placement(position=(0.0, 0.0, 1.0))),
+        tool=BoxObstacle(shape="box", fixed_to="flange", arm="left", size=(0.1, 0.1, 0.1)),
+        hose=CapsuleObstacle(shape="capsule", fixed_to="flange", arm="right", radius=0.02, length=0.1),
+    )
+    findings = found_of(profile)
+    assert findings["obstacle table"].status == findings["obstacle lamp"].status == "ok"
+    assert "left, right on or beside it: base and first link are not checked" in findings["obstacle table"].text
+    assert findings["obstacle lamp"].text.startswith("distance at home: arm left ")
+    assert "beside it" not in findings["obstacle lamp"].text
+    assert "on the flange of arm left; checks use 6 capsules around it, which reach up to" in (
+        findings["obstacle tool"].text
+    )
+    assert findings["obstacle hose"].text == "on the flange of arm right"
+    assert findings["home"].status == "ok"
+
+
+def test_an_obstacle_too_near_to_home_is_told() -> None:
+    profile = with_obstacles(
+        small_twin(plan={"clearance": 0.08}),
+        post=SphereObstacle(shape="sphere", radius=0.1, pose=Placement(position=(0.0, -0.62, 0.5))),
+    )
+    reason = refuse_stop(cell_bodies(profile), home_positions(profile))
+    assert reason.startswith("arm right: comes within")
+    findings = found_of(profile)
+    assert findings["obstacle post"].status == "failed"
+    assert "arm right must keep 80 mm; change obstacles.post, arms.*.home" in findings["obstacle post"].text
+    assert findings["home"].status == "failed"
+    assert findings["home"].text.startswith(reason)
+
+
+def test_an_obstacle_around_an_arm_ends_the_check_of_the_placement() -> None:
+    profile = with_obstacles(
+        post=SphereObstacle(shape="sphere", radius=0.1, pose=Placement(position=(0.0, -0.85, 0.5)))
+    )
+    findings = found_of(profile)
+    assert findings["obstacles"].status == "failed"
+    assert "obstacles.post.pose: arm right at home reaches" in findings["obstacles"].text
+    assert "home" not in findings
+
+
+def test_the_real_cell_has_a_table_and_a_pillar_and_is_safe_at_home() -> None:
+    profile = load_profile(PROFILES / "ur10-ur5.yaml")
+    assert {"table", "pillar"} <= set(profile.obstacles)
+    assert refuse_stop(cell_bodies(profile), home_positions(profile)) == ""

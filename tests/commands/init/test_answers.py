@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.profile.starters import SurveyPoint
 from cellapp.cell.run import import_csv
-from cellapp.commands.docs.handbook import chapter_text
-from cellapp.commands.init.answers import surveyed_base, write_answers
+from cellapp.commands.init.answers import write_answers
 from cellapp.commands.init.own_data import OwnData, nobody, write_own_data
 from cellapp.commands.init.run import InitResult, view
 from cellapp.ground.errors import InputError
@@ -109,25 +105,6 @@ def test_a_second_time_is_refused(tmp_path: Path) -> None:
         write_answers(path, tmp_path)
 
 
-def test_points_by_joints_and_by_coordinates_agree() -> None:
-    arm = load_profile(PROFILES / "ur10-ur5.yaml").arms["left"]
-    p_B = smr_positions(nominal_arm(arm), JOINTS).tolist()
-    p_M = apply(invert(pose_matrix(TRACKER)) @ pose_matrix(TRUE_BASE), np.array(p_B)).tolist()
-    by_joints = [SurveyPoint(tracker=m, joints=q) for q, m in zip(map(tuple, JOINTS.tolist()), p_M, strict=True)]
-    by_place = [SurveyPoint(tracker=m, base=b) for b, m in zip(p_B, p_M, strict=True)]
-    poses = [surveyed_base(arm, points, TRACKER).pose for points in (by_joints, by_place)]
-    assert poses[0].position == pytest.approx(poses[1].position, abs=1e-12)
-    assert poses[0].rpy == pytest.approx(TRUE_BASE.rpy, abs=1e-9)
-
-
-def test_the_handbook_s_answers_make_a_profile(tmp_path: Path) -> None:
-    blocks = re.findall(r"^```yaml\n(.*?)^```", chapter_text("cell"), re.M | re.S)
-    (block,) = [part for part in blocks if "points:" in part]
-    result = write_answers(written(tmp_path, block), tmp_path)
-    assert result.path.name == "my-cell.yaml"
-    assert result.notes[0].endswith("; good")
-
-
 def test_any_key_of_a_profile_is_an_answer_and_units_stay_as_written(tmp_path: Path) -> None:
     text = ANSWERS.replace("POINTS", lines(joints=False)) + "splits: {identify: 3}\nseed: 7\n"
     path = write_answers(written(tmp_path, text), tmp_path).path
@@ -138,7 +115,6 @@ def test_any_key_of_a_profile_is_an_answer_and_units_stay_as_written(tmp_path: P
 
 # -- From somebody's own table to a profile and a calibrated run: units, arm, messages; nothing is asked twice ---------
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 FIVE = np.array(
     [[0.0, 0.15, 0.03, np.pi / 2], [np.pi / 2, 0.0, 0.16, 0.0], [0.0, 0.0, 0.14, 0.0], [np.pi / 2, 0.0, 0.0, np.pi / 2],
      [0.0, 0.22, 0.0, 0.0]]
@@ -256,16 +232,6 @@ def test_wrong_arms_and_existing_files(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="exists already"):
         write_own_data(OwnData(file, arm="ur5"), tmp_path)
     assert (tmp_path / "profiles" / "r.yaml").read_text() == "mine: yes\n"
-
-
-def test_real_readings_of_both_arms_keep_their_names_and_splits(tmp_path: Path) -> None:
-    written = write_own_data(OwnData(FIXTURES / "ur5-real" / "readings.csv", arm="ur5", name="real"), tmp_path)
-    assert list(load_profile(written.profile).arms) == ["left"]
-    content = yaml.safe_load(written.profile.read_text("utf-8"))
-    assert content["tracker"] == {"driver": {"kind": "none"}}
-    assert written.readings is not None
-    with import_csv(load_profile(written.profile), written.readings, tmp_path / "run") as run:
-        assert set(run.readings("left").split or ()) == {"identify", "validate"}
 
 
 def test_joint_positions_of_a_motion_give_a_profile_for_recordings(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import functools
 import json
@@ -12,7 +13,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,6 @@ import jsonschema
 import numpy as np
 import pytest
 
-from cellapp.cell.exports.export_format import ExportFormat
-from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.planning.planned_stops import straight_stops, write_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.interfaces import cli
@@ -197,29 +196,6 @@ def test_doctor(work: Path, call: Any) -> None:
     ended = call("doctor", "ur10-ur5.yaml")
     assert ended.code == 1
     assert "checks failed" in ended.err
-
-
-def test_plan_and_collect_to_standard_output(work: Path, call: Any) -> None:
-    assert call("plan", "twin.yaml", "--run", "new", "--json", "-").json["stops"] == {"left": 30, "right": 30}
-    with RunFile.open(work / "new") as new, RunFile.open(work / "planned") as first:
-        for name, q in first.read_plan().items():
-            np.testing.assert_array_equal(new.read_plan()[name], q)
-    ended = call("collect", "new", "--json", "-")
-    assert ended.json["stops"] == 30
-    assert "30 stops stored" in ended.err, "what a person reads goes elsewhere"
-
-
-def test_calibrate_discover_compensate_push_report_to_standard_output(work: Path, call: Any) -> None:
-    assert call("calibrate", "collected", "--json", "-").json["schema"] == "cellapp-calibrate"
-    assert call("discover", "collected", "--json", "-").json["schema"] == "cellapp-discover"
-    found = call("compensate", "collected", "targets.yaml", "--json", "-").json
-    assert found["targets"][-1]["refusal"].startswith("out of reach: ")
-    assert {len(entry["q_compensated"]) for entry in found["targets"] if not entry["refusal"]} == {6}
-    assert call("push", "collected", "targets.yaml", "--json", "-").json["arms"] == {}
-    assert call("push", "collected", "targets.yaml", "--verify", "--json", "-").json["arms"]["left"]
-    found = call("report", "collected", "--json", "-").json
-    assert set(found) >= {"schema", "version", "page", "calibrate", "discover", "compensate", "verify"}
-    assert (work / "collected" / "report.html").read_text("utf-8").lstrip().lower().startswith("<!doctype html>")
 
 
 def test_what_a_person_sees_without_json(work: Path, call: Any) -> None:
@@ -413,20 +389,6 @@ def test_the_identified_arms_for_other_programs(work: Path, call: Any) -> None:
     assert "--csv FILE" in refused.err
 
 
-def test_the_calibrated_arms_in_every_format(work: Path, call: Any) -> None:
-    listed = call("export", "--help").out
-    for form in formats_of(ExportFormat):
-        assert form in listed
-        ended = call("export", "done", "--as", form, "--out", f"{form}.txt", "--json", "-")
-        assert ended.code == 0
-        assert ended.json["format"] == form
-        for name, arm in ended.json["arms"].items():
-            assert (work / arm["file"]).is_file()
-            assert arm["conversion_mm"] < 1e-3
-            for part, loss in arm["lost"].items():
-                assert f"{part}: {loss['rms_mm']:.3f} mm rms" in ended.err, name
-
-
 def test_export_then_import_gives_the_same_readings(work: Path, call: Any) -> None:
     assert call("export", "collected", "--csv", "out.csv", "--json", "-").json["readings"] == {"left": 30, "right": 30}
     found = call("import", "twin.yaml", "out.csv", "--run", "again", "--json", "-").json
@@ -595,39 +557,6 @@ def table(work: Path, call: Any) -> list[dict[str, str]]:
     return rows_of(work / "good.csv")
 
 
-def test_a_missing_column_a_number_that_is_none_and_a_missing_arm(
-    work: Path, call: Any, table: list[dict[str, str]]
-) -> None:
-    def refused(rows: list[dict[str, str]], *says: str) -> None:
-        write_csv(work, rows)
-        before = bytes_below(work)
-        one_sentence(call("import", "twin.yaml", "bad.csv", "--run", "new"), *says)
-        assert bytes_below(work) == before
-        assert not (work / "new").exists()
-
-    for column in ("z_m", "q3"):
-        refused(
-            [{key: value for key, value in row.items() if key != column} for row in table],
-            f"bad.csv:1: {column}: the column is missing",
-        )
-    for column, value in (("q2", "nan"), ("x_m", "inf"), ("y_m", "")):
-        changed = [dict(row) for row in table]
-        changed[3][column] = value
-        refused(changed, f"bad.csv:5: {column}: ")
-    refused([row for row in table if row["arm"] == "left"], "bad.csv: arm: ", "no reading of arm right")
-    refused([table[0]], "no reading of arm right")
-
-
-@pytest.mark.parametrize("stops", [1, 2, 5])
-def test_fewer_readings_than_can_be_calibrated_from(
-    work: Path, call: Any, table: list[dict[str, str]], stops: int
-) -> None:
-    write_csv(work, table[: 2 * stops])
-    assert call("import", "twin.yaml", "bad.csv", "--run", "few").code == 0
-    one_sentence(call("calibrate", "few"), "arm 'left': ", "measure more configurations")
-    assert not (work / "few" / "calibration.json").exists()
-
-
 def test_fewer_readings_than_parameters(work: Path, call: Any, table: list[dict[str, str]]) -> None:
     """Priors complete what the readings do not determine: 18 coordinates improve the nominal geometry, pairs wait."""
     rows = [{**row, "split": "identify" if int(row["configuration"]) < 6 else "validate"} for row in table[:20]]
@@ -682,22 +611,6 @@ def test_real_arms_move_only_where_it_is_allowed_and_the_doctor_is_green_now(
     assert bytes_below(work) == before
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["nonsense"], "Usage"),
-        (["collect", "--unknown", "done"], "Usage"),
-        (["plan"], "cellapp: plan: PROFILE is missing"),
-        (["plan", "twin.yaml"], "cellapp: plan: --run DIR is missing"),
-    ],
-)
-def test_bad_usage(work: Path, call: Any, arguments: list[str], says: str) -> None:
-    ended = call(*arguments)
-    assert ended.code == 2
-    assert ended.out == ""
-    assert says in ended.err
-
-
 # -- processes --------------------------------------------------------------------------------------------------------
 
 LIGHT = (
@@ -744,20 +657,6 @@ def test_what_takes_long_to_load_is_loaded_by_no_command_that_needs_it_not(work:
     assert done.returncode == 0, done.stderr
 
 
-def test_help_names_every_command(tmp_path: Path) -> None:
-    ended = shell("--help", cwd=tmp_path)
-    assert ended.code == 0
-    for command in ("run", "doctor", "plan", "collect", "import", "export", "calibrate", "discover",
-                    "compensate", "push", "report", "show", "schema", "docs", "trials", "emulate", "tracker-bridge",
-                    "pause", "resume", "stop", "abort", "runs", "compare", "correct"):  # fmt: skip
-        assert f" {command} " in ended.out
-
-
-def test_bad_input_in_a_process_of_its_own(work: Path) -> None:
-    misspelt_key(work)
-    one_sentence(shell("plan", "twin.yaml", "--run", "new", cwd=work), "twin.yaml:", ": arms.left.payloud")
-
-
 @pytest.fixture
 def long_run(work: Path) -> Path:
     """A run of many stops between two that were planned, long enough to be interrupted."""
@@ -779,34 +678,38 @@ def wait_for_stops(run: Path, process: subprocess.Popen[str]) -> None:
     until(some, "the first stops")
 
 
-def interrupted(run: Path, number: int) -> subprocess.CompletedProcess[str]:
-    """Collect as a process, and send it a signal when some stops are stored."""
+@contextlib.contextmanager
+def started(*words: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
+    """The program as a process, which does not outlive its test."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "cellapp", "collect", run.name],
-        cwd=run.parent,
-        env={**environment(), "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        [sys.executable, "-m", "cellapp", *words],
+        cwd=cwd, env={**environment(), "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         text=True,
-    )
+    )  # fmt: skip
     try:
-        wait_for_stops(run, process)
-        process.send_signal(number)
-        out, err = process.communicate(timeout=WAIT_S)
+        yield process
     finally:
         if process.poll() is None:
             process.kill()
             process.communicate(timeout=WAIT_S)
-    return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
-def check_resumes(run: Path, collect: Callable[..., Ended]) -> None:
+def interrupted(run: Path, number: int) -> tuple[int, str]:
+    """Collect as a process, and send it a signal when some stops are stored; exit code and standard error."""
+    with started("collect", run.name, cwd=run.parent) as process:
+        wait_for_stops(run, process)
+        process.send_signal(number)
+        _, err = process.communicate(timeout=WAIT_S)
     with RunFile.open(run) as seen:
         stored = seen.stops_done()
         assert 5 <= len(stored) < 120
         assert stored == set(range(len(stored)))
         for name in ("left", "right"):
             np.testing.assert_array_equal(seen.readings(name).configuration, np.arange(len(stored)))
+    return process.returncode, err
+
+
+def check_resumes(run: Path, collect: Callable[..., Ended]) -> None:
     ended = collect("collect", run.name, "--resume", "--json", "-")
     assert ended.code == 0, ended.err
     assert ended.json["stops"] == 120
@@ -819,21 +722,12 @@ def check_resumes(run: Path, collect: Callable[..., Ended]) -> None:
 
 
 def test_killed_in_the_middle_it_is_resumed(long_run: Path) -> None:
-    ended = interrupted(long_run, signal.SIGKILL)
-    assert ended.returncode == -signal.SIGKILL
+    assert interrupted(long_run, signal.SIGKILL)[0] == -signal.SIGKILL
     check_resumes(long_run, functools.partial(shell, cwd=long_run.parent))
 
 
 def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path, call: Any) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cellapp", "collect", long_run.name],
-        cwd=long_run.parent,
-        env={**environment(), "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
+    with started("collect", long_run.name, cwd=long_run.parent) as process:
         assert process.stderr is not None
         wait_for_stops(long_run, process)
         paused = shell("pause", long_run.name, cwd=long_run.parent)
@@ -845,10 +739,6 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
         assert stopped.json["answer"].startswith("stopped: all arms brake")
         process.communicate(timeout=WAIT_S)
         assert process.returncode == 4
-    finally:
-        if process.poll() is None:
-            process.kill()
-            process.communicate(timeout=WAIT_S)
     one_sentence(call("stop", long_run.name), "no job runs in planned")
     with RunFile.open(long_run) as run:
         (session,) = run.sessions()
@@ -866,17 +756,14 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
     ],
     ids=["Ctrl-C", "SIGTERM", "closed terminal"],
 )
-def test_interrupted_it_exits_with_four_says_by_what_and_is_resumed(
-    long_run: Path, call: Any, number: int, cause: str
-) -> None:
-    ended = interrupted(long_run, number)
-    assert ended.returncode == 4, ended.stderr
-    assert "Traceback" not in ended.stderr
-    assert "'cellapp collect DIR --resume'" in ended.stderr
+def test_interrupted_it_exits_with_four_says_by_what(long_run: Path, number: int, cause: str) -> None:
+    code, err = interrupted(long_run, number)
+    assert code == 4, err
+    assert "Traceback" not in err
+    assert "'cellapp collect DIR --resume'" in err
     assert not (long_run / "run.sqlite-wal").exists(), "the file is whole"
     with RunFile.open(long_run) as run:
         assert cause in run.sessions()[-1].requests[-1][-1]
-    check_resumes(long_run, call)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -902,23 +789,11 @@ def test_interrupted_before_the_command_begins_it_exits_with_four(
 )
 def test_what_serves_does_so_until_it_is_interrupted(tmp_path: Path, command: list[str], begins: str) -> None:
     write_profile(tmp_path)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cellapp", *command],
-        cwd=tmp_path,
-        env={**environment(), "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
+    with started(*command, cwd=tmp_path) as process:
         assert process.stdout is not None
         first = within(process.stdout.readline, "the first line")
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=WAIT_S)
-    finally:
-        if process.poll() is None:
-            process.kill()
-            process.communicate(timeout=WAIT_S)
     if process.returncode == 3 and "in use" in err:
         pytest.skip("another emulator listens here")
     assert process.returncode == 0, err

@@ -1,10 +1,11 @@
-"""The program around its commands: version, help, errors as JSON, the demonstration."""
+"""The program around its commands: version, help, errors as JSON, what earlier versions had, the report."""
 
 from __future__ import annotations
 
 import html
 import json
 import re
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -27,19 +28,19 @@ from cellapp.commands.doctor.result import DoctorResult, Finding
 from cellapp.commands.export.run import export_run
 from cellapp.commands.record import Asked, Request, Verb, View, Work
 from cellapp.commands.registry import records
-from cellapp.commands.run.run import WholeRunResult
 from cellapp.commands.runs.history import summarise
 from cellapp.commands.schema import json_schema
 from cellapp.commands.show.overview import run_history, run_overview
 from cellapp.commands.show.view import overview_sentences, overview_tables
-from cellapp.commands.stages import append_stage, basis_of
+from cellapp.commands.stages import DATA_MARK, append_stage, basis_of, data_mark
 from cellapp.estimation.readings import Reading
 from cellapp.ground import removed
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.results import ErrorResult, Result
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.derived import command_of
 from cellapp.interfaces.cli.program import wants_json
+from cellapp.interfaces.page import page
 from cellapp.interfaces.page.page import page_text
 from cellapp.interfaces.tui.workspace import load_workspace
 from tests.interfaces.cli.test_cli import call, exit_code  # noqa: F401 - a fixture
@@ -145,36 +146,6 @@ def test_when_json_is_wanted(arguments: str, expected: bool) -> None:
     assert wants_json(arguments.split()) is expected
 
 
-@pytest.mark.slow
-def test_the_demonstration(call: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
-    """Profile and run go below the folder; a profile that is there is used as it is. The run itself is tested apart."""
-    started: list[tuple[Path, Path]] = []
-    swept: list[int | None] = []
-
-    def run_whole(
-        profile: Path, folder: Path, *more: object, ask: object, sweeps: int | None, hung: object
-    ) -> WholeRunResult:
-        assert ask is None
-        started.append((profile, folder))
-        swept.append(sweeps)
-        return WholeRunResult(run=str(folder))
-
-    monkeypatch.setattr("cellapp.commands.run.run.run_whole", run_whole)
-    assert "written: " in call("demo", "here").out
-    assert "is used as it is" in call("demo", "here").out
-    call("demo", "--full")
-    call("demo", "here", "--sweeps")
-    assert swept == [None, None, None, 20]
-    assert [profile for profile, _ in started] == [
-        Path("here/profiles/twin-small.yaml"),
-        Path("here/profiles/twin-small.yaml"),
-        Path("profiles/twin.yaml"),
-        Path("here/profiles/twin-small.yaml"),
-    ]
-    assert started[0][1].parent == Path("here/logs")
-    assert all(profile.is_file() for profile, _ in started)
-
-
 # -- What a command that is made from a record shows: announced results, refusals, results that are JSON themselves ----
 
 
@@ -249,20 +220,6 @@ def faults_of(text: str) -> Iterator[str]:
     for name, pattern in FAULTS.items():
         for found in pattern.finditer(text):
             yield f"{name}: ...{text[max(found.start() - 50, 0) : found.end() + 30]}..."
-
-
-@pytest.mark.parametrize(
-    ("text", "name"),
-    [
-        ("that is it.. U is", "a double full stop"),
-        ("of 1 targets", "one of several"),
-        ("27 um rms", "micro without its sign"),
-        ("method_1 0.39", "a key for people"),
-    ],
-)
-def test_the_faults_are_found(text: str, name: str) -> None:
-    (found,) = faults_of(text)
-    assert found.startswith(name)
 
 
 def test_a_finished_run_is_shown_without_them(finished_run: Path) -> None:
@@ -394,3 +351,49 @@ def test_an_import_of_what_was_exported_of_sockets_is_refused(tmp_path):
     (tmp_path / "out.csv").write_text("configuration,arm,q1,x_m,y_m,z_m,point\n0,left,0.1,,,,cup\n", "utf-8")
     with pytest.raises(InputError, match=r"out\.csv:1: point: readings of a ball in sockets were removed"):
         import_csv(small_twin(), tmp_path / "out.csv", tmp_path / "again")
+
+
+RUNNER = CliRunner()
+
+
+@pytest.fixture(autouse=True)
+def blank_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What stands on the page is tested with the page; here it is only written."""
+
+    def write(run: RunFile) -> Path:
+        page = run.folder / "report.html"
+        page.write_text(f'<meta name="{DATA_MARK}" content="{data_mark(run)}">', encoding="utf-8")
+        return page
+
+    monkeypatch.setattr(page, "write_page", write)
+
+
+def test_strict_fails_only_where_something_is_out_of_date(finished_copy: Path) -> None:
+    assert RUNNER.invoke(app, ["report", str(finished_copy), "--strict"]).exit_code == 0
+    with RunFile.open(finished_copy, write=True) as run:
+        name = run.arms()[0]
+        readings = run.readings(name)
+        again = readings.take([0])
+        run.add_readings(name, type(again)(**{**vars(again), "configuration": again.configuration + 10_000}))
+    assert RUNNER.invoke(app, ["report", str(finished_copy)]).exit_code == 0
+    ended = RUNNER.invoke(app, ["report", str(finished_copy), "--strict", "--json", str(finished_copy / "r.json")])
+    assert isinstance(ended.exception, CheckFailed)
+    assert "'calibrate' is out of date (1 reading" in str(ended.exception)
+    assert "'verify' is out of date" in str(ended.exception)
+    assert "calibrate" in json.loads((finished_copy / "r.json").read_text("utf-8"))["out_of_date"]
+    assert (finished_copy / "report.html").is_file(), "the page is written all the same"
+
+
+def test_pdf_without_a_browser(finished_copy: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    ended = RUNNER.invoke(app, ["report", str(finished_copy), "--pdf"])
+    assert isinstance(ended.exception, InputError)
+    assert ended.exception.exit_code == 2
+    assert (finished_copy / "report.html").is_file()
+    assert not (finished_copy / "report.pdf").exists()
+
+
+def test_a_file_needs_pdf(finished_run: Path) -> None:
+    ended = RUNNER.invoke(app, ["report", str(finished_run), "--out", "x.pdf"])
+    assert isinstance(ended.exception, InputError)
+    assert "--out is the file of --pdf" in str(ended.exception)

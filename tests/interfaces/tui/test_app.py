@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from itertools import product
 from pathlib import Path
 
 import pytest
@@ -14,8 +13,6 @@ from textual.geometry import Region
 from textual.widgets import Input, OptionList, Tree
 
 from cellapp.commands.docs.handbook import CHAPTERS, PARTS
-from cellapp.ground.errors import HardwareError, InputError
-from cellapp.ground.progress import Progress
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
@@ -26,7 +23,7 @@ from cellapp.interfaces.tui.endings import ERROR_LOG
 from cellapp.interfaces.tui.keys import KEYS, WAYS, key_table
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.controls import Entry, KeyLine, StopButton, key_lines
+from cellapp.interfaces.tui.widgets.controls import Entry, StopButton, key_lines
 from cellapp.interfaces.tui.widgets.header import StepTab
 from cellapp.interfaces.tui.widgets.log_view_pane import LogField
 from tests.cell.run.small_runs import collected_run
@@ -46,31 +43,6 @@ from tests.interfaces.tui.pilot import (
     tells,
     until,
 )
-
-
-async def test_a_refusal_without_a_profile_goes_when_one_is_open() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.say("No profile is open: choose one on the screen Cell (key 1).", "warning")
-        app.open_profile(PROFILES / "twin-small.yaml")
-        await until(pilot, lambda: "twin-small.yaml is open; n goes to" in app.message, "the profile")
-        assert "No profile is open" not in shown_text(app)
-
-
-async def test_a_theme_that_was_chosen_on_one_screen_colours_those_seen_before() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        await pilot.press("5")
-        await until(pilot, lambda: app.day_screen.STEP == "discover", "the screen")
-        assert app.screen.styles.background.brightness < 0.5
-        await pilot.press("1")
-        app.theme = "textual-light"
-        await pilot.press("5")
-        await until(pilot, lambda: app.day_screen.STEP == "discover", "the screen again")
-        await pilot.pause()
-        await until(pilot, lambda: app.screen.styles.background.brightness > 0.5, "what is shown")
 
 
 async def test_a_click_on_a_step_and_the_next_step_show_their_screens() -> None:
@@ -129,50 +101,6 @@ async def test_events_and_the_end_of_a_job_are_shown_on_every_screen() -> None:
         assert await exit_code(pilot, app) == 0
 
 
-async def test_a_stopped_job_says_how_to_go_on_from_the_step_it_was_in() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        for last, way in (
-            (Progress("plan", 3, 30), "nothing is left to resume"),
-            (Progress("plan", 30, 30), "keys 3, b go on"),
-            (Progress("collect", 3, 30), "keys 3, b go on"),
-            (Progress("calibrate", 1, 3), "keys 4, b go on"),
-            (Progress("discover", 0, 2), "keys 5, b go on"),
-            (Progress("push", 0, 2), "keys 6, m go on"),
-        ):
-            held.events = (last,)
-            app.start_job(held.job(folder=Path("my run")))
-            await until(pilot, held.reached.is_set, "the job")
-            await pilot.press("escape")
-            await until(pilot, lambda: app.message == "Stopping at the next step.", "the message")
-            held.go_on.set()
-            await ended(pilot, app)
-            assert app.message.startswith("Stopped; ")
-            assert way in app.message
-        assert await exit_code(pilot, app) == 4
-
-
-async def test_errors_are_sentences() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        for error, text in (
-            (InputError("a.yaml: seed: expected [int]"), "a.yaml: seed: expected [int]"),
-            (HardwareError("left: no answer"), "left: no answer; then keys 3, b go on"),
-        ):
-            held.error = error
-            app.start_job(held.job(folder=Path("here")))
-            held.go_on.set()
-            await ended(pilot, app)
-            assert app.message.startswith(text)
-        assert "Traceback" not in log_text(app)
-        assert not Path("here").exists()
-        assert await exit_code(pilot, app) == HardwareError.exit_code
-
-
 async def test_an_unforeseen_error_is_one_sentence_and_its_text_is_kept() -> None:
     held = HeldJob(error=ZeroDivisionError("by the test"))
     app = CellApp(PROFILES)
@@ -205,19 +133,6 @@ async def test_a_bad_profile_is_a_sentence_and_starts_nothing(tmp_path: Path) ->
         assert not Path("logs").exists()
 
 
-async def test_the_whole_day_asks_before_it_begins() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        await pilot.press("f5")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        await shows(pilot, "simulated")
-        await pilot.press("n")
-        await pilot.pause()
-        assert not app.jobs.running
-        assert app.day_screen.STEP == "cell"
-
-
 async def test_nothing_else_is_opened_while_a_job_moves_arms() -> None:
     held = HeldJob()
     app = CellApp(PROFILES)
@@ -245,32 +160,6 @@ async def test_an_empty_folder_offers_the_twin(tmp_path: Path) -> None:
         assert "F5" in app.message
 
 
-async def test_quitting_with_a_job_asks_stops_and_waits_for_its_end() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.start_job(held.job())
-        await until(pilot, held.reached.is_set, "the job")
-        await pilot.press("q")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        await pilot.press("n")
-        await until(pilot, lambda: not isinstance(app.screen, Choice), "the end of the question")
-        await pilot.press("ctrl+q")
-        await pilot.pause()
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        await until(pilot, lambda: app.focused is app.screen.query_one("#stay"), "the focus")
-        await pilot.press("y")
-        assert app.jobs.running
-        await tells(pilot, "then quitting")
-        held.go_on.set()
-        await until(pilot, lambda: app.return_code is not None, "the end of the application")
-    assert app.return_code == 4
-    assert held.thread is not None
-    held.thread.join(WAIT_S)
-    assert not held.thread.is_alive()
-
-
 async def test_a_job_that_does_not_stop_cannot_hold_the_program() -> None:
     held = HeldJob()
     app = CellApp(PROFILES, patience_s=0.05)
@@ -286,44 +175,6 @@ async def test_a_job_that_does_not_stop_cannot_hold_the_program() -> None:
     held.go_on.set()
     held.thread.join(WAIT_S)
     assert not held.thread.is_alive()
-
-
-async def test_an_application_that_goes_away_ends_its_job() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.start_job(held.job())
-        await until(pilot, held.reached.is_set, "the job")
-        assert not held.control.cancelled
-    assert held.control.cancelled
-    held.go_on.set()
-    app.wait_for_job()
-    assert held.thread is not None
-    assert not held.thread.is_alive()
-
-
-async def test_the_palette_finds_actions_of_the_application_and_of_the_screen() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        await pilot.press("ctrl+p")
-        await until(pilot, lambda: "Doctor" in shown_text(app), "an action of the screen")
-        await pilot.press(*"day")
-        await until(pilot, lambda: "asks first" in shown_text(app), "the action that was searched")
-        await pilot.press("enter")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "its question")
-
-
-async def test_help_of_every_screen() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        for entry in SCREENS:
-            await pilot.press(entry.key, "question_mark")
-            await until(pilot, lambda: isinstance(app.screen, Reading), f"the help of {entry.step}")
-            await pilot.press("escape")
-            await until(pilot, lambda: app.screen is app.day_screen, "the end of the help")
 
 
 async def test_the_file_picker_completes_and_refuses_what_is_not_there(tmp_path: Path) -> None:
@@ -407,26 +258,6 @@ def test_footers_break_between_entries_only_and_keep_the_general_ones(width: int
     shown = [entry for line in lines for entry in line]
     assert shown[-3:] == general
     assert shown[:-3] == own[: len(shown) - 3], "the last ones are left out, help has them"
-
-
-async def test_no_screen_parts_a_key_from_its_label() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        for size, entry in product(SIZES, SCREENS):
-            await pilot.resize_terminal(*size)
-            await pilot.press(entry.key)
-            await pilot.pause()
-            line = app.screen.query_one(KeyLine)
-            await until(pilot, lambda line=line: "Quit" in shown_text(app).splitlines()[-1], "the footer")  # type: ignore[misc]
-            labels = [
-                one.binding.description
-                for one in app.screen.active_bindings.values()
-                if one.binding.show and one.enabled
-            ]
-            assert 1 <= line.size.height <= 2
-            for text in shown_text(app).splitlines()[-line.size.height :]:
-                assert any(text.rstrip().endswith(label) for label in labels), text
 
 
 async def test_help_lists_every_key_of_the_screen() -> None:

@@ -1,9 +1,8 @@
-"""The screen Plan: a new run, its maps, its check, its forecast; and what it says where something is missing."""
+"""The screen Plan: a new run, its check, its forecast, what is missing; stops are frozen, added, written and read."""
 
 from __future__ import annotations
 
 import re
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,26 +10,20 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Input, Static, TabbedContent
 
-from cellapp.cell.planning.planned_stops import read_planned_stops, write_planned_stops
+from cellapp.cell.planning.planned_stops import PlannedStops, read_planned_stops
 from cellapp.cell.planning.records import PlanForecastResult
 from cellapp.cell.planning.view import forecast_run
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.ground.progress import Progress, StopReport
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.question import Question
-from cellapp.interfaces.tui.dialogs.verb_question import NewRunQuestion
-from cellapp.interfaces.tui.plots import ChartPlot
-from cellapp.interfaces.tui.widgets.charts_view import ChartsView
+from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, SaveAs
+from cellapp.interfaces.tui.dialogs.question import Choice, Question
+from cellapp.interfaces.tui.dialogs.verb_question import NewRunQuestion, VerbQuestion
 from cellapp.interfaces.tui.widgets.plan_tables import (
-    AccuracyTable,
-    CoverageTable,
-    EffectsTable,
     PairsTable,
     StopsTable,
 )
-from tests.interfaces.page.plan_cases import plan_design
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, shows, tells, until
+from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shows, tells, until
 from tests.twin import small_twin, write_profile
 
 
@@ -77,82 +70,6 @@ async def test_a_plan_is_shown_checked_and_foreseen(planned: Path) -> None:
         await ended(pilot, app)
         assert line(app, "plan-time").startswith("Collecting takes about")
         assert line(app, "plan-safety").startswith("Safe"), "the reloaded run has the same plan"
-
-
-async def test_the_map_follows_what_a_job_measures(planned: Path) -> None:
-    events = [Progress("collect", stop + 1, 24, detail=StopReport(stop, "left", 0.1, 0.1)) for stop in range(3)]
-    app, held = CellApp(PROFILES), HeldJob(tuple(events))
-    async with app.run_test(size=SIZES[-1]) as pilot:
-        await shown(pilot, app, planned)
-        await until(pilot, lambda: "0 of 24 planned stops" in shown_text(app), "the map")
-        app.start_job(held.job(folder=planned))
-        await until(pilot, lambda: "3 of 24 planned stops are measured" in shown_text(app), "what is measured by now")
-        assert "0 of 24" not in shown_text(app)
-        held.go_on.set()
-        await ended(pilot, app)
-
-
-async def test_a_designed_plan_is_drawn_and_its_stops_are_listed(planned: Path, tmp_path: Path) -> None:
-    shutil.copytree(planned, tmp_path / "run")
-    with RunFile.open(tmp_path / "run", write=True) as run:
-        stops = read_planned_stops(run)
-        stops.frozen[3] = True
-        write_planned_stops(run, stops, design=plan_design(24))
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await shown(pilot, app, tmp_path / "run")
-        await pilot.press("t")
-        view = app.day_screen.query_one(ChartsView)
-        await until(pilot, lambda: len(view.query(ChartPlot)) == 6, "two arms, time, correlations, two of joints")
-        assert view.has_focus
-        titles = [one.chart.title for one in view.query(ChartPlot) if one.chart is not None]
-        assert titles[0] == "Arm left: what the first stops tell"
-        await until(pilot, lambda: "↑ expected error [mm]" in shown_text(app), "the first chart")
-        await pilot.press("pagedown")
-        await until(pilot, lambda: "They tell as much as random stops" in shown_text(app), "the message")
-        await pilot.press("t")
-        await until(pilot, lambda: "Stop 1: arm left" in line(app, "plan-detail"), "the list of stops")
-        await pilot.press("down", "space", "space", "up", "space")
-        table = app.day_screen.query_one(StopsTable)
-        assert (table.row_count, table.marked) == (24, {1, 3})
-        await until(pilot, lambda: "frozen: a new design" in line(app, "plan-detail"), "what is kept")
-
-
-async def test_a_result_waits_on_its_screen_while_another_one_is_shown(planned: Path) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await shown(pilot, app, planned)
-        await pilot.press("k", "1")
-        await ended(pilot, app)
-        assert app.day_screen.STEP == "cell"
-        await pilot.press("2")
-        await until(pilot, lambda: app.day_screen.STEP == "plan", "the screen")
-        await until(pilot, lambda: line(app, "plan-safety").startswith("Safe"), "the result of the check")
-
-
-@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]])
-async def test_a_forecast_fits_every_terminal(
-    size: tuple[int, int], planned: Path, forecast: PlanForecastResult
-) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=size) as pilot:
-        await shown(pilot, app, planned)
-        maps = list(app.day_screen.query(ChartPlot))
-        await until(pilot, lambda: all(one.chart is not None for one in maps), "the maps")
-        assert {one.chart.message for one in maps if one.chart is not None} != {""}
-        app.day_screen.show_result(forecast)
-        await pilot.pause()
-        await until(
-            pilot,
-            lambda: app.day_screen.query_one("#plan-tabs", TabbedContent).active == "tab-effects",
-            "what is shown",
-        )
-        await until(pilot, lambda: app.day_screen.query_one(EffectsTable).row_count > 30, "what is shown")
-        await until(pilot, lambda: "cannot be seen" in line(app, "plan-detail"), "what cannot be seen comes first")
-        assert app.day_screen.query_one(CoverageTable).row_count == 12
-        assert app.day_screen.query_one(AccuracyTable).row_count > 40
-        for widget in app.screen.query("#plan-detail, #plan-tabs, .message"):
-            assert app.screen.region.contains_region(widget.region), widget
 
 
 async def test_a_new_run_goes_into_the_folder_that_one_names(tmp_path: Path) -> None:
@@ -224,16 +141,109 @@ async def test_what_is_missing_is_said(tmp_path: Path) -> None:
             await tells(pilot, "has no plan")
 
 
-async def test_a_profile_that_was_edited_meanwhile_is_told(tmp_path: Path, planned: Path) -> None:
-    shutil.copytree(PROFILES, tmp_path / "profiles")
-    app = CellApp(tmp_path / "profiles")
+RUN = Path("run")
+PROFILE = Path("profiles/twin.yaml")
+
+
+@pytest.fixture
+def _profiles(_surroundings: None) -> None:
+    """The application is started with profiles: without one it asks what to begin with."""
+    write_profile(PROFILE.parent)
+
+
+def stored(folder: Path = RUN) -> PlannedStops:
+    with RunFile.open(folder) as run:
+        return read_planned_stops(run)
+
+
+async def shown_plan(pilot: Pilot[None], app: CellApp, tab: str = "stops") -> None:
+    """Open the run and show one of the tabs."""
+    new_planned_run(small_twin(8, plan={"method": "random"}), RUN).close()
+    app.open_profile(PROFILE)
+    app.open_run(RUN, PROFILE)
+    await until(pilot, lambda: app.workspace.folder == RUN, "the run")
+    await pilot.press("2")
+    await until(pilot, lambda: app.day_screen.STEP == "plan", "the screen")
+    app.day_screen.query_one("#plan-tabs", TabbedContent).active = f"tab-{tab}"
+    await pilot.pause()
+
+
+def table(app: CellApp) -> StopsTable:
+    return app.day_screen.query_one(StopsTable)
+
+
+async def fill(pilot: Pilot[None], app: CellApp, dialog: type, field: str, text: str) -> None:
+    """Answer a dialog by typing into its field."""
+    await until(pilot, lambda: isinstance(app.screen, dialog), dialog.__name__)
+    await until(pilot, lambda: not app.screen.query(".-active"), "a button that was pressed a moment ago")
+    app.screen.query_one(field, Input).value = text
+    await pilot.press("enter")
+
+
+@pytest.mark.usefixtures("_profiles")
+async def test_marked_stops_are_frozen_and_others_are_added() -> None:
+    app = CellApp(PROFILE.parent)
     async with app.run_test(size=SMALL) as pilot:
-        await shown(pilot, app, planned)
-        assert "edited since" in line(app, "plan-state"), "the run has 24 stops, the profile 400"
-        twin = tmp_path / "profiles" / "twin.yaml"
-        twin.write_text(twin.read_text("utf-8").replace("sede:", "seed:").replace("seed: 1 ", "sede: 1 "), "utf-8")
-        await pilot.press("b")
-        await until(pilot, lambda: isinstance(app.screen, NewRunQuestion), "the dialog")
-        await pilot.press("enter")
+        await shown_plan(pilot, app)
+        await until(pilot, lambda: table(app).row_count == 8, "the stops")
+        table(app).focus()
+        await pilot.press("down", "space", "space", "z")
         await ended(pilot, app)
-        assert "sede" in app.message
+        before = stored()
+        assert np.flatnonzero(before.frozen).tolist() == [1, 2]
+        await until(pilot, lambda: str(table(app).get_row_at(1)[2]) == "yes", "what is frozen, in the list")
+        await pilot.press("+")
+        await fill(pilot, app, VerbQuestion, "#add", "many")
+        await until(
+            pilot,
+            lambda: "further stops: expected a whole number" in str(app.screen.query_one("#why", Static).render()),
+            "what is shown_plan",
+        )
+        await fill(pilot, app, VerbQuestion, "#add", "2")
+        await ended(pilot, app)
+        await until(pilot, lambda: table(app).row_count == 10, "the added stops")
+        assert np.array_equal(stored().q["left"][:8], before.q["left"])
+
+
+@pytest.mark.usefixtures("_profiles")
+async def test_a_table_is_written_checked_by_line_and_becomes_a_run() -> None:
+    app = CellApp(PROFILE.parent)
+    async with app.run_test(size=SMALL) as pilot:
+        await shown_plan(pilot, app)
+        await pilot.press("e")
+        await fill(pilot, app, SaveAs, "#path", "plan.csv")
+        await ended(pilot, app)
+        lines = Path("plan.csv").read_text("utf-8").splitlines()
+        broken = lines[3].split(",")
+        place = lines[0].split(",").index("q2")
+        broken[place] = "0.6"  # bent down
+        Path("broken.csv").write_text("\n".join([*lines[:3], ",".join(broken), *lines[4:], ""]), "utf-8")
+        await pilot.press("o")
+        await fill(pilot, app, FilePicker, "#path", "broken.csv")
+        await ended(pilot, app)
+        refusals = app.day_screen.query_one("#refusals", PairsTable)
+        await until(pilot, lambda: "broken.csv: Not safe" in refusals.selected_text, "the verdict")
+        assert str(refusals.get_row_at(1)[1]).startswith("broken.csv:")
+        await pilot.press("o")
+        await fill(pilot, app, FilePicker, "#path", "plan.csv")
+        await until(pilot, lambda: isinstance(app.screen, Choice), "what to do with it")
+        await pilot.press("n")
+        await fill(pilot, app, NewRunQuestion, "#folder", "again")
+        await ended(pilot, app)
+        await until(pilot, lambda: app.workspace.folder == Path("again"), "the new run")
+        assert np.array_equal(stored(Path("again")).q["right"], stored().q["right"])
+
+
+@pytest.mark.usefixtures("_profiles")
+async def test_without_a_plan_the_keys_say_what_to_do() -> None:
+    RunFile.create(RUN, small_twin()).close()
+    app = CellApp(PROFILE.parent)
+    async with app.run_test(size=SMALL) as pilot:
+        app.open_run(RUN, PROFILE)
+        await until(pilot, lambda: app.workspace.folder == RUN, "the run")
+        await pilot.press("2")
+        await until(pilot, lambda: app.day_screen.STEP == "plan", "the screen")
+        for key in ("+", "r", "e"):
+            app.say("")
+            await pilot.press(key)
+            await tells(pilot, "has no plan")

@@ -9,14 +9,12 @@ from typing import Any
 
 import pytest
 from textual.pilot import Pilot
-from textual.widgets import DataTable, Input, Static
+from textual.widgets import DataTable, Static
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.record import Work
 from cellapp.commands.report.request import ReportRequest
 from cellapp.commands.report.result import ReportResult
-from cellapp.commands.runs import history
-from cellapp.commands.runs.result import RunsResult
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.screens import runs
@@ -25,15 +23,11 @@ from tests.interfaces.tui.pilot import (
     PROFILES,
     SIZES,
     SMALL,
-    HeldJob,
-    MovingJob,
-    ended,
     opened,
     shown_text,
     tells,
     until,
 )
-from tests.waiting import WAIT_S
 
 LOGS = Path("logs")
 
@@ -145,48 +139,6 @@ async def test_typing_filters_and_headings_sort(logs: Path, monkeypatch: pytest.
         await until(pilot, lambda: names(app) == ["third", "second", "first", "broken"], "the other order")
 
 
-async def test_enter_opens_a_run(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_runs(pilot, app)
-        await go_to(pilot, app, "first")
-        await pilot.press("enter")
-        await until(pilot, lambda: app.workspace.folder == LOGS / "first", "the run")
-        assert "first" in shown_text(app).splitlines()[0]
-
-
-async def test_the_key_of_a_paused_job_remains_its_own(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    moving = MovingJob()
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_runs(pilot, app)
-        await pilot.press("down")
-        app.start_job(moving.job())
-        await until(pilot, moving.began.is_set, "the job")
-        requests = []
-        for key in ("escape", "c"):
-            await pilot.press(key)
-            requests.append(moving.control.request)
-        assert requests == ["stop", "none"]
-        assert app.screen is app.day_screen
-        await pilot.press("escape", "x")
-        await ended(pilot, app)
-
-
-async def test_the_list_is_read_again_where_a_job_goes_on_storing(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    held = HeldJob()
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_runs(pilot, app)
-        app.start_job(held.job())
-        await until(pilot, held.reached.is_set, "the job")
-        collected_run(logs / "fourth", "stopped", 1)
-        await pilot.press("1", "8")
-        await until(pilot, lambda: "fourth" in names(app), "what was stored meanwhile")
-        held.go_on.set()
-        await ended(pilot, app)
-
-
 async def test_an_interrupted_run_is_offered_and_a_complete_one_is_not(
     logs: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -262,24 +214,3 @@ async def test_a_report_that_is_missing_is_written_then_opened(logs: Path, monke
         await go_to(pilot, app, "first")
         await pilot.press("o")
         await until(pilot, lambda: said == [page], "the page")
-
-
-async def test_the_screen_answers_while_the_folder_is_read(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    go_on = threading.Event()
-    read = history.list_runs
-
-    def slow(folder: Path | None = None) -> RunsResult:
-        assert go_on.wait(WAIT_S)
-        return read(folder)
-
-    monkeypatch.setattr(history, "list_runs", slow)
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        await pilot.press("8")
-        await until(pilot, lambda: app.day_screen.STEP == "runs", "the screen")
-        assert "reading the folder" in about(app)
-        await pilot.press("slash", *"first")
-        await until(pilot, lambda: app.screen.query_one("#filter", Input).value == "first", "the text of the field")
-        go_on.set()
-        await until(pilot, lambda: names(app) == ["first"], "the list, filtered")

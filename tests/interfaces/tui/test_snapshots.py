@@ -26,8 +26,7 @@ from textual.widgets import DataTable, TabbedContent, TabPane
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens import SCREENS
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, WAIT_S, opened, shown_text, shows, until
-from tests.interfaces.tui.recorded_day import Recorder, main
+from tests.interfaces.tui.pilot import PROFILES, SIZES, WAIT_S, opened, shown_text, shows, until
 
 SNAPSHOTS = Path(__file__).parent / "snapshots"
 UPDATE = os.environ.get("CELLAPP_UPDATE_SNAPSHOTS", "") not in ("", "0")
@@ -161,28 +160,3 @@ def test_no_terminal_is_said_in_a_sentence(tmp_path: Path) -> None:
     assert "needs a terminal" in ended.stderr
     assert "cellapp run PROFILE" in ended.stderr
     assert "Traceback" not in ended.stderr
-
-
-# -- The command that records a day: what it refuses, and that it keeps each moment as a text in its order -------------
-
-
-@pytest.mark.parametrize("arguments", [[], ["day", "1x1"]])
-def test_what_cannot_be_recorded_is_refused_with_the_usage(
-    arguments: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(arguments) == 2
-    assert "FOLDER [80x24 | 120x40 | 200x60 ...]" in capsys.readouterr().err
-    assert not Path("day").exists()
-
-
-@pytest.mark.slow
-async def test_every_screen_is_kept_in_the_order_of_the_day(tmp_path: Path) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        day = Recorder(pilot, app, tmp_path)
-        await day.keep_screens("empty")
-    assert [path.name for path in sorted(tmp_path.glob("*.txt"))] == [
-        f"{number:03}-empty-{entry.step}.txt" for number, entry in enumerate(SCREENS, start=1)
-    ]
-    assert "No run is open" in day.written[3].read_text("utf-8")

@@ -375,16 +375,3 @@ async def test_a_program_is_corrected(finished_run: Path) -> None:
         assert Path("old-corrected.script").read_bytes() == Path("command.script").read_bytes()
         await until(pilot, lambda: "movej" in shown_text(app), "the table")
         assert app.day_screen.query(DataTable)
-
-
-async def test_what_the_verb_refuses_is_said(finished_run: Path) -> None:
-    shutil.copytree(finished_run, DAY)
-    Path("old.script").write_text("movej([0,0,0,0,0,0])\n", encoding="utf-8")
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await ask_for_program(pilot, app)
-        app.screen.query_one("#arm", Input).value = "third"
-        await pilot.press("ctrl+s")
-        await until(pilot, lambda: "no calibrated arm 'third'" in app.message, "the reason")
-        await ended(pilot, app)
-        assert not Path("old-corrected.script").exists()

@@ -1,4 +1,5 @@
-"""Dialogs that are made from records of verbs, without a run: where they begin, what Enter does, what they return."""
+"""Dialogs that are made from records of verbs, of own readings and of exports: where they begin, what Enter does, what
+they refuse."""
 
 from __future__ import annotations
 
@@ -8,26 +9,40 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from textual.pilot import Pilot
 from textual.screen import ModalScreen
-from textual.widgets import Input, OptionList
+from textual.widgets import Input, OptionList, Static
 
-from cellapp.cell.run import RunFile
+from cellapp.cell.exports.formats import all_formats
+from cellapp.cell.run import RunFile, sqlite_file
+from cellapp.cell.targets.records import ArmVerification, MeasuredTarget, VerifyResult
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.correct import VERB as CORRECT
 from cellapp.commands.correct import CorrectRequest
 from cellapp.commands.export.request import ExportRequest
+from cellapp.commands.export.run import export_as_run
 from cellapp.commands.locate.request import LocateRequest
 from cellapp.commands.record import Request
 from cellapp.commands.report.result import read_results
+from cellapp.commands.run.request import VERB as WHOLE_DAY
+from cellapp.commands.run.run import WholeRunResult
+from cellapp.ground.results import ErrorSummary, Result
+from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
+from cellapp.interfaces.tui.dialogs.first_run import Welcome
+from cellapp.interfaces.tui.dialogs.own_readings import OwnReadings
+from cellapp.interfaces.tui.dialogs.question import Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
+from cellapp.interfaces.tui.endings import REPORT_FILE, ending_of
+from cellapp.interfaces.tui.jobs import Job, JobEnded
 from cellapp.interfaces.tui.offers import WRITE
 from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens.calibrate import ExportArms
-from tests.commands.test_show import VERB, ToyRequest
-from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, log_text, opened, shown_text, until
+from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
+from tests.arms import UR5
+from tests.cell.run.small_runs import collected_run
+from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, log_text, opened, shown_text, tells, until
 
 GIVEN = {"folder": Path("day"), "program": Path("old.script")}
 
@@ -70,30 +85,6 @@ async def test_a_format_proposes_its_file_and_what_is_typed_stays() -> None:
     assert answers == [ExportRequest(folder=Path("day"), form="urdf", out=Path("mine.urdf"))]
 
 
-async def test_an_emptied_number_is_refused() -> None:
-    answered: list[Request | None] = []
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        question = VerbQuestion(VERB, "", (Answer("begin", "Begin", "b"), Answer("no", "No", "n")), {})
-        app.push_screen(question, answered.append)
-        await until(pilot, lambda: "Begin" in shown_text(app), "the dialog")
-        assert isinstance(app.focused, Input), "nothing moves: the first field has the focus"
-        for name, text, says in (
-            ("count", "", "how many: expected a whole number"),
-            ("count", "2.5", "how many: expected a whole number"),
-            ("count", "4", ""),
-        ):
-            question.query_one(f"#{name}", Input).value = text
-            if says:
-                question.action_answer("begin")
-                await pilot.pause()
-                assert says in str(question.query_one("#why").render())
-        question.action_answer("begin")
-        await pilot.pause()
-    assert answered == [ToyRequest(count=4)]
-
-
 # Nothing is done again without a question: a key that would repeat what a run holds asks first, and begins nothing.
 
 DAY = Path("logs") / "day"
@@ -132,33 +123,6 @@ async def test_each_key_that_repeats_what_a_run_holds_asks_first(finished_run: P
             await until(pilot, lambda: not isinstance(app.screen, ModalScreen), f"no question any more: {what}")
             assert not app.jobs.running, f"{what}:\n{shown_text(app)}"
     assert (DAY / "run.sqlite").read_bytes() == before
-
-
-async def test_without_the_file_of_a_profile_a_sentence_says_what_to_do(finished_run: Path) -> None:
-    shutil.copytree(finished_run, DAY)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.open_run(DAY)
-        await until(pilot, lambda: app.workspace.results is not None, "the run")
-        await pilot.press("2", "b")
-        await until(pilot, lambda: "choose one on the screen Cell (key 1)" in app.message, "the sentence")
-
-
-@pytest.mark.parametrize("key", ["4", "5"])
-async def test_the_question_says_what_is_there_and_the_default_leaves_it(key: str, finished_run: Path) -> None:
-    shutil.copytree(finished_run, DAY)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.open_run(DAY, PROFILES / "twin.yaml")
-        await until(pilot, lambda: app.workspace.results is not None, "the run")
-        await pilot.press(key, "b")
-        await until(pilot, lambda: isinstance(app.screen, ModalScreen), "the question")
-        assert "The run has a result that holds" in " ".join(shown_text(app).split())
-        await pilot.press("enter")
-        await until(pilot, lambda: not isinstance(app.screen, ModalScreen), "the screen")
-        assert not app.jobs.running
 
 
 # -- The tracker is located from the screen Targets, as the command does it --------------------------------------------
@@ -232,3 +196,151 @@ async def test_the_earlier_run_is_chosen_and_shown(finished_run: Path) -> None:
         result = read_results(run).calibrate
     assert result is not None
     assert all(arm.prior is not None and arm.prior.stage == "discover" for arm in result.arms.values())
+
+
+async def show_calibrate(pilot: Pilot[None], app: CellApp) -> None:
+    await opened(pilot, app)
+    app.open_run(DAY)
+    await until(pilot, lambda: app.workspace.results is not None, "the run")
+    await pilot.press("4")
+    await until(pilot, lambda: app.day_screen.STEP == "calibrate", "the screen")
+
+
+async def test_a_format_is_chosen_and_both_arms_are_written(finished_run: Path) -> None:
+    shutil.copytree(finished_run, DAY)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_calibrate(pilot, app)
+        await pilot.press("e")
+        await until(pilot, lambda: isinstance(app.screen, ExportArms), "the dialog")
+        text = shown_text(app)
+        assert all(form in text for form in all_formats())
+        assert "Write (Ctrl+S)" in text, "all of the dialog fits into the smallest terminal"
+        await pilot.press("down", "down")
+        await until(
+            pilot, lambda: app.screen.query_one("#out", Input).value == str(DAY / "urdf.urdf"), "the text of the field"
+        )
+        await pilot.press("enter", "enter")
+        await until(pilot, lambda: isinstance(app.screen, Reading), "what was written")
+        assert "joint_compliance" in shown_text(app)
+        await pilot.press("escape")
+        with RunFile.open(DAY) as run:
+            export_as_run(run, "urdf", Path("command.urdf"))
+        for arm in ("left", "right"):
+            assert (DAY / f"urdf-{arm}.urdf").read_bytes() == Path(f"command-{arm}.urdf").read_bytes()
+
+
+async def test_what_the_verb_refuses_is_said(finished_run: Path) -> None:
+    shutil.copytree(finished_run, DAY)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_calibrate(pilot, app)
+        await pilot.press("e")
+        await until(pilot, lambda: isinstance(app.screen, ExportArms), "the dialog")
+        app.screen.query_one("#out", Input).value = "mine.yaml"
+        app.screen.query_one("#formats", OptionList).highlighted = 3
+        await pilot.pause()
+        await until(
+            pilot, lambda: app.screen.query_one("#out", Input).value == "mine.yaml", "what a person typed stays"
+        )
+        app.screen.query_one("#arm", Input).value = "third"
+        await pilot.press("ctrl+s")
+        await until(pilot, lambda: "no calibrated arm 'third'" in app.message, "the reason")
+        await ended(pilot, app)
+        assert not Path("mine.yaml").exists()
+
+
+async def test_a_run_without_calibration_has_nothing_to_export() -> None:
+    collected_run(DAY, "complete", 3)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_calibrate(pilot, app)
+        await pilot.press("e")
+        await pilot.pause()
+        assert not isinstance(app.screen, ExportArms)
+        await tells(pilot, "Not calibrated yet")
+
+
+SIZE = (120, 40)
+
+
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CellApp:
+    monkeypatch.chdir(tmp_path)
+    q = np.random.default_rng(2).uniform(-2.5, 2.5, (40, 6))
+    p_M = smr_positions(nominal_geometry(UR5, np.array([0.0, 0.02, 0.08])), q)
+    rows = [" ".join(f"{v:.6f}" for v in (*np.degrees(a), *b)) for a, b in zip(q, p_M, strict=True)]
+    Path("mine.txt").write_text("\n".join(["j1 j2 j3 j4 j5 j6 x y z", *rows]))
+    return CellApp(Path("profiles"))
+
+
+async def dialog(pilot: Pilot[None], own: CellApp, **typed: str) -> None:
+    """Fill in the dialog from the first start on, and send it."""
+    await until(pilot, lambda: isinstance(own.screen, Welcome), "the question")
+    await pilot.press("r")
+    await until(pilot, lambda: isinstance(own.screen, OwnReadings), "the dialog")
+    for name, text in typed.items():
+        field = own.screen.query_one(f"#{name}")
+        (field if isinstance(field, Input) else field.query_one(Input)).value = text
+    await pilot.press("enter")
+
+
+async def test_from_a_table_to_an_open_run(own: CellApp) -> None:
+    async with own.run_test(size=SIZE) as pilot:
+        await dialog(pilot, own, readings="mine.txt", arm="ur5")
+        await until(pilot, lambda: own.workspace.folder == Path("logs/mine"), "the run")
+        assert own.workspace.next_step == "calibrate"
+    with RunFile.open(Path("logs/mine")) as run:
+        assert len(run.readings("robot")) == 40
+    assert Path("profiles/mine.yaml").is_file()
+
+
+async def test_wrong_words_are_refused_in_the_dialog(own: CellApp) -> None:
+    async with own.run_test(size=SIZE) as pilot:
+        await dialog(pilot, own, readings="mine.txt", angles="turns")
+        await until(
+            pilot,
+            lambda: "rad or deg" in str(own.screen.query_one("#why", Static).content),
+            "the sentence",
+        )
+        assert isinstance(own.screen, OwnReadings)
+
+
+async def test_an_arm_that_is_not_named_is_a_message(own: CellApp) -> None:
+    async with own.run_test(size=SIZE) as pilot:
+        await dialog(pilot, own, readings="mine.txt")
+        await until(pilot, lambda: "which arm?" in own.message, "the message")
+        assert "ur5 (0.0 mm)" in own.message
+    assert not Path("logs/mine").exists()
+
+
+RUN = Path("logs/monday")
+SMALL_MM, LARGE_MM = (ErrorSummary(mean=mm, rms=mm, std=0.0, max=mm, n=3) for mm in (0.1, 2.0))
+TARGETS = (MeasuredTarget(name="t1", arm="left", nominal_mm=None, compensated_mm=None, note=""),)
+HELD = VerifyResult(arms={"left": ArmVerification(nominal_mm=LARGE_MM, compensated_mm=SMALL_MM)}, targets=TARGETS)
+WORSE = VerifyResult(arms={"left": ArmVerification(nominal_mm=SMALL_MM, compensated_mm=LARGE_MM)}, targets=TARGETS)
+
+
+def ending_words(job: Job, result: Result | None) -> tuple[str, int]:
+    ending = ending_of(JobEnded(job, result, None if result is None else job.view(result)), None)
+    return ending.text, ending.code
+
+
+@pytest.mark.parametrize(
+    ("verify", "words", "code"),
+    [(HELD, "the verification held", 0), (None, "nothing was verified", 0), (WORSE, "verification: arm left", 1)],
+)
+def test_a_day_names_its_report_and_says_whether_the_verification_held(
+    verify: VerifyResult | None, words: str, code: int
+) -> None:
+    text, exit_code = ending_words(
+        work.job_of(WHOLE_DAY, profile=RUN, folder=RUN), WholeRunResult(run=str(RUN), verify=verify)
+    )
+    assert words in text
+    assert str(RUN / "report.html") in text
+    assert exit_code == code
+
+
+def test_the_page_is_named_as_it_is_written() -> None:
+    """The module has a copy of the name: the run's own loads scipy, which a start need not wait for."""
+    assert REPORT_FILE == sqlite_file.REPORT_FILE

@@ -1,0 +1,507 @@
+"""The log, the strip of live data, title and notices, plots: by themselves and in the application; slow passes of the
+collector."""
+
+from __future__ import annotations
+
+import gc
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from rich.cells import cell_len
+from textual.color import Color
+from textual.pilot import Pilot
+from textual.widgets import Input
+
+from cellapp.cell.run import RunFile
+from cellapp.cell.run.unseen_arms import note_halt, unseen_arms
+from cellapp.commands.view.charts import Axis, Chart, Limit, series
+from cellapp.ground.control import JobControl
+from cellapp.ground.progress import (
+    ArmLive,
+    CellLive,
+    Halt,
+    HaltState,
+    Listener,
+    MeasurementBegun,
+    Progress,
+    StateChange,
+)
+from cellapp.interfaces.tui import app
+from cellapp.interfaces.tui.app import CellApp, SlowCollections
+from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
+from cellapp.interfaces.tui.job_record import LEVELS, MOST_LINES, JobRecord, Level, LogRow, Pace, banner_of, strip_of
+from cellapp.interfaces.tui.jobs import Ask, Job
+from cellapp.interfaces.tui.plots.drawing import (
+    draw,
+)
+from cellapp.interfaces.tui.plots.widget import ON_DARK, ON_LIGHT
+from cellapp.interfaces.tui.run_state import run_state
+from cellapp.interfaces.tui.terminal import notice_sequence, title_sequence, title_words
+from cellapp.interfaces.tui.widgets.log_view import LogView
+from cellapp.interfaces.tui.widgets.log_view_pane import LogHeading
+from cellapp.interfaces.tui.widgets.log_view_rows import LogFilter, LogRows, as_text
+from cellapp.interfaces.tui.widgets.progress_bars import Part, _line, ending_words, parts_of
+from cellapp.interfaces.tui.workspace import Workspace
+from tests.cell.run.small_runs import planned_run
+from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, shows, until
+from tests.waiting import WAIT_S
+
+NOON = datetime(2026, 3, 1, 12, 0, 0)
+
+
+def rows_of(*texts: str, level: Level = "info") -> list[LogRow]:
+    return [LogRow(NOON + timedelta(seconds=number), level, text) for number, text in enumerate(texts)]
+
+
+texts = st.text(st.characters(codec="ascii", exclude_categories=["Cc"]), max_size=120)
+logs = st.lists(st.builds(LogRow, st.just(NOON), st.sampled_from(LEVELS), texts), max_size=30)
+
+
+@given(first=logs, more=logs, width=st.integers(8, 120), least=st.sampled_from(LEVELS), text=texts)
+def test_added_rows_are_laid_out_as_if_all_had_been_there(
+    first: list[LogRow], more: list[LogRow], width: int, least: Level, text: str
+) -> None:
+    wanted = LogFilter(least, text[:2])
+    grown, whole = LogRows(), LogRows()
+    grown.replace(first, dated=False)
+    grown.arrange(width, wanted)
+    grown.add(more)
+    whole.replace([*first, *more], dated=False)
+    whole.arrange(width, wanted)
+    assert grown.shown == whole.shown == [row for row in (*first, *more) if wanted.passes(row)]
+    assert grown.lines() == whole.lines()
+    assert grown.height == len(grown.lines())
+    assert sum(grown.counts.values()) == len(first) + len(more)
+    for y, line in enumerate(grown.lines()):
+        found = grown.line(y)
+        assert found is not None
+        assert found.text == line
+        start, height = grown.extent(found.number)
+        assert start <= y < start + height
+        assert found.is_first == (y == start)
+    assert grown.line(grown.height) is None
+
+
+def test_the_oldest_rows_go_where_there_are_too_many() -> None:
+    rows = LogRows()
+    for start in range(0, 3 * MOST_LINES, 500):
+        rows.add(rows_of(*(f"row {number}" for number in range(start, start + 500))))
+        assert len(rows.rows) <= MOST_LINES + 500
+    assert rows.rows[-1].text == f"row {3 * MOST_LINES - 1}"
+    assert rows.height == len(rows.shown) == sum(rows.counts.values()) == len(rows.rows)
+
+
+async def shown_log(pilot: Pilot[None], app: CellApp, rows: list[LogRow]) -> LogView:
+    """The screen Collect with a log."""
+    await opened(pilot, app)
+    await pilot.press("3")
+    await until(pilot, lambda: app.screen.query(LogView), "the log")
+    view = app.screen.query_one(LogView)
+    await until(pilot, lambda: view.size.width > 0, "the log on the screen")
+    view.show_rows(rows)
+    await pilot.pause()
+    return view
+
+
+MANY = [
+    LogRow(NOON, LEVELS[number % 4], f"event {number} of arm {'left' if number % 3 else 'right'}")
+    for number in range(400)
+]
+
+
+async def test_keys_and_clicks_show_a_level_and_those_above() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        view = await shown_log(pilot, app, MANY)
+        for key, levels in (("D", LEVELS), ("I", LEVELS[1:]), ("W", LEVELS[2:]), ("E", LEVELS[3:])):
+            await pilot.press(key)
+            assert {row.level for row in view.rows.shown} == set(levels)
+            assert view.rows.counts["error"] == 100
+        await shows(pilot, "error 100")
+        heading = app.screen.query_one(LogHeading)
+        place = shown_text(app).splitlines()[heading.region.y].index("warning")
+        await pilot.click(heading, offset=(place + 1 - heading.region.x, 0))
+        assert view.rows.filter.least == "warning"
+
+
+async def test_it_follows_the_end_unless_somebody_looks_up() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        view = await shown_log(pilot, app, MANY)
+        assert view.follows
+        await shows(pilot, "event 399")
+        view.add_rows(rows_of("the newest"))
+        await pilot.pause()
+        await shows(pilot, "the newest")
+        await pilot.press("pageup")
+        await until(pilot, lambda: not view.follows, "a look at what is above")
+        at = view.scroll_offset.y
+        view.add_rows(rows_of("newer still"))
+        await pilot.pause()
+        assert view.scroll_offset.y == at
+        assert "newer still" not in shown_text(app)
+        await shows(pilot, "End: newest")
+        await pilot.press("end")
+        await pilot.pause()
+        assert view.follows
+        await shows(pilot, "newer still")
+
+
+async def test_search_as_it_is_typed_and_the_next_matches() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        view = await shown_log(pilot, app, MANY)
+        await pilot.press("slash", *"event 10")
+        await pilot.pause()
+        assert view.wanted == "event 10"
+        found = [number for number, row in enumerate(view.rows.shown) if "event 10" in row.text]
+        await shows(pilot, f"match {len(found)} of {len(found)}")
+        await pilot.press("enter")
+        await until(pilot, lambda: app.focused is view, "the focus")
+        await pilot.press(".")  # after the last comes the first
+        await pilot.pause()
+        await shows(pilot, f"match 1 of {len(found)}")
+        assert view.chosen() == [view.rows.shown[found[0]]]
+        await pilot.press(".")
+        await until(pilot, lambda: view.chosen() == [view.rows.shown[found[1]]], "the next match")
+        await pilot.press(",", ",")
+        await until(pilot, lambda: view.chosen() == [view.rows.shown[found[-1]]], "the match two before")
+        await pilot.press("slash")
+        app.screen.query_one("#log-field", Input).value = "nowhere"
+        await pilot.pause()
+        await shows(pilot, "no match")
+
+
+async def test_filter_by_a_text_shows_only_lines_with_it() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        view = await shown_log(pilot, app, MANY)
+        await pilot.press("f", *"RIGHT", "enter")
+        right = [row for row in MANY if "right" in row.text and row.level != "debug"]
+        await until(pilot, lambda: view.rows.shown == right, "the lines with the text")
+        await shows(pilot, "filter 'RIGHT'")
+        view.add_rows(rows_of("of the left arm", "of the right arm"))
+        assert view.rows.shown[-1].text == "of the right arm"
+        assert all("right" in row.text for row in view.rows.shown)
+        await pilot.press("f")
+        app.screen.query_one("#log-field", Input).value = ""
+        await pilot.pause()
+        assert len(view.rows.shown) == 302
+
+
+async def write_over(pilot: Pilot[None], app: CellApp, file: Path) -> str:
+    """Save into a file that is there, after the question; return what it holds then."""
+    before = file.read_text("utf-8")
+    await pilot.press("w")
+    await until(pilot, lambda: isinstance(app.screen, SaveAs), "the dialog")
+    await until(pilot, lambda: app.screen.query_one("#path", Input).value == file.name, "the text of the field")
+    await pilot.press("enter")
+    await shows(pilot, "exists")
+    assert isinstance(app.screen, SaveAs)
+    assert file.read_text("utf-8") == before
+    await pilot.press("enter")
+    await until(pilot, lambda: app.screen is app.day_screen, "the end of the dialog")
+    return file.read_text("utf-8")
+
+
+async def test_marked_lines_are_copied_and_saved_and_nothing_is_replaced_unasked(tmp_path: Path) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        view = await shown_log(pilot, app, rows_of(*(f"row {number}" for number in range(5))))
+        await pilot.press("home", "down", "shift+down", "shift+down", "y")
+        await until(pilot, lambda: app.clipboard == as_text(view.rows.shown[1:4]), "the copy")
+        (tmp_path / "log.txt").write_text("kept", encoding="utf-8")
+        assert await write_over(pilot, app, tmp_path / "log.txt") == as_text(view.rows.shown[1:4])
+        await pilot.press("end")  # no line is marked: all that are shown_log
+        assert await write_over(pilot, app, tmp_path / "log.txt") == as_text(view.rows.shown)
+
+
+async def test_text_selected_with_the_mouse_is_copied() -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        view = await shown_log(pilot, app, rows_of("first row", "second row"))
+        await pilot.mouse_down(view, offset=(11, 0))
+        await pilot.hover(view, offset=(17, 1))
+        await pilot.mouse_up(view, offset=(17, 1))
+        await pilot.pause()
+        await pilot.press("y")
+        assert app.clipboard.startswith("first row\n12:00:01")
+        assert "second" in app.clipboard
+        assert "row" not in app.clipboard.splitlines()[1]
+
+
+FRESH = CellLive({"left": ArmLive(0.02, False), "right": ArmLive(0.04, True)}, 0.05, 0.1)
+
+
+class HungJob:
+    """A job that measures and says nothing more; ``live`` is what is known of its cell_live."""
+
+    def __init__(self) -> None:
+        self.live = FRESH
+        self.over = threading.Event()
+
+    def job(self) -> Job:
+        def work(listener: Listener, control: JobControl, ask: Ask) -> None:
+            with control.watching(lambda: self.live), control.brakes(lambda verb: None):
+                listener(Progress("collect", 3, 30, detail=MeasurementBegun(3, "left")))
+                assert self.over.wait(WAIT_S)
+
+        return Job("collect", work, moves=True)
+
+
+@pytest.mark.parametrize("size", SIZES)
+async def test_a_cell_that_is_dead_is_not_shown_as_running_though_its_job_hangs(size: tuple[int, int]) -> None:
+    app, job = CellApp(PROFILES), HungJob()
+    async with app.run_test(size=size) as pilot:
+        await opened(pilot, app)
+        app.start_job(job.job())
+        await pilot.press("3")
+        await until(pilot, lambda: "right moves 0.0 s" in shown_text(app), "the ages")
+        assert "left rests 0.0 s" in shown_text(app)
+        assert "tracker 0.1 s" in shown_text(app) or "tracker 0.0 s" in shown_text(app)
+        await until(pilot, lambda: "RUNNING" in shown_text(app), "running")
+        job.live = replace(FRESH, arms={"left": ArmLive(2.0, False), "right": ArmLive(None, True)})
+        # header, strip and headline are drawn one after the other
+        await until(pilot, lambda: "RUNNING" not in shown_text(app), "what is old is not running")
+        await until(pilot, lambda: "NO DATA from arm_live left, arm_live right" in shown_text(app), "what is missing")
+        await until(pilot, lambda: app.screen.query_one("#state").has_class("halted"), "its colour")
+        assert "RUNNING" not in shown_text(app)
+        await pilot.press("1")
+        await until(pilot, lambda: "NO DATA from arm_live left, arm_live right" in shown_text(app), "another screen")
+        job.over.set()
+        await ended(pilot, app)
+        await until(pilot, lambda: "NO DATA" not in shown_text(app), "no cell_live is open any more")
+
+
+async def test_each_state_of_a_stop_is_shown_without_the_job() -> None:
+    app, job = CellApp(PROFILES), HungJob()
+    async with app.run_test(size=SIZES[0]) as pilot:
+        await opened(pilot, app)
+        app.start_job(job.job())
+        await pilot.press("3")
+        await until(pilot, lambda: "MEASURING" in shown_text(app), "measuring")
+        cause = ("arm_live left: link lost",)
+        for state, words in (("asked", "STOP ASKED"), ("braking", "ARMS BRAKE"), ("at rest", "AT REST: all arms")):
+            arms = {name: ArmLive(0.05, False, Halt(state, "why")) for name in ("left", "right")}  # type: ignore[arg-type]
+            job.live = replace(FRESH, arms=arms, causes=cause)
+            await until(pilot, lambda words=words: words in shown_text(app), words)  # type: ignore[misc]
+            assert "arm_live left: link lost" in shown_text(app)
+            await until(pilot, lambda: "STOPPED" in shown_text(app), "the headline, which is drawn after the strip")
+            assert "MEASURING" not in shown_text(app)
+        unseen = ArmLive(None, True, Halt("not seen at rest", "why"))
+        job.live = replace(FRESH, arms={"left": unseen, "right": unseen}, causes=cause)
+        await until(pilot, lambda: "NOT SEEN AT REST: arms left, right" in shown_text(app), "the doubt")
+        assert any(row.level == "error" and "NOT SEEN AT REST" in row.text for row in app.record.log)
+        job.over.set()
+        await ended(pilot, app)
+
+
+async def test_an_arm_that_was_not_seen_stays_on_every_screen_until_a_person_says_so(tmp_path: Path) -> None:
+    with planned_run(tmp_path / "run") as run:
+        note_halt(run, "left", Halt("not seen at rest", "arm_live left: link lost"))
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SIZES[1]) as pilot:
+        await opened(pilot, app)
+        app.open_run(tmp_path / "run")
+        await until(pilot, lambda: "NOT SEEN AT REST: arm_live left" in shown_text(app), "the doubt")
+        for key in "2345678":
+            await pilot.press(key)
+            await until(
+                pilot, lambda: "NOT SEEN AT REST: arm_live left; treat it as moving" in shown_text(app), f"on {key}"
+            )
+        await pilot.press("ctrl+p")
+        await pilot.press(*"arm_live left is at rest")
+        await until(pilot, lambda: "it no longer counts as moving" in shown_text(app), "the command")
+        await pilot.press("enter")
+        await until(pilot, lambda: "Is arm_live left at rest?" in shown_text(app), "the question")
+        await pilot.press("s")
+        await until(pilot, lambda: "NOT SEEN AT REST" not in shown_text(app), "it is settled")
+    with RunFile.open(tmp_path / "run") as run:
+        assert unseen_arms(run) == {}
+
+
+# -- The strip and its banner: ages of all data, how far a stop is, and what counts as moving --------------------------
+
+
+def arm_live(age_s: float | None = 0.05, *, moving: bool = False, halt: HaltState | None = None) -> ArmLive:
+    return ArmLive(age_s, moving, None if halt is None else Halt(halt, "why"))
+
+
+def cell_live(
+    left: ArmLive, right: ArmLive, tracker_age_s: float | None = 0.1, causes: tuple[str, ...] = ()
+) -> CellLive:
+    return CellLive({"left": left, "right": right}, tracker_age_s, 0.2, causes)
+
+
+def test_ages_are_amber_above_three_tenths_and_red_above_one_second() -> None:
+    parts = strip_of(cell_live(arm_live(0.3, moving=True), arm_live(0.31), tracker_age_s=1.01))
+    assert [(part.text, part.look) for part in parts] == [
+        ("left moves 0.3 s", "fresh"),
+        ("right rests 0.3 s", "late"),
+        ("tracker 1.0 s", "lost"),
+        ("job 0.2 s", "fresh"),
+    ]
+
+
+def test_missing_data_are_named_where_nothing_was_stopped() -> None:
+    banner = banner_of(cell_live(arm_live(5.0), arm_live(), tracker_age_s=None), {})
+    assert banner is not None
+    assert banner.words.startswith("NO DATA from arm_live left, tracker")
+
+
+HALF = Progress("collect", 215, 400, "stop 216", 600.0)
+LOST = Progress("collect", 215, 400, detail=StateChange("stopped", "arm right: link lost."))
+
+
+def record(*events: Progress) -> JobRecord:
+    made = JobRecord()
+    made.begin("collect")
+    for event in events:
+        made.add(event)
+    return made
+
+
+def test_the_title_says_state_and_percent() -> None:
+    space = Workspace(folder=Path("logs/day"))
+    assert title_words(run_state(space, JobRecord()), JobRecord()) == "cellapp · logs/day"
+    running = record(HALF)
+    assert title_words(run_state(space, running), running) == "53 % collect · logs/day"
+    stopped = record(HALF, LOST)
+    assert title_words(run_state(space, stopped), stopped) == "STOPPED 53 % collect · logs/day"
+
+
+def test_no_text_ends_a_sequence_early() -> None:
+    for sequence in (title_sequence("a\x07b\x1b]0;c\n"), notice_sequence("x;y\x07", "a\x1b\\b\x9c")):
+        inner = sequence.strip("\x07").replace("\x1b]2;", "").replace("\x1b]9;", "").replace("\x1b]777;", "")
+        assert "\x1b" not in inner
+        assert "\x9c" not in inner
+    assert notice_sequence("cellapp stopped", "why") == (
+        "\x07\x1b]9;cellapp stopped: why\x07\x1b]777;notify;cellapp stopped;why\x07"
+    )
+
+
+def test_the_time_that_is_left_goes_down_between_two_reports() -> None:
+    part = Part("collect", HALF, Pace(0.0, 15, 100.0))
+    assert part.left_s(100.0) == pytest.approx(600.0)
+    assert part.left_s(220.0) == pytest.approx(480.0)
+    assert replace(part, waits=True).left_s(220.0) is None, "who waits for a person has no time of ending"
+    assert ending_words(-3.0, datetime(2026, 1, 2)) == "any moment"
+    assert Pace(0.0, 15, 100.0).per_minute(215) == pytest.approx(120.0)
+    assert Pace(0.0, 15, 100.0).per_minute(15) is None
+    assert all(one.waits for one in parts_of(record(HALF, LOST)))
+
+
+@pytest.mark.parametrize(("span_s", "words"), [(0.6, "6400/min"), (40.0, "96/min"), (400.0, "9.6/min")])
+def test_a_rate_has_no_power_of_ten(span_s: float, words: str) -> None:
+    part = Part("collect", Progress("collect", 79, 400), pace=Pace(0.0, 15, span_s))
+    assert words in _line(part, 200, datetime.now()).plain
+
+
+async def test_a_stop_is_told_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(CellApp, "tell", lambda app, sequence: told.append(sequence))
+    held = HeldJob((HALF, LOST))
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        app.start_job(held.job())
+        await until(pilot, lambda: any("link lost, 215 of 400" in one for one in told), "the notice")
+        await until(pilot, lambda: any("STOPPED 53 % collect" in one for one in told), "the title")
+        assert "link lost, 215 of 400" in app.message
+        held.go_on.set()
+        await ended(pilot, app)
+
+
+def drawn_texts(chart: Chart, width: int, height: int) -> list[str]:
+    return ["".join(text for text, _ in line) for line in draw(chart, width, height)]
+
+
+# -- on the screen ----------------------------------------------------------------------------------------------------
+
+
+def test_colours_stand_out_from_their_backgrounds() -> None:
+    """A contrast of 3 to 1, as WCAG 2.1 asks of graphics, on the darkest and lightest backgrounds of terminals."""
+
+    def luminance(colour: Color) -> float:
+        parts = np.array(colour.normalized)
+        linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+        return float(linear @ (0.2126, 0.7152, 0.0722))
+
+    for colours, backgrounds in ((ON_DARK, ("#000000", "#1e1e1e", "#282828")), (ON_LIGHT, ("#ffffff", "#e0e0e0"))):
+        for background in backgrounds:
+            ground = luminance(Color.parse(background))
+            for colour in colours:
+                low, high = sorted((ground, luminance(Color.parse(colour))))
+                assert (high + 0.05) / (low + 0.05) >= 3.0, (colour, background)
+
+
+# -- the drawing ------------------------------------------------------------------------------------------------------
+
+
+NUMBERS = st.one_of(
+    st.floats(-1e6, 1e6), st.floats(0.0, 1e-9), st.sampled_from([np.nan, np.inf, -np.inf, 0.0, 1e300, -1e300])
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    x=arrays(np.float64, st.integers(0, 30), elements=NUMBERS, fill=st.nothing()),
+    seed=st.integers(0, 2**32 - 1),
+    kind=st.sampled_from(["line", "points", "steps", "bars"]),
+    size=st.tuples(st.integers(0, 90), st.integers(0, 30)),
+    logarithmic=st.booleans(),
+    equal=st.booleans(),
+)
+def test_whatever_the_numbers_nothing_leaves_the_room(x, seed, kind, size, logarithmic, equal) -> None:
+    y = np.random.default_rng(seed).permutation(x)
+    one = series("left", x, y, kind, band=np.abs(np.nan_to_num(y, posinf=1.0, neginf=1.0)))
+    axis = Axis("error", "mm", logarithmic and not equal)
+    chart = Chart("Title", axis, axis, (one, replace(one, style=1)), "Message.", (Limit("limit", 1.0),), equal=equal)
+    width, height = size
+    lines = drawn_texts(chart, width, height)
+    assert len(lines) <= height
+    assert all(cell_len(line) <= width for line in lines)
+
+
+@pytest.fixture
+def _as_before(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(app, "gc", gc)  # other tests of screens have none
+    before = list(gc.callbacks)
+    yield
+    gc.callbacks[:] = before
+
+
+@pytest.mark.usefixtures("_as_before")
+@pytest.mark.parametrize(("slow_s", "sets_aside"), [(-1.0, True), (60.0, False)])
+def test_what_survives_a_slow_full_pass_is_set_aside(
+    monkeypatch: pytest.MonkeyPatch, slow_s: float, sets_aside: bool
+) -> None:
+    monkeypatch.setattr(app, "_SLOW_S", slow_s)
+    before = gc.get_freeze_count()
+    SlowCollections().watch()
+    gc.collect(1)
+    assert gc.get_freeze_count() <= before
+    gc.collect()
+    assert (gc.get_freeze_count() > before) is sets_aside
+
+
+@pytest.mark.usefixtures("_as_before")
+def test_garbage_that_was_set_aside_is_collected_after_the_job(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(app, "_SLOW_S", -1.0)
+    passes = SlowCollections()
+    passes.watch()
+    cycle: list[object] = []
+    cycle.append(cycle)
+    gc.collect()
+    del cycle
+    before = gc.get_freeze_count()
+    passes.look_again()
+    assert gc.get_freeze_count() < before
