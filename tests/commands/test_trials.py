@@ -126,24 +126,6 @@ def call(
 # -- sealing ----------------------------------------------------------------------------------------------------------
 
 
-def test_each_run_is_an_ordinary_one_with_all_factors(all_kinds: Path) -> None:
-    folders = sorted(path for path in all_kinds.iterdir() if path.is_dir())
-    assert [path.name for path in folders] == [f"run-{k:04d}" for k in range(1, 11)]
-    for path in folders:
-        assert [file.name for file in path.iterdir()] == ["run.sqlite"]
-        with RunFile.open(path) as run:
-            assert run.profile.network.kind == "none"
-            for name in run.profile.arms:
-                readings = run.readings(name)
-                assert len(readings) == STOPS
-                assert readings.split is not None
-                assert Counter(readings.split) == {"identify": 20, "train": 20, "validate": 20}
-                for factor in ("time_s", "approach", "payload_kg", "temperature_c", "joint_temperature_c", "step",
-                               "dwell_s"):  # fmt: skip
-                    assert np.ptp(getattr(readings, factor)) > 0.0, factor
-                assert readings.covariance_M is not None
-
-
 def numbers_in(value: Any) -> Iterator[str]:
     """Every number of a truth as JSON writes it, if it is long enough not to be met by chance."""
     if isinstance(value, Mapping):

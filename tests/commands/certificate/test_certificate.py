@@ -116,18 +116,6 @@ def test_a_calibration_must_be_in_force_on_every_day(calibrated: date | None, du
     assert tracker.due == ("" if due is None else due.isoformat())
 
 
-def test_without_a_time_of_measuring_nothing_is_overdue() -> None:
-    profile = profile_with({}, {"tracker": Instrument(due=date(2000, 1, 1))})
-    assert used_instruments(profile, ())[0].note == ""
-
-
-def test_every_smr_and_further_instrument_is_listed() -> None:
-    thermometer = Instrument(model="T", serial="9")
-    profile = profile_with({}, {"instruments": {"thermometer": thermometer}, "smr": {"left": Instrument(serial="L")}})
-    found = {one.role: one.serial for one in used_instruments(profile, MEASURED)}
-    assert found == {"laser tracker": "SIM-1", "SMR of arm left": "L", "SMR of arm right": "", "thermometer": "9"}
-
-
 # -- Characteristics of ISO 9283 are judged with their uncertainties as the rule says ----------------------------------
 
 
@@ -344,17 +332,3 @@ def test_commands_that_are_out_of_date_say_nothing_about_the_uncertainty() -> No
         **known_uncertainty(),
     )
     assert "calibrated model" in judged(found, position=1e-4)["position", "left"].source
-
-
-def test_what_iso_9283_measured_is_judged_by_the_tolerances_of_now() -> None:
-    found = judged(results(iso9283=pose_test()), pose_accuracy=6e-5, drift=1e-4)
-    assert found["pose_accuracy", "left"].conformity == "does not conform"
-    assert found["pose_accuracy", "left"].tolerance_mm == pytest.approx(0.06)
-    assert found["pose_accuracy", "right"].source.startswith("not measured")
-    assert {found["drift", arm].conformity for arm in ("left", "right")} == {"cannot say"}
-
-
-def test_too_few_cycles_judge_nothing_by_any_tolerance() -> None:
-    found = judged(results(iso9283=pose_test(cycles=3)), pose_accuracy=0.1)
-    assert found["pose_accuracy", "left"].conformity == "cannot say"
-    assert "too few to judge" in found["pose_accuracy", "left"].source

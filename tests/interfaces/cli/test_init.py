@@ -146,26 +146,6 @@ def test_a_plan_that_is_refused_ends_with_1(tmp_path: Path, capsys: pytest.Captu
     assert read_json(out)["refused"]
 
 
-def test_bad_use_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    RunFile.create(tmp_path / "imported", small_twin()).close()
-    for arguments, words in (
-        (("overview", "--check"), "belong to 'plan'"),
-        (("plan", "--check", "--forecast"), "give one of them"),
-        (("plan", "--check"), "the run has no plan"),
-        (("plan", "--forecast"), "the run has no plan"),
-    ):
-        code, _, complaint = called(capsys, "show", tmp_path / "imported", *arguments)
-        assert code == 2
-        assert words in complaint
-
-
-def test_the_doctor_says_what_the_profile_describes(capsys: pytest.CaptureFixture[str]) -> None:
-    code, said, _ = called(capsys, "doctor", PROFILES / "twin.yaml", "--cell")
-    assert code == 0
-    for words in ("UR10, 6 joints", "clearance", "elevation -55 to 55 deg"):
-        assert words in " ".join(said.split())
-
-
 def test_a_plan_is_edited_in_batch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     profile, run, file, out = (
         write_profile(tmp_path / "p"),
@@ -187,16 +167,6 @@ def test_a_plan_is_edited_in_batch(tmp_path: Path, capsys: pytest.CaptureFixture
     file.write_text("\n".join(rows), "utf-8")
     code, said, _ = called(capsys, "plan", profile, "--keep", file, "--run", tmp_path / "kept")
     assert (code, "arm right: 6 stops planned" in said) == (0, True)
-
-
-def test_a_plan_is_extended_and_planned_again_in_batch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Stops are drawn here: what a new design keeps is tested with the verbs."""
-    run = tmp_path / "run"
-    new_planned_run(small_twin(6, plan={"method": "random"}), run).close()
-    code, said, _ = called(capsys, "plan", "--run", run, "--add", 2)
-    assert (code, "arm left: 8 stops planned" in said) == (0, True)
-    code, said, _ = called(capsys, "plan", "--run", run, "--replan", "--json", "-")
-    assert (code, json.loads(said)["stops"]) == (0, {"left": 8, "right": 8})
 
 
 def test_an_edited_plan_with_offences_ends_with_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,15 +22,12 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.charts_accuracy import (
     error_histogram_chart,
     joint_curve_charts,
-    residual_joint_chart,
     residual_space_chart,
 )
 from cellapp.commands.calibrate.charts_vectors import scale_length_mm, vector_chart
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.collect.charts import (
-    live_residual_chart,
     residual_drift_chart,
-    standard_error_chart,
 )
 from cellapp.commands.discover.charts import is_line
 from cellapp.commands.plan.charts_obstacles import (
@@ -50,9 +47,9 @@ from cellapp.ground.profile.sections import AnyObstacle
 from cellapp.ground.progress import StopReport
 from cellapp.ground.results import CALIBRATE
 from cellapp.interfaces.page import page
-from cellapp.interfaces.page.drawn import chart_figure, chart_svg, scene_figure
+from cellapp.interfaces.page.drawn import chart_svg, scene_figure
 from cellapp.interfaces.page.page import plotly_base64, plotly_notice
-from cellapp.interfaces.render.chart import Look, chart_data, scale_of
+from cellapp.interfaces.render.chart import chart_data, scale_of
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.model import PosteriorDraws
@@ -66,9 +63,6 @@ def values_of(chart: Chart, name: str) -> list[tuple[float, float]]:
     return list(zip(one.x.tolist(), one.y.tolist(), strict=True))
 
 
-# -- the dataclasses --------------------------------------------------------------------------------------------------
-
-
 # -- collection -------------------------------------------------------------------------------------------------------
 
 
@@ -77,16 +71,6 @@ def report(stop: int, arm: str, residual_mm: float, standard_error_mm: float = 0
 
 
 REPORTS = [report(0, "left", 0.02, 0.4), report(0, "right", 0.03), report(1, "left", 0.06, 0.2)]
-
-
-def test_residuals_and_standard_errors_of_each_arm_over_the_stops() -> None:
-    chart = live_residual_chart(REPORTS)
-    assert values_of(chart, "left") == [(1.0, 0.02), (2.0, 0.06)]
-    assert values_of(chart, "right") == [(1.0, 0.03)]
-    assert "left 0.060 mm at stop 2 (median 0.040 mm) and right 0.030 mm at stop 1" in chart.message
-    chart = standard_error_chart(REPORTS)
-    assert values_of(chart, "left") == [(1.0, 0.4), (2.0, 0.2)]
-    assert "left 0.200 mm (at stop 1: 0.400 mm)" in chart.message
 
 
 # -- accuracy ---------------------------------------------------------------------------------------------------------
@@ -120,15 +104,6 @@ def held_out(data: ReportData) -> HeldOutArm:
     return data.held_out["only"]
 
 
-def test_errors_over_a_joint_of_each_stage(held_out: HeldOutArm) -> None:
-    chart = residual_joint_chart("only", held_out, 3)
-    assert [one.name for one in chart.series] == ["nominal", "geometry"]
-    assert chart.series[0].x == pytest.approx(np.degrees(held_out.readings.q[:, 2]))
-    assert chart.series[1].y == pytest.approx(held_out.errors_mm["geometry"])
-    assert chart.message.startswith("Identified geometry: mean error ")
-    assert chart.series[1].style == 1
-
-
 @pytest.mark.parametrize("view", ["above", "side"])
 def test_errors_in_space_are_drawn_once_each(held_out: HeldOutArm, view) -> None:
     chart = residual_space_chart("only", held_out, "geometry", view)
@@ -139,24 +114,6 @@ def test_errors_in_space_are_drawn_once_each(held_out: HeldOutArm, view) -> None
     assert np.isclose(largest.x, worst[0]).any()
     assert chart.equal
     assert residual_space_chart("only", held_out, "effects", view).is_empty
-
-
-def test_maps_limits_and_steps_are_drawn_too() -> None:
-    drawn = (
-        series("rays", [0.0, 1.0], [0.0, 1.0], style=4, mark="·"),
-        series("base", [0.0], [0.0], "points", style=4, mark="B"),
-        series("stops", np.arange(100.0), np.arange(100.0), "points"),
-        series("level", [0.0, 50.0], [1.0, 2.0], "steps", style=1),
-    )
-    chart = Chart("A map", Axis("x", "m"), Axis("y", "m"), drawn, "", (Limit("floor", 2.0),), equal=True)
-    looks = [(entry.text, entry.look) for entry in chart_figure("map", chart).legend]
-    assert looks == [
-        ("rays", Look("soft", "dot")),
-        ("base", Look("ink", "square")),
-        ("stops", Look("arm1", "round")),
-        ("level", Look("arm2", "line")),
-        ("floor", Look("ink", "limit")),
-    ]
 
 
 READ: TypeAdapter[dict[str, AnyObstacle]] = TypeAdapter(dict[str, AnyObstacle])
@@ -263,11 +220,6 @@ def test_play_is_shown_after_motions_in_either_direction(modelled: tuple[ArmMode
     assert up.name == "backlash after upward motion"
 
 
-def test_a_model_without_effects_has_no_curves(modelled: tuple[ArmModel, Readings]) -> None:
-    model, readings = modelled
-    assert curves_of(model, readings) == []
-
-
 # -- residuals over the run -------------------------------------------------------------------------------------------
 
 
@@ -290,16 +242,6 @@ def test_the_bands_hold_what_they_promise() -> None:
         chart = residual_drift_chart("left", np.arange(200.0), rng.normal(size=(200, 3)))
         outside += sum(int(np.count_nonzero(np.abs(one.y) > one.band)) for one in chart.series if one.band is not None)
     assert 0.03 < outside / (40 * 30) < 0.07
-
-
-def test_without_times_or_readings_the_chart_says_so() -> None:
-    order = residual_drift_chart("left", np.full(100, np.nan), np.zeros((100, 3)) + np.arange(100.0)[:, None] * 1e-6)
-    assert order.x.label == "reading"
-    gaps = residual_drift_chart(
-        "left", np.arange(100.0), np.where(np.arange(100)[:, None] < 80, 1e-6, np.nan) * np.ones(3)
-    )
-    assert len(gaps.series[0].x) == 4
-    assert "too few readings (30)" in residual_drift_chart("left", np.arange(30.0), np.zeros((30, 3))).message
 
 
 HOSTILE = "</script><b onclick='x'>%{y} & 'it'</b>\u2028"

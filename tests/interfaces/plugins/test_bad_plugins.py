@@ -12,13 +12,11 @@ from pydantic import TypeAdapter, ValidationError
 
 from cellapp.cell.exports.formats import format_named
 from cellapp.commands.discover.run import discover_result
-from cellapp.commands.doctor.run import installed_plugins
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.device_plugins import ARM_TYPES
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import CellModel
-from cellapp.robot.plugins import in_words
 from drivers.arms.registry import ARMS
 from drivers.arms.settings import ArmSettings
 from drivers.plugins import Registry
@@ -165,19 +163,6 @@ def test_the_first_of_two_installations_counts(tmp_path: Path) -> None:
     old = add_distribution(tmp_path / "old", "cellapp_example", {EFFECT: {"old_pull": "old:Pull"}}, version="0.9")
     with installed(add_example(tmp_path / "new"), old):
         assert [(one.name, one.version) for one in EFFECTS.plugins] == [("hose_pull", "1.0")]
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_the_order_is_that_of_distributions_and_names(tmp_path: Path, turned: bool) -> None:
-    text = "from cellapp.cell.exports.export_format import CellFormat as F\n" + "".join(
-        f'{name.upper()} = F("{name}", "", "", lambda arms, lines: "")\n' for name in "pqrs"
-    )
-    one = add_distribution(tmp_path / "1", "Zeta", {EXPORT: {"q": "zeta:Q", "p": "zeta:P"}}, {"zeta.py": text})
-    two = add_distribution(tmp_path / "2", "alpha", {EXPORT: {"s": "alpha:S", "r": "alpha:R"}}, {"alpha.py": text})
-    built_in = list(registry_of(EXPORT))
-    with installed(*((two, one) if turned else (one, two))):
-        assert list(registry_of(EXPORT)) == [*built_in, "r", "s", "p", "q"]
-        assert in_words(installed_plugins()) == {"Zeta 1.0": "export p, export q", "alpha 1.0": "export r, export s"}
 
 
 def test_who_names_a_bad_plugin_is_told_why(tmp_path: Path) -> None:

@@ -17,22 +17,12 @@ from cellapp.ground.errors import InputError
 from cellapp.interfaces.python import dataframes
 from cellapp.interfaces.python.api import Run, open_run
 from cellapp.robot.kinematics.chain import parameter_names
-from cellapp.robot.model.arguments import configurations, require_radians
 from tests.twin import small_twin
 
 
 @pytest.fixture(scope="module")
 def run(finished_run: Path) -> Run:
     return open_run(finished_run)
-
-
-def test_the_run_is_a_snapshot_of_the_file(run: Run, finished_run: Path) -> None:
-    with RunFile.open(finished_run) as file:
-        for arm in file.arms():
-            assert np.array_equal(run.readings(arm).q, file.readings(arm).q)
-        assert run.profile == file.profile
-    assert list(run.measured) == ["left", "right"]
-    assert run.results.discover is not None
 
 
 def test_residuals_are_as_small_as_the_report_says(run: Run) -> None:
@@ -42,13 +32,6 @@ def test_residuals_are_as_small_as_the_report_says(run: Run) -> None:
         mean_mm = np.linalg.norm(run.residuals(arm)[held_out], axis=1).mean() * 1e3
         stated = run.results.calibrate.arms[arm].validate_["effects"].position_mm.mean
         assert mean_mm == pytest.approx(stated, rel=1e-9)
-
-
-def test_one_configuration_or_many(run: Run) -> None:
-    q = run.readings("left").q[:3]
-    p_M = run.predict("left", q)
-    assert p_M.shape == (3, 3)
-    assert np.allclose(run.predict("left", q[:1].tolist()), p_M[:1], rtol=0.0, atol=1e-12)
 
 
 MISTAKES: dict[str, tuple[Any, str]] = {
@@ -74,13 +57,6 @@ def test_the_model_of_an_arm_explains_a_mistaken_shape(run: Run, method: str) ->
     for q in (np.zeros(6), np.zeros((5, 7))):
         with pytest.raises(InputError, match=r"^q has shape \(.*\), expected \(n, 6\)"):
             ask(q)
-
-
-def test_a_single_wide_row_is_not_taken_for_degrees() -> None:
-    q = np.zeros((3, 6))
-    q[1, 2] = 90.0
-    require_radians(q, "left")
-    assert configurations(q, 6) is q
 
 
 def test_a_misspelt_arm_is_named_with_those_that_there_are(run: Run) -> None:
@@ -260,23 +236,11 @@ def test_mistaken_readings_are_explained(cell: cellapp.Cell, case: str) -> None:
         cell.calibrate(source)
 
 
-def test_rows_of_a_frame_are_named_by_its_index(cell: cellapp.Cell) -> None:
-    named = frame(z_m=rows((2, 4000.0))).set_axis([f"stop {row}" for row in range(2 * N)])
-    with pytest.raises(cellapp.InputError, match="data frame, row stop 2: z_m: expected metres, got 4000"):
-        cell.readings(named)
-
-
 def test_unknown_columns_are_kept_and_reported(cell: cellapp.Cell) -> None:
     readings = cell.readings(frame(operator="A. N."))
     assert readings.notes == ("data frame: column 'operator' is unknown; it is kept and not used",)
     assert readings["left"].extras == {"operator": ("A. N.",) * N}
     assert readings.notes[0] in readings.report()
-
-
-def test_too_few_readings_are_refused_with_their_number(cell: cellapp.Cell) -> None:
-    few = {name: {key: values[:3] for key, values in arm().items()} for name in ("left", "right")}
-    with pytest.raises(cellapp.InputError, match=r"arm 'left': 3 readings leave .* measure more configurations"):
-        cell.calibrate(few)
 
 
 @pytest.mark.parametrize(

@@ -18,9 +18,9 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.handbook import Handbook, SectionText
 from cellapp.interfaces.tui.dialogs.program import Palette
-from cellapp.interfaces.tui.dialogs.question import Choice, Question, Reading
+from cellapp.interfaces.tui.dialogs.question import Choice, Question
 from cellapp.interfaces.tui.endings import ERROR_LOG
-from cellapp.interfaces.tui.keys import KEYS, WAYS, key_table
+from cellapp.interfaces.tui.keys import KEYS, WAYS
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.controls import Entry, StopButton, key_lines
@@ -36,7 +36,6 @@ from tests.interfaces.tui.pilot import (
     MovingJob,
     ended,
     exit_code,
-    log_text,
     opened,
     shown_text,
     shows,
@@ -80,25 +79,6 @@ async def test_every_screen_is_one_key_away_and_stop_is_in_the_same_corner_of_sc
                 assert shown_text(app).splitlines()[0].endswith("STOP  Esc")
                 await pilot.press("escape")
                 await until(pilot, lambda: app.screen is app.day_screen, "the end of the dialog")
-
-
-async def test_events_and_the_end_of_a_job_are_shown_on_every_screen() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.start_job(held.job())
-        await until(pilot, lambda: "collect 7/30" in shown_text(app), "the job in the header")
-        await pilot.press("4")
-        await until(pilot, lambda: "collect 7/30" in shown_text(app), "the job in the header of another screen")
-        assert not app.start_job(held.job())
-        assert "still running" in app.message
-        held.go_on.set()
-        await ended(pilot, app)
-        assert app.message == "collect: done."
-        await until(pilot, lambda: "collect: done." in shown_text(app), "the end")
-        assert "collect 7/30 stop 8" in log_text(app)
-        assert await exit_code(pilot, app) == 0
 
 
 async def test_an_unforeseen_error_is_one_sentence_and_its_text_is_kept() -> None:
@@ -260,22 +240,6 @@ def test_footers_break_between_entries_only_and_keep_the_general_ones(width: int
     assert shown[:-3] == own[: len(shown) - 3], "the last ones are left out, help has them"
 
 
-async def test_help_lists_every_key_of_the_screen() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        for entry in SCREENS:
-            await pilot.press(entry.key, "question_mark")
-            await until(pilot, lambda: isinstance(app.screen, Reading), "the help")
-            text = app.screen._text  # type: ignore[attr-defined]
-            assert "{" not in text
-            table = key_table(type(app.day_screen).BINDINGS)
-            assert table in text
-            assert len(table.splitlines()) > 4
-            await pilot.press("escape")
-            await until(pilot, lambda: app.screen is app.day_screen, "the screen")
-
-
 async def test_the_next_step_is_begun_where_its_screen_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(work, "interrupted_run", lambda logs: None)
     collected_run(RUN, "stopped")
@@ -309,26 +273,6 @@ async def test_a_stop_leaves_the_field_so_that_the_next_key_is_one_of_the_job() 
         assert moving.control.request == "none"
         await until(pilot, lambda: app.screen.query_one(LogField).value == "suspi", "the text of the field")
         await pilot.press("x")
-        await ended(pilot, app)
-
-
-async def test_escape_closes_what_is_open_before_it_ends_a_calculation() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        job = held.job("calibrate")
-        app.start_job(type(job)(job.name, job.work))
-        await until(pilot, held.reached.is_set, "the job")
-        await pilot.press("question_mark")
-        await until(pilot, lambda: isinstance(app.screen, Reading), "the help")
-        assert "Escape closes" in shown_text(app)
-        await pilot.press("escape")
-        await until(pilot, lambda: app.screen is app.day_screen, "the screen")
-        assert not held.control.cancelled
-        await pilot.press("question_mark", "ctrl+c")
-        assert held.control.cancelled, "Ctrl-C stops over a dialog, too"
-        held.go_on.set()
         await ended(pilot, app)
 
 
@@ -369,29 +313,3 @@ async def test_chapters_are_searched_read_and_followed_through_their_links() -> 
         await until(pilot, lambda: at_top(app) == "Hayati angle", "where the link was")
         await pilot.press("q")
         await until(pilot, lambda: not isinstance(app.screen, Handbook), "the end of the handbook")
-
-
-async def test_a_link_is_followed_by_a_click_and_pages_elsewhere_are_only_named() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=(200, 60)) as pilot:
-        await opened(pilot, app)
-        app.push_screen(Handbook("effects.md#backlash"))
-        await until(pilot, lambda: bool(app.screen.query(SectionText)), "the text")
-        await until(pilot, lambda: at_top(app) == "backlash", "the section")
-        handbook = app.screen
-        assert isinstance(handbook, Handbook)
-        lines = shown_text(app).splitlines()
-        row = next(number for number, line in enumerate(lines) if "• friction_windup" in line)
-        await pilot.click(offset=(lines[row].index("• friction_windup") + 4, row))
-        await until(pilot, lambda: at_top(app) == "friction_windup", "the effect that was clicked")
-        contents = handbook.query_one("#contents", Tree)
-        await until(pilot, lambda: label(contents) == "friction_windup", "the cursor at that effect")
-        await handbook.action_follow("https://example.org")
-        await until(pilot, lambda: "https://example.org is not a part" in shown_text(app), "the address")
-        handbook.query_one("#words", Input).value = "friction_windup"
-        await until(pilot, lambda: len(contents.root.children) != len(PARTS), "what was found")
-        await handbook.action_follow("effects.md#friction_windup")
-        await until(pilot, lambda: label(contents) == "effects: friction_windup", "the cursor at what was found")
-        handbook.query_one("#words", Input).value = "nosuchword"
-        await pilot.pause()
-        await until(pilot, lambda: len(contents.root.children) == len(PARTS), "nothing found: all parts")

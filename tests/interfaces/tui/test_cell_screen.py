@@ -29,7 +29,6 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.first_run import Welcome
 from cellapp.interfaces.tui.dialogs.program import MotionQuestion
 from cellapp.interfaces.tui.dialogs.question import Choice, Question
-from cellapp.interfaces.tui.host import WorkspaceLoaded
 from cellapp.interfaces.tui.jobs import MotionAsked
 from cellapp.interfaces.tui.screens.cell import CellScreen, DevicesProbed
 from cellapp.interfaces.tui.widgets.cell_views import DevicesTable, FindingsTable
@@ -219,19 +218,6 @@ async def test_a_day_speaks_of_the_chosen_profile_and_not_of_the_run_that_is_ope
         await pilot.press("b")
         await until(pilot, lambda: " REAL ARMS " in shown_text(app).splitlines()[0], "the badge")
         assert app.jobs.running
-        held.go_on.set()
-        await ended(pilot, app)
-
-
-async def test_what_was_asked_for_before_a_job_began_does_not_hide_its_arms() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        simulated = app.workspace
-        app.start_job(held.job(folder=Path("here")), Workspace(REAL, load_profile(REAL)))
-        app.show_loaded(WorkspaceLoaded(simulated))
-        assert app.workspace.kind == "real"
         held.go_on.set()
         await ended(pilot, app)
 

@@ -6,7 +6,6 @@ import contextlib
 import json
 import shutil
 import sqlite3
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from cellapp.cell.driving.motion import sweep_sentence
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import ReferenceRow, RunFile
 from cellapp.cell.run.measured_again import earlier_readings
-from cellapp.cell.run.sqlite_file import connect
 from cellapp.commands.collect.run import collect_stops
 from cellapp.commands.plan.run import new_planned_run, plan_new_run
 from cellapp.commands.record import Verb
@@ -487,16 +485,6 @@ async def test_marked_stops_are_measured_again_after_a_question(measured_run: Pa
         assert earlier_readings(opened, "right").readings.configuration.tolist() == [11]
 
 
-async def test_without_a_mark_the_stop_under_the_cursor_is_proposed(measured_run: Path) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_stops(pilot, app, measured_run)
-        await pilot.press("down", "down", "space", "space", "r")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        assert "all arms: 2." in str(app.screen.query_one(".text", Static).content)
-
-
 DAY = Path("logs") / "day"
 
 
@@ -551,19 +539,4 @@ async def test_a_full_disk_holds_the_reading_until_a_person_freed_it(
         await shows(pilot, "STOPPED", "disk is full", "c resumes")
         full[0] = False
         await pilot.press("c")
-        await shows(pilot, "COMPLETE, 30 stops")
-
-
-async def test_a_run_in_which_another_program_works_is_refused_and_can_be_tried_again(
-    day: CellApp, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(connect, "__defaults__", (0.2,))  # the lock is waited for, usually 10 s
-    async with day.run_test(size=SMALL) as pilot:
-        await open_day(pilot, day)
-        with closing(sqlite3.connect(DAY / "run.sqlite")) as other:
-            other.execute("BEGIN IMMEDIATE")
-            await collect(pilot, day)
-            await until(pilot, lambda: "locked" in day.message, "the sentence")
-            await ended(pilot, day)
-        await collect(pilot, day)
         await shows(pilot, "COMPLETE, 30 stops")

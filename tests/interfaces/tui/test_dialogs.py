@@ -41,8 +41,7 @@ from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens.calibrate import ExportArms
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from tests.arms import UR5
-from tests.cell.run.small_runs import collected_run
-from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, log_text, opened, shown_text, tells, until
+from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, log_text, opened, shown_text, until
 
 GIVEN = {"folder": Path("day"), "program": Path("old.script")}
 
@@ -228,37 +227,6 @@ async def test_a_format_is_chosen_and_both_arms_are_written(finished_run: Path) 
             export_as_run(run, "urdf", Path("command.urdf"))
         for arm in ("left", "right"):
             assert (DAY / f"urdf-{arm}.urdf").read_bytes() == Path(f"command-{arm}.urdf").read_bytes()
-
-
-async def test_what_the_verb_refuses_is_said(finished_run: Path) -> None:
-    shutil.copytree(finished_run, DAY)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_calibrate(pilot, app)
-        await pilot.press("e")
-        await until(pilot, lambda: isinstance(app.screen, ExportArms), "the dialog")
-        app.screen.query_one("#out", Input).value = "mine.yaml"
-        app.screen.query_one("#formats", OptionList).highlighted = 3
-        await pilot.pause()
-        await until(
-            pilot, lambda: app.screen.query_one("#out", Input).value == "mine.yaml", "what a person typed stays"
-        )
-        app.screen.query_one("#arm", Input).value = "third"
-        await pilot.press("ctrl+s")
-        await until(pilot, lambda: "no calibrated arm 'third'" in app.message, "the reason")
-        await ended(pilot, app)
-        assert not Path("mine.yaml").exists()
-
-
-async def test_a_run_without_calibration_has_nothing_to_export() -> None:
-    collected_run(DAY, "complete", 3)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_calibrate(pilot, app)
-        await pilot.press("e")
-        await pilot.pause()
-        assert not isinstance(app.screen, ExportArms)
-        await tells(pilot, "Not calibrated yet")
 
 
 SIZE = (120, 40)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,11 +18,9 @@ from cellapp.interfaces.tui.keys import with_keys
 from cellapp.interfaces.tui.run_state import SIGNS, marks_of
 from cellapp.interfaces.tui.workspace import Workspace, load_workspace
 from tests.approved import assert_approved
-from tests.cell.run.small_runs import planned_run
 from tests.handbook.declarations import with_declarations
-from tests.interfaces.tui.pilot import PROFILES, WAIT_S, HeldJob, ended, opened, shown_text, until
+from tests.interfaces.tui.pilot import shown_text
 from tests.interfaces.tui.states import (
-    RUN,
     STATES,
     states_table,
 )
@@ -46,33 +43,6 @@ def test_the_table_has_every_state_and_stands_in_the_handbook() -> None:
     assert [row[0] for row in states_table()[1:]] == list(STATES)
     text = chapter_text("terminal")
     assert with_declarations(text) == text, "renew it: python -m tests.handbook"
-
-
-async def test_until_what_a_job_stored_is_read_no_sentence_says_what_was_true_before(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    planned_run(RUN).close()
-    app, held, may_read = CellApp(PROFILES), HeldJob(), threading.Event()
-
-    def late(profile: Path | None, folder: Path | None) -> Workspace:
-        assert may_read.wait(WAIT_S)
-        return load_workspace(profile, folder)
-
-    async with app.run_test(size=SIZE) as pilot:
-        await opened(pilot, app)
-        app.open_run(RUN)
-        await until(pilot, lambda: app.workspace.folder == RUN, "the run")
-        monkeypatch.setattr("cellapp.interfaces.tui.app.load_workspace", late)
-        app.start_job(held.job(folder=RUN))
-        held.go_on.set()
-        await ended(pilot, app)
-        for step, before in (("collect", "READY"), ("calibrate", "Not calibrated yet"), ("discover", "Not calibrated")):
-            app.action_show(step)  # type: ignore[arg-type]
-            await until(pilot, lambda: "What 'collect' has stored is being read." in words(app), step)
-            assert before not in words(app)
-        may_read.set()
-        await until(pilot, lambda: "Not calibrated yet" in words(app), "the run")
-        assert not app.state.reading
 
 
 # -- the marks ---------------------------------------------------------------------------------------------------------

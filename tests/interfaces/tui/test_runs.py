@@ -98,16 +98,6 @@ async def test_the_newest_run_is_on_top_and_a_broken_one_says_why(
         await until(pilot, lambda: "interrupted, 2 stops left: keys 3, b" in about(app), "the keys of the open run")
 
 
-async def test_an_empty_folder_says_what_makes_a_run() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_runs(pilot, app, 0)
-        await until(pilot, lambda: "no runs below logs" in about(app), "the sentence")
-        for key in ("enter", "space", "o", "F", "b", "v", "="):
-            await pilot.press(key)
-        assert not app.jobs.running
-
-
 async def test_typing_filters_and_headings_sort(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     app = app_without_offer(monkeypatch)
     async with app.run_test(size=(120, 40)) as pilot:

@@ -132,29 +132,6 @@ async def test_keys_and_clicks_show_a_level_and_those_above() -> None:
         assert view.rows.filter.least == "warning"
 
 
-async def test_it_follows_the_end_unless_somebody_looks_up() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        view = await shown_log(pilot, app, MANY)
-        assert view.follows
-        await shows(pilot, "event 399")
-        view.add_rows(rows_of("the newest"))
-        await pilot.pause()
-        await shows(pilot, "the newest")
-        await pilot.press("pageup")
-        await until(pilot, lambda: not view.follows, "a look at what is above")
-        at = view.scroll_offset.y
-        view.add_rows(rows_of("newer still"))
-        await pilot.pause()
-        assert view.scroll_offset.y == at
-        assert "newer still" not in shown_text(app)
-        await shows(pilot, "End: newest")
-        await pilot.press("end")
-        await pilot.pause()
-        assert view.follows
-        await shows(pilot, "newer still")
-
-
 async def test_search_as_it_is_typed_and_the_next_matches() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
