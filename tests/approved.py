@@ -75,3 +75,8 @@ def _lines(part: object) -> Iterator[str]:
         yield "scene of the cell"
     else:
         yield str(part)
+
+
+def commands_of(path: Path) -> list[str]:
+    """The commands of a transcript: lines that begin with ``$``; what stands below each is what was approved."""
+    return [line[2:] for line in path.read_text("utf-8").splitlines() if line.startswith("$ ")]

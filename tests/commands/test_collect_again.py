@@ -29,7 +29,6 @@ from cellapp.estimation.readings import Reading
 from cellapp.ground.errors import CheckFailed
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import VERIFY
-from cellapp.interfaces.cli import main
 from cellapp.interfaces.page.page import write_page
 from drivers.findings import Finding
 from tests.cell.run.small_runs import collected_run
@@ -59,27 +58,6 @@ def test_what_rests_on_readings_that_were_replaced_is_out_of_date(run: RunFile, 
     measure_again(run, 1)
     found = read_stages(run, basis_now).out_of_date  # type: ignore[arg-type]
     assert found == {"calibrate": "2 readings were measured again since"}
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--again", "a"], "'a': expected stops such as 0-9,12, or none"),
-        (["--again", "none"], "no stop is named to be measured again"),
-        (["--again", "0"], "there is no stop 0; there are 1 to 4"),
-        (["--again", "3"], "stop 3 was not measured yet"),
-        (["--again", "1", "--resume"], "--again and --resume do not go together"),
-    ],
-)
-def test_a_list_that_cannot_be_measured_is_refused(
-    run: RunFile, options: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run.close()
-    monkeypatch.setattr("sys.argv", ["cellapp", "collect", str(run.folder), *options])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    assert message in " ".join(capsys.readouterr().err.split())
 
 
 # -- What is out of date is said, and is an error where that is asked for ----------------------------------------------

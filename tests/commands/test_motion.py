@@ -148,20 +148,6 @@ def _empty_export(folder: Path) -> None:
         export_run(run, None, None, recordings={"joints": folder / "out.csv"})
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({}, "the CSV of readings, or --joints and --points"),
-        ({"joints": ("a.csv",)}, "a file of --joints and one of --points"),
-        ({"csv": "a.csv", "arm": "left"}, "--arm belongs to --joints"),
-        ({"joints": ("a",), "points": ("b",), "in_order": True}, "--in-order belongs to a CSV"),
-    ],
-)
-def test_a_request_that_makes_no_sense_is_refused(given: dict[str, object], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        IMPORT.asked({"profile": "p.yaml", "folder": "run", **given})
-
-
 def test_long_fits_of_recordings_say_what_they_do_and_end_on_request(tmp_path: Path) -> None:
     profile = without_devices("left")
     import_new_run(profile, None, tmp_path / "run", recordings=files_of(tmp_path, profile, "left", seconds=20.0))

@@ -248,13 +248,6 @@ def test_no_number_is_made_twice(changeable: Path, tmp_path: Path) -> None:
     assert numbers == [f"{first}-2", f"{first}-3"]
 
 
-@pytest.mark.parametrize("number", ["", " 1", "a\nb", "<b>", "n" * 61, "a\tb"])
-def test_numbers_that_do_not_fit_a_heading_are_refused(finished_copy: Path, number: str) -> None:
-    with RunFile.open(finished_copy, write=True) as run, pytest.raises(InputError, match="--number"):
-        certificate_run(run, certificate_page, number=number)
-    assert not (finished_copy / CERTIFICATE_FILE).exists()
-
-
 def test_a_file_completes_the_profile_and_its_errors_have_lines(finished_copy: Path, tmp_path: Path) -> None:
     data = tmp_path / "data.yaml"
     data.write_text(

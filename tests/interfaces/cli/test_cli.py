@@ -8,6 +8,7 @@ import functools
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import sqlite3
@@ -25,6 +26,7 @@ from cellapp.cell.planning.planned_stops import straight_stops, write_planned_st
 from cellapp.cell.run import RunFile
 from cellapp.interfaces import cli
 from drivers.findings import Finding
+from tests.approved import assert_approved, commands_of, without_digits
 from tests.loopback import own_address
 from tests.twin import PROFILES, write_profile
 from tests.waiting import WAIT_S, until, within
@@ -249,60 +251,17 @@ def test_the_whole_run_in_one_command(work: Path, call: Any) -> None:
     assert not [path for path in (work / "all/of/it").iterdir() if path.name.startswith("run.sqlite-")]
 
 
-SHOWN = {
-    "overview": ("next: cellapp report done", "cellapp-overview"),
-    "calibration": ("Arm left: held-out errors [mm]", "cellapp-calibrate"),
-    "parameters": ("Arm right: identified parameters", "cellapp-calibrate"),
-    "discovery": ("Arm left: held-out error after each step", "cellapp-discover"),
-    "plan": ("Arm left: planned stops", "cellapp-stops"),
-    "collection": ("Sessions of collecting", "cellapp-collection"),
-    "targets": ("out of reach", "cellapp-compensate"),
-    "verification": ("left, compensated", "cellapp-verify"),
-    "log": ("warning  the first line", "cellapp-log"),
-    "profile": ('"name": "twin"', "cellapp-profile"),
-    "history": ("rests on: profile", "cellapp-history"),
-}
-
-
-def test_all_about_one_target_is_shown(work: Path, call: Any) -> None:
-    ended = call("show", "done", "targets", "--target", "left-01", "--json", "one.json")
-    assert ended.code == 0, ended.err
-    assert "standard uncertainty of a coordinate" in ended.out
-    assert "mm with the nominal command" in ended.out
-    assert [target["name"] for target in json.loads((work / "one.json").read_text("utf-8"))["targets"]] == ["left-01"]
-    one_sentence(call("show", "done", "targets", "--target", "nobody"), "no compensated target 'nobody' is stored")
-    one_sentence(call("show", "done", "plan", "--target", "left-01"), "--target belongs to 'targets'")
-
-
-def test_looking_changes_no_byte(work: Path, call: Any) -> None:
-    with RunFile.open(work / "done", write=True) as run:
-        run.log("warning", "the first line")
-        run.log("info", "the last line")
-    before = bytes_below(work / "done")
-    for part, (says, schema) in SHOWN.items():
-        ended = call("show", "done", part)
-        assert ended.code == 0, ended.err
-        assert says in ended.out, part
-        assert call("show", "done", part, "--json", "-").json["schema"] == schema
-    found = call("runs", ".", "--json", "-").json
-    assert {Path(run["run"]).name for run in found["runs"]} == {"planned", "collected", "calibrated", "done"}
-    assert call("compare", "done", "calibrated", "--json", "-").json["arms"].keys() == {"left", "right"}
-    assert bytes_below(work / "done") == before
-    lines = call("show", "done", "log", "--level", "info", "--last", "1", "--json", "-").json["lines"]
-    assert [line["level"] for line in lines] == ["info"]
-
-
-def test_runs_are_listed_and_compared(work: Path, call: Any) -> None:
-    listed = call("runs", ".")
-    assert listed.code == 0, listed.err
-    for text in ("Runs below .", "simulated", "next in the newest run: cellapp "):
-        assert text in " ".join(listed.out.split())
-    compared = call("compare", "calibrated", "done")
-    assert compared.code == 0, compared.err
-    for text in ("the profiles are the same", "calibrated was not searched for missing effects", "a: calibrated"):
-        assert text in compared.out
-    empty = call("runs")
-    assert (empty.code, empty.out) == (0, "no runs below logs; 'cellapp run PROFILE' makes one\n")
+SHOWN = (
+    "overview",
+    "calibration",
+    "parameters",
+    "discovery",
+    "plan",
+    "collection",
+    "targets",
+    "verification",
+    "history",
+)
 
 
 def test_what_is_out_of_date_is_shown_and_not_pushed(work: Path, call: Any) -> None:
@@ -337,7 +296,7 @@ def test_results_are_valid_by_the_exported_schemas(made: Path, work: Path, call:
     schemas = call("schema", "--json", "-").out
     schemas = json.loads(schemas)
     results = [json.loads(path.read_text("utf-8")) for path in made.glob("*-*.json")]
-    results += [call("show", "done", part, "--json", "-").json for part in SHOWN if part != "profile"]
+    results += [call("show", "done", part, "--json", "-").json for part in SHOWN]
     results += [call("runs", ".", "--json", "-").json, call("compare", "collected", "done", "--json", "-").json]
     results += [call("report", "done", "--json", "-").json, call("doctor", "twin.yaml", "--json", "-").json]
     assert len({result["schema"] for result in results}) >= 10
@@ -346,18 +305,6 @@ def test_results_are_valid_by_the_exported_schemas(made: Path, work: Path, call:
     assert json.loads(call("schema", "cellapp-calibrate").out) == schemas["cellapp-calibrate"]
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate({**results[0], "unknown": 1}, schemas[results[0]["schema"]])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--host", "0.0.0.0"], "reachable from other machines: give a token"),
-        (["--token-file", "a", "--token-env", "B"], "give --token-file or --token-env, not both"),
-        (["--token-env", "CELLAPP_NO_SUCH_TOKEN"], "CELLAPP_NO_SUCH_TOKEN is not set"),
-    ],
-)
-def test_a_bridge_that_would_stand_open_is_refused(work: Path, call: Any, arguments: list[str], says: str) -> None:
-    one_sentence(call("tracker-bridge", "twin.yaml", *arguments), says)
 
 
 def test_a_verification_that_does_not_hold_exits_with_one(
@@ -454,89 +401,48 @@ def damaged_model(work: Path) -> None:
     spoil_run(work / "done", "UPDATE stage SET model = '[1]' WHERE name = 'calibrate'")
 
 
-BAD = [
-    # what is spoilt, the command, what is said
-    (misspelt_key, "doctor twin.yaml", ["twin.yaml:", ": arms.left.payloud", "did you mean 'payload'?"]),
-    (misspelt_key, "plan twin.yaml --run new", ["twin.yaml:", ": arms.left.payloud"]),
-    (misspelt_key, "run twin.yaml --run new", ["twin.yaml:", ": arms.left.payloud"]),
-    (None, "plan nowhere.yaml --run new", ["nowhere.yaml"]),
-    (None, "doctor targets", ["targets"]),
-    (None, "plan twin.yaml --run collected", ["collected already holds a run", "choose a new folder"]),
-    (None, "run twin.yaml --run collected", ["collected already holds a run"]),
-    (None, "plan twin.yaml --run targets", ["targets is not empty"]),
-    (None, "plan twin.yaml --run twin.yaml", ["twin.yaml is a file"]),
-    (None, "collect nothing", ["nothing: run folder not found", "'cellapp plan'"]),
-    (None, "calibrate targets", ["targets holds no run"]),
-    (None, "collect collected", ["30 stops are stored already", "--resume"]),
-    (truncated, "calibrate collected", ["run.sqlite is cut off: 5000 bytes of"]),
-    (truncated, "collect collected --resume", ["run.sqlite is cut off"]),
-    (newer, "report collected", ["written by a newer cellapp (schema 99"]),
-    (None, "calibrate planned", ["arm 'left' has no readings", "collect or import"]),
-    (None, "discover planned", ["not calibrated yet; run 'cellapp calibrate' first"]),
-    (None, "discover collected", ["not calibrated yet; run 'cellapp calibrate' first"]),
-    (None, "push collected targets.yaml", ["not calibrated yet; run 'cellapp calibrate' first"]),
-    (None, "compensate collected targets.yaml", ["not calibrated yet; run 'cellapp calibrate' first"]),
-    (
-        lambda work: (work / "holes.csv").write_text("name,arm,x_mm,y_m,z_mm\none,left,1,2,3\n"),
-        "compensate done holes.csv",
-        ["holes.csv:1: y_m: column x_mm is in mm; give all coordinates of a file in one unit"],
-    ),
-    (
-        lambda work: (work / "holes.csv").write_text("name,arm,frame,x_mm,y_mm,z_mm\none,left,plate,1,2,3\n"),
-        "push done holes.csv --verify",
-        ["holes.csv:2: target 'one': no frame 'plate'; frames are base, tracker, left, right"],
-    ),
-    (None, "export collected --geometry out.json", ["not calibrated yet; run 'cellapp calibrate' first"]),
-    (None, "export collected --as urdf --out out.urdf", ["not calibrated yet; run 'cellapp calibrate' first"]),
-    (None, "export done --as jpeg --out out.urdf", ["no format 'jpeg'; --as takes ur-calibration, ur-description, "]),
-    (None, "export done --as urdf", ["--as FORMAT and --out FILE belong together"]),
-    (None, "export done --out out.urdf", ["--as FORMAT and --out FILE belong together"]),
-    (None, "export done --as urdf --out out.urdf --csv out.csv", ["without the options of single files"]),
-    (None, "export done --as urdf --out out.urdf --arm third", ["no calibrated arm 'third'; arms are left, right"]),
-    (None, "export done --as urdf --out targets", ["--out targets is a folder; give the path of a file"]),
-    (None, "export done --as urdf --out .", ["--out . is a folder; give the path of a file"]),
-    (None, "export done --as urdf --out out.urdf --stage plan", ["no model of a stage 'plan'; there are calibrate, "]),
-    (None, "export done --as dh --out twin.yaml --arm left", ["twin.yaml is a profile; such a file is never replaced"]),
-    (None, "export done --as dh --out twin.yaml/dh.yaml", ["cannot be written"]),
-    (damaged_model, "export done --as dh --out dh.yaml", ['expected a file with "schema": "cellapp-calibration"']),
-    (None, "show planned calibration", ["no calibration is stored; run 'cellapp calibrate' first"]),
-    (None, "show planned targets", ["no compensated targets are stored; run 'cellapp compensate' first"]),
-    (damaged_basis, "show done", ["run.sqlite is damaged (basis of stage "]),
-    (damaged_model, "show done", ["the stored model of 'calibrate' is damaged; run 'cellapp calibrate' again"]),
-    (None, "show planned overview --last 3", ["--level and --last belong to 'log'"]),
-    (None, "show nothing", ["nothing: run folder not found"]),
-    (None, "runs nowhere", ["nowhere: folder not found; give a folder that holds runs"]),
-    (None, "runs twin.yaml", ["twin.yaml is not a folder"]),
-    (None, "compare done done", ["done and done are the same run"]),
-    (None, "compare done nothing", ["nothing: run folder not found"]),
-    (newer, "compare done collected", ["written by a newer cellapp (schema 99"]),
-    (None, "schema nonsense", ["'nonsense' is not a result; results are cellapp-run, "]),
-    (None, "push done targets.yaml --verify --iterate 0", ["--iterate: expected 1 to 20 rounds, got 0"]),
-    (None, "push done targets.yaml --iterate 2", ["--iterate corrects what was measured; add --verify"]),
-    (None, "push done nowhere.yaml", ["nowhere.yaml: cannot be read"]),
-    (None, "push done twin.yaml", ["twin.yaml:7: schema: "]),
-    (None, "export planned --csv out.csv", ["holds no readings yet"]),
-    (None, "import twin.yaml nowhere.csv --run new", ["nowhere.csv: file not found"]),
-    (None, "export done --csv nowhere/out.csv", ["--csv: nowhere/out.csv: folder not found"]),
-    (None, "calibrate collected --json targets", ["--json: targets is a folder"]),
-    (None, "calibrate collected --json nowhere/out.json", ["nowhere/out.json: folder not found"]),
-    (None, "emulate ur10-ur5.yaml", ["no controller to emulate"]),
-    (None, "run ur10-ur5.yaml --run new", ["this moves real arms (left, right)", "--allow-motion"]),
-    (None, "stop nothing", ["nothing: no run is here"]),
-    *((None, f"{verb} done", ["no job runs in done"]) for verb in ("pause", "resume", "stop", "abort")),
-]
+SPOILS = {one.__name__: one for one in (misspelt_key, truncated, newer, damaged_basis, damaged_model)}
+TRANSCRIPTS = sorted((Path(__file__).parent / "transcripts").glob("*.txt"))
 
 
-@pytest.mark.parametrize(("spoil", "command", "says"), BAD, ids=[f"{n}: {case[1]}" for n, case in enumerate(BAD)])
-def test_bad_input_gets_one_sentence_and_nothing_is_touched(
-    work: Path, call: Any, spoil: Any, command: str, says: list[str]
+def bare(text: str) -> str:
+    """Without digits and the widths of columns."""
+    return re.sub(r"[ ─]+", " ", without_digits(text))
+
+
+@pytest.mark.parametrize("path", TRANSCRIPTS, ids=lambda path: path.stem)
+def test_a_transcript_says_what_was_approved(
+    path: Path, work: Path, call: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if spoil is not None:
-        spoil(work)
-    before = bytes_below(work)
-    one_sentence(call(*command.split()), *says)
-    assert bytes_below(work) == before
-    assert not (work / "new").exists()
+    """``cellapp WORDS``; ``refused WORDS`` and ``looks WORDS``, which fail or not, and change no byte; ``spoil WHAT``;
+    ``log``; ``write FILE TEXT``; ``same FILE FILE``. Below stands what is printed, marked if on standard error, and an
+    exit code that is not 0. Digits are compared where commands are refused.
+    """
+    monkeypatch.setenv("COLUMNS", "100")
+    shown = []
+    for command in commands_of(path):
+        shown.append(f"$ {command}")
+        what, *words = shlex.split(command)
+        before = bytes_below(work)
+        match what:
+            case "spoil":
+                SPOILS[words[0]](work)
+            case "log":
+                with RunFile.open(work / "done", write=True) as run:
+                    run.log("warning", "the first line")
+                    run.log("info", "the last line")
+            case "write":
+                (work / words[0]).write_text(words[1].replace("\\n", "\n"), "utf-8")
+            case "same":
+                assert (work / words[0]).read_bytes() == (work / words[1]).read_bytes()
+            case _:
+                ended = call(*words)
+                shown += [*ended.out.splitlines(), *(f"! {line}" for line in ended.err.splitlines() if line)]
+                shown += [f"exit code {ended.code}"] if ended.code else []
+                assert what == "cellapp" or (ended.code > 0) == (what == "refused"), command
+                assert what == "cellapp" or bytes_below(work) == before, command
+    exact = path.stem.startswith("refused")
+    assert_approved(path, "\n".join(shown).replace(str(work), "HERE"), str if exact else bare)
 
 
 def write_csv(work: Path, rows: list[dict[str, str]]) -> None:
