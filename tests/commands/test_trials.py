@@ -611,10 +611,10 @@ def test_what_the_library_follows_is_not_beyond_its_law(tmp_path: Path) -> None:
     shares: dict[str, list[float]] = {}
     for laws in ("same", "other"):
         seal_trials(quick_twin(), tmp_path / laws, 12, Setup(laws=laws, stops=60), seed=SEED)
-        found_with = [effect for trial in open_truth(tmp_path / laws).trials for effect in trial.effects]
-        smooth = [effect for effect in found_with if effect.effect not in ("transmission_error", "joint_axis_wobble")]
+        found = [effect for trial in open_truth(tmp_path / laws).trials for effect in trial.effects]
+        smooth = [effect for effect in found if effect.effect not in ("transmission_error", "joint_axis_wobble")]
         shares[laws] = [effect.beyond_law_um / effect.visible_um for effect in smooth if effect.beyond_law_um]
-        for effect in found_with:
+        for effect in found:
             assert effect.beyond_law_um is None or effect.beyond_law_um <= effect.visible_um * (1.0 + 1e-9)
     assert np.median(shares["same"]) < 0.03
     assert np.median(shares["other"]) > 2.0 * np.median(shares["same"])

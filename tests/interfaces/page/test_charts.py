@@ -57,20 +57,11 @@ from cellapp.robot.model.nominal import pose_matrix
 from tests.interfaces.page.cases import picture
 from tests.twin import whole_twin
 
-
-def values_of(chart: Chart, name: str) -> list[tuple[float, float]]:
-    (one,) = [one for one in chart.series if one.name == name]
-    return list(zip(one.x.tolist(), one.y.tolist(), strict=True))
-
-
 # -- collection -------------------------------------------------------------------------------------------------------
 
 
 def report(stop: int, arm: str, residual_mm: float, standard_error_mm: float = 0.1) -> StopReport:
     return StopReport(stop, arm, residual_mm, standard_error_mm)
-
-
-REPORTS = [report(0, "left", 0.02, 0.4), report(0, "right", 0.03), report(1, "left", 0.06, 0.2)]
 
 
 # -- accuracy ---------------------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from cellapp.commands.check import run as check_verb
 from cellapp.commands.check.request import FEWEST_STOPS, STOPS
 from cellapp.commands.iso9283 import run as iso_verb
 from cellapp.commands.iso9283.request import Iso9283Request
-from cellapp.commands.report.result import ReportResult, read_results
+from cellapp.commands.report.result import read_results
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.estimation.monitoring.check.records import CheckedArm, CheckResult
@@ -29,9 +29,7 @@ from cellapp.ground.progress import Listener, Progress, StateChange
 from cellapp.ground.results import CALIBRATE, CHECK, ISO9283, Result, StageName
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.program import MotionQuestion
-from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
-from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import (
     PROFILES,
     SMALL,
@@ -133,33 +131,6 @@ async def ask(pilot: Pilot[None], app: CellApp, key: str, dialog: type) -> None:
     await until(pilot, lambda: any(word in shown_text(app) for word in ("Not now", "Close")), "its answers")
 
 
-async def test_the_verdict_what_comes_next_and_the_report(finished_copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    printed: list[Path | None] = []
-
-    def report_run(run: RunFile, write_page: object, pdf: Path | None, outputs: object) -> ReportResult:
-        printed.append(pdf)
-        return ReportResult(run=str(run.folder), page=str(run.folder / "report.html"))
-
-    monkeypatch.setattr("cellapp.commands.report.run.report_run", report_run)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_accept(pilot, app, finished_copy)
-        assert decision(app).startswith("Cannot say")
-        await until(pilot, lambda: "Errors against their tolerances [mm]" in shown_text(app), "the judgements")
-        assert not app.day_screen.query_one("#outdated").display
-        await pilot.press(*["pagedown"] * 9)
-        await until(pilot, lambda: "7, k" in shown_text(app), "what comes next")
-        for name, says in (("check", "k measures"), ("iso9283", "m measures"), ("certificate", "e writes")):
-            await pilot.press("t")
-            await until(pilot, lambda name=name: tab(app) == f"{name}-pane", "the tab")  # type: ignore[misc]
-            await until(pilot, lambda says=says: says in shown_text(app), "what can be done")  # type: ignore[misc]
-        for answer in ("w", "d"):
-            await ask(pilot, app, "b", Choice)
-            await pilot.press(answer)
-            await ended(pilot, app)
-    assert printed == [None, finished_copy / "report.pdf"]
-
-
 async def test_what_is_out_of_date_is_loud_on_every_tab(finished_copy: Path) -> None:
     with RunFile.open(finished_copy, write=True) as run:
         stored = read_stages(run).current[CALIBRATE]
@@ -179,29 +150,6 @@ async def test_what_is_out_of_date_is_loud_on_every_tab(finished_copy: Path) -> 
         await ask(pilot, app, "m", VerbQuestion)
         await shows(pilot, "The model is not up to date")
         await shows(pilot, "Use this model all the same (u)")
-
-
-async def test_what_is_missing_is_said_with_a_way_on(tmp_path: Path) -> None:
-    collected_run(tmp_path / "run", "complete", 3)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_accept(pilot, app, None)
-        assert decision(app).startswith("No run is open")
-        for key in ("k", "e", "b"):
-            app.say("")
-            await pilot.press(key)
-            await until(pilot, lambda: app.message.startswith("No run is open"), "the message")
-        app.open_run(tmp_path / "run", TWIN)
-        await until(pilot, lambda: decision(app).startswith("Not calibrated yet"), "the verdict")
-        for key in ("k", "b"):
-            app.say("")
-            await pilot.press(key)
-            await until(pilot, lambda: app.message.startswith("Not calibrated yet"), "the message")
-        await ask(pilot, app, "m", VerbQuestion)
-        kinds = [box.id for box in app.screen.query(Checkbox) if str(box.id).startswith("commands")]
-        assert kinds == ["commands-nominal"], "without a calibration only the nominal commands are possible"
-        await pilot.press("n")
-        assert not app.jobs.running
 
 
 async def test_a_check_is_asked_for_driven_stopped_and_judged(
@@ -309,18 +257,3 @@ async def test_tests_by_iso_9283_are_chosen_driven_and_shown(
         await ended(pilot, app)
         await until(pilot, lambda: "cycle 3 of pose P2: beam broken" in shown_text(app), "what is missing")
         assert "Nothing was tested yet" not in shown_text(app)
-
-
-async def test_a_certificate_is_written_and_shown_with_what_is_missing(finished_copy: Path) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_accept(pilot, app, finished_copy)
-        await ask(pilot, app, "e", VerbQuestion)
-        fill(app, number="K-1")
-        await pilot.press("enter")
-        await ended(pilot, app)
-        await until(pilot, lambda: "was written" in app.message, "how it ended")
-        assert tab(app) == "certificate-pane"
-        await until(pilot, lambda: "not given: " in shown_text(app), "what is missing")
-        assert "certificate K-1: certificate.json, certificate.html, SHA256SUMS" in shown_text(app)
-    assert (finished_copy / "SHA256SUMS").is_file()

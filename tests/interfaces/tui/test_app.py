@@ -10,13 +10,11 @@ import pytest
 from textual.binding import Binding
 from textual.dom import DOMNode
 from textual.geometry import Region
-from textual.widgets import Input, OptionList, Tree
+from textual.widgets import Input, Tree
 
-from cellapp.commands.docs.handbook import CHAPTERS, PARTS
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.dialogs.handbook import Handbook, SectionText
 from cellapp.interfaces.tui.dialogs.program import Palette
 from cellapp.interfaces.tui.dialogs.question import Choice, Question
 from cellapp.interfaces.tui.endings import ERROR_LOG
@@ -42,16 +40,6 @@ from tests.interfaces.tui.pilot import (
     tells,
     until,
 )
-
-
-async def test_a_click_on_a_step_and_the_next_step_show_their_screens() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        await pilot.click(list(app.screen.query(StepTab))[4])
-        await until(pilot, lambda: app.day_screen.STEP == "discover", "the screen")
-        await pilot.press("n")
-        await until(pilot, lambda: app.day_screen.STEP == "plan", "the step that comes next without a run")
 
 
 async def test_every_screen_is_one_key_away_and_stop_is_in_the_same_corner_of_screens_and_dialogs() -> None:
@@ -126,18 +114,6 @@ async def test_nothing_else_is_opened_while_a_job_moves_arms() -> None:
         assert app.workspace.kind == "simulated"
         app.open_profile(PROFILES / "ur10-ur5.yaml")
         await until(pilot, lambda: " REAL ARMS " in shown_text(app).splitlines()[0], "the other profile")
-
-
-async def test_an_empty_folder_offers_the_twin(tmp_path: Path) -> None:
-    app = CellApp(tmp_path / "profiles")
-    async with app.run_test(size=SMALL) as pilot:
-        await until(pilot, lambda: "Try the simulated twin" in shown_text(app), "the welcome")
-        await pilot.press("enter")
-        await opened(pilot, app)
-        assert app.workspace.profile is not None
-        assert app.workspace.profile.name == "twin"
-        assert (tmp_path / "profiles" / "twin.yaml").is_file()
-        assert "F5" in app.message
 
 
 async def test_a_job_that_does_not_stop_cannot_hold_the_program() -> None:
@@ -279,37 +255,6 @@ async def test_a_stop_leaves_the_field_so_that_the_next_key_is_one_of_the_job() 
 # -- The handbook in the terminal: contents, search, links by keys and by the mouse, pictures by their words -----------
 
 
-def at_top(app: CellApp) -> str:
-    """Heading of the section whose text begins highest in the window of the chapter."""
-    window = app.screen.query_one("#chapter").region
-    visible = sorted((one.region.y, one.section.heading) for one in app.screen.query(SectionText))
-    return next((heading for y, heading in visible if y >= window.y), "")
-
-
 def label(contents: Tree[object]) -> str:
     """What stands under the cursor of the contents."""
     return "" if contents.cursor_node is None else str(contents.cursor_node.label)
-
-
-async def test_chapters_are_searched_read_and_followed_through_their_links() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        await pilot.press("f1")
-        await until(pilot, lambda: isinstance(app.screen, Handbook) and bool(app.screen.query(SectionText)), "a text")
-        contents = app.screen.query_one("#contents", Tree)
-        assert [str(part.label) for part in contents.root.children] == list(PARTS)
-        assert [str(node.label) for part in contents.root.children for node in part.children] == list(CHAPTERS)
-        await pilot.press("slash", *"hayati angle", "enter")
-        await until(pilot, lambda: app.focused is contents, "the focus")
-        await pilot.press("down", "up")
-        await until(pilot, lambda: at_top(app) == "Hayati angle", "the section that was found")
-        assert any("Picture: Nearly parallel" in line for line in shown_text(app).splitlines())
-        links = app.screen.query_one("#links", OptionList)
-        assert [option.id for option in links.options] == ["exports.md"]
-        await pilot.press("tab", "enter")
-        await until(pilot, lambda: "other programs" in at_top(app), "the chapter of the link")
-        await pilot.press("comma")
-        await until(pilot, lambda: at_top(app) == "Hayati angle", "where the link was")
-        await pilot.press("q")
-        await until(pilot, lambda: not isinstance(app.screen, Handbook), "the end of the handbook")

@@ -200,18 +200,6 @@ async def see_plots(pilot: Pilot[None], app: CellApp) -> None:
 # -- a run -------------------------------------------------------------------------------------------------------------
 
 
-async def test_without_a_run_it_says_how_to_come_to_one() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_collect(pilot, app)
-        await shows(pilot, "NO RUN  No run is open: plan one (keys 2, b), or open one on the screen Runs")
-        await pilot.press("b", "d")
-        assert not app.jobs.running
-        assert app.screen is app.day_screen
-        await pilot.press("o")
-        await until(pilot, lambda: app.message.startswith("No run is open"), "the sentence")
-
-
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[HeldJob, dict[str, Any]]]:
     """Collections that are asked for: each is held, with what was asked."""
@@ -230,25 +218,6 @@ async def begin_and_end(pilot: Pilot[None], app: CellApp, asked: list[tuple[Held
     """The job that was asked for last begins, and is let go on to its end."""
     await until(pilot, lambda: asked and asked[-1][0].reached.is_set(), "the job")
     await finished(pilot, app, asked[-1][0])
-
-
-async def test_begin_asks_and_collects_the_planned_run(asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:
-    run = Path("logs/new")
-    planned_run(run).close()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_collect(pilot, app, run)
-        await shows(pilot, "READY, 4 stops  b begins.")
-        await pilot.press("d")  # there is no drift
-        assert app.screen is app.day_screen
-        await pilot.press("b")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        await shows(pilot, "Measure 4 stops")
-        await pilot.press("n")
-        assert not app.jobs.running
-        await pilot.press("b", "b")
-        await begin_and_end(pilot, app, asked)
-        assert asked[-1][1] == {"folder": run, "resume": False}
 
 
 async def test_an_interrupted_run_is_resumed(asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:

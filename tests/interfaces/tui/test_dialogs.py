@@ -13,15 +13,12 @@ from textual.pilot import Pilot
 from textual.screen import ModalScreen
 from textual.widgets import Input, OptionList, Static
 
-from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.run import RunFile, sqlite_file
 from cellapp.cell.targets.records import ArmVerification, MeasuredTarget, VerifyResult
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.correct import VERB as CORRECT
 from cellapp.commands.correct import CorrectRequest
 from cellapp.commands.export.request import ExportRequest
-from cellapp.commands.export.run import export_as_run
-from cellapp.commands.locate.request import LocateRequest
 from cellapp.commands.record import Request
 from cellapp.commands.report.result import read_results
 from cellapp.commands.run.request import VERB as WHOLE_DAY
@@ -32,7 +29,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.first_run import Welcome
 from cellapp.interfaces.tui.dialogs.own_readings import OwnReadings
-from cellapp.interfaces.tui.dialogs.question import Choice, Reading
+from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.endings import REPORT_FILE, ending_of
 from cellapp.interfaces.tui.jobs import Job, JobEnded
@@ -41,7 +38,7 @@ from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens.calibrate import ExportArms
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from tests.arms import UR5
-from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, log_text, opened, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, until
 
 GIVEN = {"folder": Path("day"), "program": Path("old.script")}
 
@@ -124,43 +121,6 @@ async def test_each_key_that_repeats_what_a_run_holds_asks_first(finished_run: P
     assert (DAY / "run.sqlite").read_bytes() == before
 
 
-# -- The tracker is located from the screen Targets, as the command does it --------------------------------------------
-
-
-async def test_the_tracker_is_located_and_a_wrong_pose_is_refused(finished_copy: Path) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.open_run(finished_copy)
-        await until(pilot, lambda: app.workspace.results is not None, "the run")
-        await pilot.press("6")
-        await until(pilot, lambda: app.day_screen.STEP == "targets", "the screen")
-        await pilot.press("l")
-        await until(pilot, lambda: isinstance(app.screen, VerbQuestion), "the question")
-        assert "Not now" in shown_text(app), "all of the dialog fits into the smallest terminal"
-        assert app.screen.query_one("#points", Input).value == str(LocateRequest(folder=finished_copy).points)
-        app.screen.query_one("#points", Input).value = "many"
-        await pilot.press("b")
-        await until(pilot, lambda: "points: expected a whole number" in shown_text(app), "what is wrong")
-        app.screen.query_one("#points", Input).value = "4"
-        app.screen.query_one("#tracker-pose", Input).value = "1,2"
-        await pilot.press("b")
-        await until(pilot, lambda: "expected x,y,z,roll,pitch,yaw" in app.message, "the refusal")
-        await pilot.press("l")
-        await until(pilot, lambda: isinstance(app.screen, VerbQuestion), "the question again")
-        app.screen.query_one("#tracker-pose", Input).value = "4.1,0.1,0.6,0,0,183"
-        app.screen.query_one("#simulated-pose", Input).value = "4.11,0.09,0.61,0,0,183.2"
-        await pilot.press("b")
-        await until(pilot, lambda: isinstance(app.screen, Reading), "where the tracker stands")
-        assert "it stands at" in shown_text(app)
-        await ended(pilot, app)
-        assert "locate: done; the tracker was located" in log_text(app)
-    with RunFile.open(finished_copy) as run:
-        found = read_results(run).locate
-    assert found is not None
-    assert found.tracker_pose.position == pytest.approx((4.11, 0.09, 0.61), abs=0.5e-3)
-
-
 # -- An arm is calibrated with an earlier run as prior from the screen Calibrate, as the command does ------------------
 
 DAY_OF_PRIOR, EARLIER = Path("logs") / "day", Path("logs") / "earlier"
@@ -195,38 +155,6 @@ async def test_the_earlier_run_is_chosen_and_shown(finished_run: Path) -> None:
         result = read_results(run).calibrate
     assert result is not None
     assert all(arm.prior is not None and arm.prior.stage == "discover" for arm in result.arms.values())
-
-
-async def show_calibrate(pilot: Pilot[None], app: CellApp) -> None:
-    await opened(pilot, app)
-    app.open_run(DAY)
-    await until(pilot, lambda: app.workspace.results is not None, "the run")
-    await pilot.press("4")
-    await until(pilot, lambda: app.day_screen.STEP == "calibrate", "the screen")
-
-
-async def test_a_format_is_chosen_and_both_arms_are_written(finished_run: Path) -> None:
-    shutil.copytree(finished_run, DAY)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_calibrate(pilot, app)
-        await pilot.press("e")
-        await until(pilot, lambda: isinstance(app.screen, ExportArms), "the dialog")
-        text = shown_text(app)
-        assert all(form in text for form in all_formats())
-        assert "Write (Ctrl+S)" in text, "all of the dialog fits into the smallest terminal"
-        await pilot.press("down", "down")
-        await until(
-            pilot, lambda: app.screen.query_one("#out", Input).value == str(DAY / "urdf.urdf"), "the text of the field"
-        )
-        await pilot.press("enter", "enter")
-        await until(pilot, lambda: isinstance(app.screen, Reading), "what was written")
-        assert "joint_compliance" in shown_text(app)
-        await pilot.press("escape")
-        with RunFile.open(DAY) as run:
-            export_as_run(run, "urdf", Path("command.urdf"))
-        for arm in ("left", "right"):
-            assert (DAY / f"urdf-{arm}.urdf").read_bytes() == Path(f"command-{arm}.urdf").read_bytes()
 
 
 SIZE = (120, 40)

@@ -25,7 +25,6 @@ from tests.interfaces.tui.states import (
     states_table,
 )
 
-SIZE = (120, 40)
 COMMAND = re.compile(r"'cellapp |\bcellapp (?:plan|collect|calibrate|discover|push|report|check|iso9283|locate)\b")
 
 

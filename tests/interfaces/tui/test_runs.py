@@ -21,10 +21,8 @@ from cellapp.interfaces.tui.screens import runs
 from tests.cell.run.small_runs import collected_run, set_began
 from tests.interfaces.tui.pilot import (
     PROFILES,
-    SIZES,
     SMALL,
     opened,
-    shown_text,
     tells,
     until,
 )
@@ -73,78 +71,6 @@ def app_without_offer(monkeypatch: pytest.MonkeyPatch) -> CellApp:
     """An application that does not offer the interrupted run at its start."""
     monkeypatch.setattr("cellapp.interfaces.tui.work.interrupted_run", lambda logs: None)
     return CellApp(PROFILES)
-
-
-@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]])
-async def test_the_newest_run_is_on_top_and_a_broken_one_says_why(
-    logs: Path, monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
-) -> None:
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=size) as pilot:
-        await show_runs(pilot, app)
-        assert sorted(names(app)) == ["broken", "first", "second", "third"]
-        listed = [name for name in names(app) if name != "broken"]
-        assert listed == ["third", "second", "first"]
-        await until(pilot, lambda: "2/4 stopped" in shown_text(app), "columns as wide as their texts")
-        assert "unreadable" in shown_text(app)
-        await go_to(pilot, app, "broken")
-        assert "is not a run file" in about(app)
-        await pilot.press("enter")
-        await tells(pilot, "is not a run file")
-        assert app.workspace.folder is None
-        await go_to(pilot, app, "second")
-        assert "interrupted, 2 stops left: Enter, then keys 3, b" in about(app)
-        await pilot.press("enter")
-        await until(pilot, lambda: "interrupted, 2 stops left: keys 3, b" in about(app), "the keys of the open run")
-
-
-async def test_typing_filters_and_headings_sort(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=(120, 40)) as pilot:
-        await show_runs(pilot, app)
-        await pilot.press("slash", *"STOPPED")
-        await until(pilot, lambda: names(app) == ["second"], "the filtered list")
-        await pilot.press(*" zzz")
-        await until(pilot, lambda: names(app) == [], "nothing")
-        assert "passes the filter" in about(app)
-        await pilot.press("escape")
-        await until(pilot, lambda: len(names(app)) == 4, "all runs again")
-        assert isinstance(app.focused, DataTable)
-        await go_to(pilot, app, "third")
-        for _ in range(7):
-            await pilot.press("s")
-        await tells(pilot, "Sorted by run")
-        assert names(app) == ["broken", "first", "second", "third"]
-        await until(
-            pilot,
-            lambda: "third" in str(app.screen.query_one("#runs", DataTable).ordered_rows[3].key.value),
-            "the text of the field",
-        )
-        await until(
-            pilot, lambda: app.screen.query_one("#runs", DataTable).cursor_row == 3, "the cursor stays on its run"
-        )
-        table = app.screen.query_one("#runs", DataTable)
-        heading = table.ordered_columns[1]
-        table.post_message(DataTable.HeaderSelected(table, heading.key, 1, heading.label))
-        await until(pilot, lambda: names(app) == ["third", "second", "first", "broken"], "the other order")
-
-
-async def test_an_interrupted_run_is_offered_and_a_complete_one_is_not(
-    logs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_runs(pilot, app)
-        await go_to(pilot, app, "first")
-        await pilot.press("b")
-        await tells(pilot, "was not interrupted")
-        await go_to(pilot, app, "second")
-        await pilot.press("b")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the offer")
-        await pilot.press("o")
-        await until(pilot, lambda: app.workspace.folder == LOGS / "second", "the run")
-        assert app.day_screen.STEP == "collect"
-        assert not app.jobs.running
 
 
 async def test_the_report_opens_in_a_browser_or_its_path_is_said(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -219,7 +219,7 @@ FRESH = CellLive({"left": ArmLive(0.02, False), "right": ArmLive(0.04, True)}, 0
 
 
 class HungJob:
-    """A job that measures and says nothing more; ``live`` is what is known of its cell_live."""
+    """A job that measures and says nothing more; ``live`` is what is known of its cell."""
 
     def __init__(self) -> None:
         self.live = FRESH
@@ -248,14 +248,14 @@ async def test_a_cell_that_is_dead_is_not_shown_as_running_though_its_job_hangs(
         job.live = replace(FRESH, arms={"left": ArmLive(2.0, False), "right": ArmLive(None, True)})
         # header, strip and headline are drawn one after the other
         await until(pilot, lambda: "RUNNING" not in shown_text(app), "what is old is not running")
-        await until(pilot, lambda: "NO DATA from arm_live left, arm_live right" in shown_text(app), "what is missing")
+        await until(pilot, lambda: "NO DATA from arm left, arm right" in shown_text(app), "what is missing")
         await until(pilot, lambda: app.screen.query_one("#state").has_class("halted"), "its colour")
         assert "RUNNING" not in shown_text(app)
         await pilot.press("1")
-        await until(pilot, lambda: "NO DATA from arm_live left, arm_live right" in shown_text(app), "another screen")
+        await until(pilot, lambda: "NO DATA from arm left, arm right" in shown_text(app), "another screen")
         job.over.set()
         await ended(pilot, app)
-        await until(pilot, lambda: "NO DATA" not in shown_text(app), "no cell_live is open any more")
+        await until(pilot, lambda: "NO DATA" not in shown_text(app), "no cell is open any more")
 
 
 async def test_each_state_of_a_stop_is_shown_without_the_job() -> None:
@@ -265,12 +265,12 @@ async def test_each_state_of_a_stop_is_shown_without_the_job() -> None:
         app.start_job(job.job())
         await pilot.press("3")
         await until(pilot, lambda: "MEASURING" in shown_text(app), "measuring")
-        cause = ("arm_live left: link lost",)
+        cause = ("arm left: link lost",)
         for state, words in (("asked", "STOP ASKED"), ("braking", "ARMS BRAKE"), ("at rest", "AT REST: all arms")):
             arms = {name: ArmLive(0.05, False, Halt(state, "why")) for name in ("left", "right")}  # type: ignore[arg-type]
             job.live = replace(FRESH, arms=arms, causes=cause)
             await until(pilot, lambda words=words: words in shown_text(app), words)  # type: ignore[misc]
-            assert "arm_live left: link lost" in shown_text(app)
+            assert "arm left: link lost" in shown_text(app)
             await until(pilot, lambda: "STOPPED" in shown_text(app), "the headline, which is drawn after the strip")
             assert "MEASURING" not in shown_text(app)
         unseen = ArmLive(None, True, Halt("not seen at rest", "why"))
@@ -283,22 +283,22 @@ async def test_each_state_of_a_stop_is_shown_without_the_job() -> None:
 
 async def test_an_arm_that_was_not_seen_stays_on_every_screen_until_a_person_says_so(tmp_path: Path) -> None:
     with planned_run(tmp_path / "run") as run:
-        note_halt(run, "left", Halt("not seen at rest", "arm_live left: link lost"))
+        note_halt(run, "left", Halt("not seen at rest", "arm left: link lost"))
     app = CellApp(PROFILES)
     async with app.run_test(size=SIZES[1]) as pilot:
         await opened(pilot, app)
         app.open_run(tmp_path / "run")
-        await until(pilot, lambda: "NOT SEEN AT REST: arm_live left" in shown_text(app), "the doubt")
+        await until(pilot, lambda: "NOT SEEN AT REST: arm left" in shown_text(app), "the doubt")
         for key in "2345678":
             await pilot.press(key)
             await until(
-                pilot, lambda: "NOT SEEN AT REST: arm_live left; treat it as moving" in shown_text(app), f"on {key}"
+                pilot, lambda: "NOT SEEN AT REST: arm left; treat it as moving" in shown_text(app), f"on {key}"
             )
         await pilot.press("ctrl+p")
-        await pilot.press(*"arm_live left is at rest")
+        await pilot.press(*"arm left is at rest")
         await until(pilot, lambda: "it no longer counts as moving" in shown_text(app), "the command")
         await pilot.press("enter")
-        await until(pilot, lambda: "Is arm_live left at rest?" in shown_text(app), "the question")
+        await until(pilot, lambda: "Is arm left at rest?" in shown_text(app), "the question")
         await pilot.press("s")
         await until(pilot, lambda: "NOT SEEN AT REST" not in shown_text(app), "it is settled")
     with RunFile.open(tmp_path / "run") as run:
@@ -331,7 +331,7 @@ def test_ages_are_amber_above_three_tenths_and_red_above_one_second() -> None:
 def test_missing_data_are_named_where_nothing_was_stopped() -> None:
     banner = banner_of(cell_live(arm_live(5.0), arm_live(), tracker_age_s=None), {})
     assert banner is not None
-    assert banner.words.startswith("NO DATA from arm_live left, tracker")
+    assert banner.words.startswith("NO DATA from arm left, tracker")
 
 
 HALF = Progress("collect", 215, 400, "stop 216", 600.0)
