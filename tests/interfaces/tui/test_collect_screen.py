@@ -44,10 +44,9 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.plots.drawing import point_at
-from cellapp.interfaces.tui.widgets.arm_panel import TrackerPanel
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
-from cellapp.interfaces.tui.widgets.log_view import LogView
 from cellapp.interfaces.tui.workspace import Workspace
+from tests.approved import assert_approved
 from tests.cell.run.small_runs import add_stop, collected_run, planned_run
 from tests.interfaces.tui.pilot import (
     PROFILES,
@@ -61,6 +60,7 @@ from tests.interfaces.tui.pilot import (
     turned_to,
     until,
 )
+from tests.interfaces.tui.test_snapshots import SNAPSHOTS, final_text, size_name, words_of
 from tests.twin import small_twin, write_profile
 
 Q0 = (0.5,) * 6
@@ -124,77 +124,22 @@ def _no_offers(monkeypatch: pytest.MonkeyPatch) -> None:
 # -- a job -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]])
-async def test_every_kind_of_event_is_shown_at_every_size(size: tuple[int, int]) -> None:
-    app = CellApp(PROFILES)
+@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]], ids=size_name)
+async def test_every_kind_of_event_and_a_sweep_are_shown_as_was_approved(size: tuple[int, int]) -> None:
+    app, screens = CellApp(PROFILES), []
     async with app.run_test(size=size) as pilot:
         await show_collect(pilot, app)
-        held = HeldJob(EVERY_KIND)
-        await begun(pilot, app, held)
-        text = shown_text(app)
-        for words in (
-            "RUNNING",
-            "left MEASURED stop 4",
-            "right MOVING, 3 s",
-            "err 0.080 mm, std. error 0.0500 mm",
-            "tracker → right",
-            "(1234.567, -500.000, 250.000) ± 0.012 mm",
-            "air 21.2",
-            "4/30 2 h 00 min left, at ",
-            "! LOOSE SMR, arm left: fasten the SMR of the left arm",
-            "the weather station answers",
-        ):
-            assert words in text, words
-        degrees = ("-57.3", "14.3", "114.6") if size != SMALL else ("-57", "14", "115")
-        assert all(number in text for number in (*degrees, "31"))
-        for name in ("#state", "#arms", "TrackerPanel", "ProgressBars", "#suspicions", "LogView"):
-            (widget,) = app.screen.query(name)
-            assert widget.size.height > 0, name
-            assert app.screen.region.contains_region(widget.region), name
-        assert app.screen.query_one(LogView).size.height >= 5
-        assert ("residuals left " in text) == (size == SMALL), "where no plot is shown"
-        await see_plots(pilot, app)
-        await turned_to(pilot, "log")
-        await until(pilot, lambda: app.focused is app.screen.query_one(LogView), "the focus")
-        await finished(pilot, app, held)
-
-
-@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]])
-async def test_a_sweep_is_followed_while_the_arm_moves(size: tuple[int, int]) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=size) as pilot:
-        await show_collect(pilot, app)
-        events = [Progress("collect", 4, 30, sweep_sentence(one), 900.0, one) for one in SWEPT]
-        held = HeldJob((*EVERY_KIND, *events))
-        await begun(pilot, app, held)
-        words = (
-            "tracker → left, sweep 56%, 9 of 16 s · 1 lost beam · SMR 3.412 m, 0.1 s ago · 2100 points (12 missing)"
-            " · 500 samples (3 missing)"
-        )
-        panel = app.screen.query_one(TrackerPanel)
-        await until(pilot, lambda: panel.render().plain == words and panel.size.height == 2, "what has come")
-        assert panel.size.width * 2 > len(words) + len("samples")
-        plot = app.screen.query_one("#sweep", ChartPlot)
-        await until(pilot, lambda: plot.chart is not None and not plot.chart.is_empty, "the trace")
-        assert plot.chart is not None
-        assert plot.chart.message == "Arm left, sweep-3: up to 120 mm/s, 9 of 16 s; 1 lost beam."
-        (drawn,) = plot.chart.series
-        assert np.isnan(drawn.y).sum() == 1, "a gap where the beam was lost"
-        await finished(pilot, app, held)
-        assert "sweep 56%" not in shown_text(app)
-
-
-async def see_plots(pilot: Pilot[None], app: CellApp) -> None:
-    """Each plot of the job comes into view, with its title and its message; no sweep was recorded."""
-    plots = [plot for plot in app.screen.query(ChartPlot) if plot.id != "sweep"]
-    await until(pilot, lambda: all(plot.chart is not None and not plot.chart.is_empty for plot in plots), "data")
-    seen = ""
-    for _ in plots:
-        await pilot.press("g")
-        await pilot.pause()
-        seen += " ".join(shown_text(app).split())
-    for words in ("Residual of each stop", "Standard error of a prediction", "Drift of the references", "0.034"):
-        assert words in seen, words
+        sweep = [Progress("collect", 4, 30, sweep_sentence(one), 900.0, one) for one in SWEPT]
+        for events in (EVERY_KIND, (*EVERY_KIND, *sweep)):
+            held = HeldJob(events)
+            await begun(pilot, app, held)
+            screens.append(await final_text(pilot, app))
+            for _ in range(4):
+                await pilot.press("g")
+                screens.append(await final_text(pilot, app))
+            await turned_to(pilot, "log")
+            await finished(pilot, app, held)
+    assert_approved(SNAPSHOTS / f"events-{size_name(size)}.txt", "\n".join(screens), words_of)
 
 
 # -- a run -------------------------------------------------------------------------------------------------------------

@@ -38,6 +38,12 @@ def make_run(kind: str, count: str, finished: Path) -> None:
     match kind:
         case "finished":
             shutil.copytree(finished, DAY)
+        case "outdated":
+            shutil.copytree(finished, DAY)
+            with RunFile.open(DAY, write=True) as run:
+                words = list(run.readings("left").split or ())
+                run.assign_splits("left", [*words[1:], words[0]])
+            (DAY / "report.html").write_text("<html>")
         case "collected":
             collected_run(DAY, "complete" if count == "4" else "stopped", int(count))
         case "planned":

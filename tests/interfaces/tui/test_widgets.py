@@ -291,9 +291,7 @@ async def test_an_arm_that_was_not_seen_stays_on_every_screen_until_a_person_say
         await until(pilot, lambda: "NOT SEEN AT REST: arm left" in shown_text(app), "the doubt")
         for key in "2345678":
             await pilot.press(key)
-            await until(
-                pilot, lambda: "NOT SEEN AT REST: arm left; treat it as moving" in shown_text(app), f"on {key}"
-            )
+            await until(pilot, lambda: "NOT SEEN AT REST: arm left; treat it as moving" in shown_text(app), f"on {key}")
         await pilot.press("ctrl+p")
         await pilot.press(*"arm left is at rest")
         await until(pilot, lambda: "it no longer counts as moving" in shown_text(app), "the command")
