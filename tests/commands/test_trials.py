@@ -52,6 +52,7 @@ from cellapp.robot.kinematics.chain import JointAngles, jacobian, parameter_name
 from cellapp.robot.kinematics.transforms import transform
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import OUTSIDE, REALISTIC
+from tests.approved import assert_approved, commands_of
 from tests.twin import PROFILES, small_twin
 
 STOPS, SEED = 60, 5
@@ -416,119 +417,68 @@ def findings(**changes: Any) -> ArmFindings:
 
 
 NOTHING = findings()
-UNSTATED, FALLEN = NoiseLengths(stated=None, drawn=25.0), BeforeAfter(before=30.0, after=25.0)
+SCORES = Path(__file__).parent / "approved" / "scores.txt"
+"""Lines ``$ KIND HIDDEN.. | ACCEPTED[/ANSWER].. | CHANNEL: VARIABLES (SENTENCE) | ..``, each with how it is scored."""
 
 
-def named(*slugs: str, answers: tuple[str, ...] = (), **changes: Any) -> ArmFindings:
-    sets = tuple((slug, *answers) for slug in slugs)
-    return findings(accepted=slugs, answer_sets=sets, verdict="explained", **changes)
-
-
-def unknown(channel: str, *variables: str) -> ArmFindings:
-    described = (DescribedTerm(channel=channel, variables=variables),)
-    return findings(accepted=("unknown",), answer_sets=(("unknown",),), described=described, verdict="unknown effect")
+def named(*slugs: str, **changes: Any) -> ArmFindings:
+    """An arm where these were accepted; after a slash what answers as well."""
+    sets = tuple(tuple(slug.split("/")) for slug in slugs)
+    accepted = tuple(answers[0] for answers in sets)
+    verdict = "unknown effect" if "unknown" in accepted else "explained" if accepted else "nothing missing"
+    return findings(**{"accepted": accepted, "answer_sets": sets, "verdict": verdict, **changes})
 
 
 def judged(true: GroundTruth, left: ArmFindings, right: ArmFindings = NOTHING) -> ScoredRun:
     return score_run(true, {"left": left, "right": right})
 
 
-@pytest.mark.parametrize(
-    ("hidden", "accepted", "outcome"),
-    [
-        (("backlash",), ("backlash",), "named"),
-        (("backlash",), ("backlash", "joint_drift"), "extra"),
-        (("backlash",), ("backlash", "unknown"), "extra"),
-        (("backlash",), ("friction_windup",), "wrong"),
-        (("backlash",), ("unknown",), "unknown"),
-        (("backlash",), (), "none"),
-        (("backlash", "base_step"), ("base_step", "backlash"), "named"),
-        (("backlash", "base_step"), ("base_step",), "part"),
-        (("backlash", "base_step"), ("base_step", "joint_drift"), "wrong"),
-    ],
-)
-def test_outcomes(hidden: tuple[str, ...], accepted: tuple[str, ...], outcome: str) -> None:
-    assert judged(truth("one", *hidden), named(*accepted)).outcome == outcome
+def term(text: str) -> DescribedTerm:
+    channel, variables, sentence = re.fullmatch(r"(.*?): ([^(]*?)(?: \((.*)\))?", text).groups()  # type: ignore[union-attr]
+    return DescribedTerm(channel=channel, variables=tuple(variables.split(", ")), sentence=sentence or "")
 
 
-def test_the_answer_set_counts_only_where_something_is_named() -> None:
-    true = truth("one", "backlash")
-    assert judged(true, named("friction_windup", answers=("backlash",))).in_answer_set
-    assert not judged(true, named("friction_windup")).in_answer_set
-    assert not judged(true, NOTHING).in_answer_set
+def scored(line: str) -> ScoredRun:
+    """The run of a line."""
+    hidden, accepted, *described = [part.strip() for part in line.split("|")]
+    return judged(truth(*hidden.split()), named(*accepted.split(), described=tuple(map(term, described))))
 
 
-@pytest.mark.parametrize(
-    ("law", "channel", "variables", "description"),
-    [
-        ("dress_pack", "joint 1", ("q2", "q1"), "right"),
-        ("dress_pack", "joint 1", ("q1",), "part"),
-        ("dress_pack", "joint 2", ("q1", "q2"), ""),
-        ("crosstalk", "joint 4", ("q5",), "right"),
-        ("crosstalk", "joint 4", ("q5", "q2"), "part"),
-        ("wrist_cable", "joint 6", ("q5",), ""),
-        ("base_sway", "base shift", ("time",), "right"),
-        ("base_sway", "base shift y", ("time",), "right"),
-        ("base_sway", "base turn y", ("time",), ""),
-        ("tool_sag", "tool x", ("q5",), "right"),
-        ("draught", "tracker azimuth", ("time",), "right"),
-    ],
-)
-def test_descriptions(law: str, channel: str, variables: tuple[str, ...], description: str) -> None:
-    assert judged(truth("outside", law), unknown(channel, *variables)).description == description
+def test_runs_are_scored_as_approved() -> None:
+    said = []
+    for line in commands_of(SCORES):
+        run = scored(line)
+        second = [f"{one.name}{' for the same cause' * one.same_cause}" for one in run.second_names]
+        said += [f"$ {line}", f"{run.outcome}{', in the answer set' * run.in_answer_set}"]
+        said += [f"  description: {run.description or 'wrong'}"] if run.kind == "outside" else []
+        said += [f"  second: {name}" for name in second]
+    assert_approved(SCORES, "\n".join(said))
 
 
-def test_counts_targets_and_misses() -> None:
-    trials = [
-        judged(truth("one", "backlash"), named("backlash")),
-        judged(truth("one", "backlash"), named("friction_windup", answers=("backlash",), after_um=40.0)),
-        judged(truth("one", "tracker_scale", visible_um=0.0), NOTHING, named("joint_drift")),
-        judged(truth("none"), NOTHING),
-        judged(truth("none"), named("base_step"), unknown("tool", "q1")),
-        judged(truth("outside", "crosstalk"), unknown("joint 4", "q5")),
-        judged(truth("outside", "tool_sag"), named("joint_drift", "unknown")),
-        judged(truth("pair", "backlash", "base_step"), named("base_step", "backlash")),
-        judged(truth("pair", "backlash", "friction_windup", look_alikes=True), named("backlash", seconds=9.0)),
-    ]
-    result = scores(trials)
-    reached = {target.target: (target.reached, target.n, target.met) for target in result.targets}
-    assert reached == {
-        "visible: exactly its name": (1, 2, False),
-        "visible: truth in the answer set": (2, 2, True),
-        "visible: exactly their names": (1, 1, None),
-        "visible look-alikes: exactly their names": (0, 1, False),
-        "false names, by arm": (1, 4, False),
-        "false unknown effects, by arm": (1, 4, False),
-        "false names, arms beside one that hides something": (1, 7, False),
-        "visible: called unknown": (2, 2, None),
-        "visible: right channel and variables": (1, 2, False),
-        "below the noise: another name": (0, 1, None),
-        "names beyond the one description": (1, 2, False),
-        "second names": (0, 4, None),
-        "of these for the same cause": (0, 4, None),
-        "held out within 5 % of the drawn noise": (4, 5, False),
-        "the same against the assumed noise, which scatters": (4, 5, False),
-        "one arm within 1 s": (17, 18, True),
-        "one arm within 5 s": (17, 18, False),
-    }
+def test_targets_and_misses_are_as_approved() -> None:
+    result = scores(
+        [
+            scored("one backlash | backlash"),
+            judged(truth("one", "backlash"), named("friction_windup/backlash", after_um=40.0)),
+            judged(truth("one", "tracker_scale", visible_um=0.0), NOTHING, named("joint_drift")),
+            scored("none |"),
+            judged(truth("none"), named("base_step"), named("unknown", described=(term("tool: q1"),))),
+            scored("outside crosstalk | unknown | joint 4: q5"),
+            scored("outside tool_sag | joint_drift unknown"),
+            scored("pair backlash base_step | base_step backlash"),
+            judged(truth("pair", "backlash", "friction_windup", look_alikes=True), named("backlash", seconds=9.0)),
+        ]
+    )
+    said = [f"{one.target}: {one.reached} of {one.n}, {one.met}" for one in result.targets]
+    said += [f"missed: {miss.hidden.split(' (')[0] or 'nothing'}; found {miss.found}" for miss in result.misses]
+    assert_approved(SCORES.with_name("targets.txt"), "\n".join(said))
     assert result.missed == (), "too few trials to say so"
-    assert result.one["backlash"].visible.named == 1
     to_drawn = result.one["backlash"].visible.heldout_to_drawn
     assert to_drawn is not None
     assert to_drawn.max == pytest.approx(1.6)
     assert result.one["tracker_scale"].below.none == 1
-    assert result.none["arm beside one that hides something"].n == 7
     assert result.none["arm beside one that hides something"].false_names == 1
     assert result.outside["tool_sag"].false_names == 1
-    missed = [(miss.hidden.split(" (")[0], miss.found) for miss in result.misses]
-    assert missed == [
-        ("backlash", "friction_windup"),
-        ("", "joint_drift"),
-        ("", "base_step"),
-        ("", "unknown"),
-        ("tool_sag", "joint_drift + unknown"),
-        ("backlash", "backlash"),
-    ]
 
 
 def test_few_clean_arms_meet_no_target_and_many_do() -> None:
@@ -540,7 +490,7 @@ def test_few_clean_arms_meet_no_target_and_many_do() -> None:
     assert met(150) == [True, True]
 
 
-def quick_twin(name: str = "quick_twin") -> Profile:
+def quick_twin(name: str = "twin") -> Profile:
     """A profile whose search sets its threshold from few simulations."""
     profile = load_profile(PROFILES / f"{name}.yaml")
     discovery = profile.discovery.model_copy(update={"null_simulations": 20})
@@ -550,7 +500,7 @@ def quick_twin(name: str = "quick_twin") -> Profile:
 # -- conditions -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("profile", ["quick_twin", "quick_twin-foreign"])
+@pytest.mark.parametrize("profile", ["twin", "twin-foreign"])
 def test_narrow_ranges_are_10_to_50_degrees_wide(tmp_path: Path, profile: str) -> None:
     seal_trials(quick_twin(profile), tmp_path / "t", 1, Setup(kind="none", ranges="narrow", stops=60), seed=SEED)
     with RunFile.open(tmp_path / "t" / "run-0001") as run:
@@ -634,62 +584,14 @@ def test_a_displacement_by_a_column_is_within_its_law(tmp_path: Path) -> None:
     assert beyond_law(model, "no such effect", readings.q, conditions, drift) is None
 
 
-def found_with(*accepted: str, **changes: Any) -> ArmFindings:
-    known = {"accepted": accepted, "answer_sets": tuple((slug,) for slug in accepted), "noise_um": UNSTATED}
-    known |= {"verdict": "unknown effect" if "unknown" in accepted else "explained", "heldout_um": FALLEN}
-    return findings(**{**known, **changes})
-
-
-def term(channel: str, *variables: str, sentence: str = "") -> DescribedTerm:
-    return DescribedTerm(channel=channel, variables=variables, sentence=sentence)
-
-
-@pytest.mark.parametrize(
-    ("terms", "description"),
-    [
-        ((term("tracker radial", "range", "azimuth"),), "right"),
-        ((term("base shift", "x", "y", "z"),), "right"),
-        ((term("tracker", "position"),), "right"),
-        ((term("base shift y", "elevation", sentence="a field over the position"),), "right"),
-        ((term("base shift y", "elevation"),), "part"),
-        ((term("joint 2", "range", "azimuth"),), ""),
-        ((term("base shift", "time"),), ""),
-        ((), ""),
-    ],
-)
-def test_a_field_is_described_by_position(terms: tuple[DescribedTerm, ...], description: str) -> None:
-    arm = found_with(*["unknown"] * len(terms), described=terms)
-    assert judged(truth("outside", "workspace_field"), arm).description == description
-
-
-@pytest.mark.parametrize(
-    ("hidden", "arm", "second"),
-    [
-        (("backlash",), found_with("backlash"), []),
-        (("backlash",), found_with("friction_windup"), []),
-        (("backlash",), found_with("backlash", "friction_windup"), [("friction_windup", True)]),
-        (("backlash",), found_with("backlash", "unknown", described=(term("joint 2", "step2"),)),
-         [("joint 2: step2", True)]),
-        (("backlash",), found_with("backlash", "base_step"), [("base_step", False)]),
-        (("joint_compliance",), found_with("joint_compliance", "unknown", "unknown",
-                                      described=(term("joint 3", "torque4", "q6"), term("base shift", "time"))),
-         [("joint 3: torque4, q6", True), ("base shift: time", False)]),
-        (("backlash", "base_step"), found_with("joint_drift", "base_step", "target_slip"), [("target_slip", True)]),
-    ],
-)  # fmt: skip
-def test_second_names(hidden: tuple[str, ...], arm: ArmFindings, second: list[tuple[str, bool]]) -> None:
-    run = judged(truth("pair" if len(hidden) > 1 else "one", *hidden), arm)
-    assert [(one.name, one.same_cause) for one in run.second_names] == second
-
-
 def test_flipped_signs_must_be_said() -> None:
     flipped = truth("flipped", "backlash")
     said = "joint 2 behaves like backlash of the opposite sign: check the approach convention"
     runs = [
-        judged(flipped, found_with("unknown", described=(term("joint 2", "approach", sentence=said),))),
-        judged(flipped, found_with(verdict="unknown effect", sentence=said)),
-        judged(flipped, found_with(verdict="unknown effect", sentence="something is missing")),
-        judged(flipped, found_with("backlash", sentence="explained")),
+        judged(flipped, named("unknown", described=(term(f"joint 2: approach ({said})"),))),
+        judged(flipped, named(verdict="unknown effect", sentence=said)),
+        judged(flipped, named(verdict="unknown effect", sentence="something is missing")),
+        judged(flipped, named("backlash", sentence="explained")),
     ]
     result = scores(runs)
     (target,) = [one for one in result.targets if one.kind == "flipped"]
@@ -699,13 +601,13 @@ def test_flipped_signs_must_be_said() -> None:
 
 def test_brier_score_and_reliability() -> None:
     runs = [
-        judged(truth("one", "backlash"), found_with("backlash", posteriors={"backlash": 0.9, "base_step": 0.3})),
-        judged(truth("one", "backlash"), found_with("base_step", posteriors={"backlash": 0.2, "base_step": 0.7})),
+        judged(truth("one", "backlash"), named("backlash", posteriors={"backlash": 0.9, "base_step": 0.3})),
+        judged(truth("one", "backlash"), named("base_step", posteriors={"backlash": 0.2, "base_step": 0.7})),
         judged(
             truth("one", "base_drift", visible_um=1.0),
-            found_with(posteriors={"base_drift": 0.1}, invisible=("backlash",)),
+            named(posteriors={"base_drift": 0.1}, invisible=("backlash",)),
         ),
-        judged(truth("one", "backlash"), found_with("backlash")),  # nothing stated
+        judged(truth("one", "backlash"), named("backlash")),  # nothing stated
     ]
     by_name = {score.about: score for score in scores(runs).posteriors}
     stated = by_name["effects with a stated probability"]
@@ -723,7 +625,7 @@ def test_brier_score_and_reliability() -> None:
 
 def test_a_bar_counts_from_enough_trials() -> None:
     def missed(n: int) -> list[str]:
-        runs = [judged(truth("one", "backlash"), found_with("friction_windup")) for _ in range(n)]
+        runs = [judged(truth("one", "backlash"), named("friction_windup")) for _ in range(n)]
         return [target.target for target in scores(runs).missed]
 
     assert missed(33) == []
