@@ -14,7 +14,6 @@ from textual.widgets import Input, Tree
 
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.program import Palette
 from cellapp.interfaces.tui.dialogs.question import Choice, Question
 from cellapp.interfaces.tui.endings import ERROR_LOG
@@ -36,7 +35,6 @@ from tests.interfaces.tui.pilot import (
     exit_code,
     opened,
     shown_text,
-    shows,
     tells,
     until,
 )
@@ -131,32 +129,6 @@ async def test_a_job_that_does_not_stop_cannot_hold_the_program() -> None:
     held.go_on.set()
     held.thread.join(WAIT_S)
     assert not held.thread.is_alive()
-
-
-async def test_the_file_picker_completes_and_refuses_what_is_not_there(tmp_path: Path) -> None:
-    for name in ("cell-one.yaml", "cell-two.yaml", "notes.txt", ".hidden.yaml"):
-        (tmp_path / name).write_text("name: x\n")
-    (tmp_path / "cellar").mkdir()
-    chosen: list[Path | None] = []
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        picker = FilePicker("Which profile?", tmp_path, lambda path: path.suffix == ".yaml")
-        app.push_screen(picker, chosen.append)
-        await pilot.pause()
-        await pilot.press(*"cell-", "tab", *"o", "tab")
-        await until(
-            pilot,
-            lambda: picker.query_one("#path", Input).value == str(tmp_path / "cell-one.yaml"),
-            "the text of the field",
-        )
-        await pilot.press("backspace", "enter")
-        await pilot.pause()
-        assert not chosen, "there is no such file"
-        await shows(pilot, "no such file")
-        await pilot.press("l", "enter")
-        await until(pilot, lambda: chosen, "the choice")
-    assert chosen == [tmp_path / "cell-one.yaml"]
 
 
 def test_importing_is_cheap_and_opening_loads_no_numerics() -> None:

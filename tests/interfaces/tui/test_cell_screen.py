@@ -14,7 +14,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
-from textual.widgets import DataTable, OptionList, Static, TabbedContent
+from textual.widgets import DataTable, Static, TabbedContent
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import copy_starter
@@ -25,10 +25,9 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.progress import ignore
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.first_run import Welcome
 from cellapp.interfaces.tui.dialogs.program import MotionQuestion
-from cellapp.interfaces.tui.dialogs.question import Choice, Question
+from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.jobs import MotionAsked
 from cellapp.interfaces.tui.screens.cell import CellScreen, DevicesProbed
 from cellapp.interfaces.tui.widgets.cell_views import DevicesTable, FindingsTable
@@ -49,7 +48,6 @@ from tests.interfaces.tui.pilot import (
 from tests.interfaces.tui.terminal import Terminal
 from tests.waiting import WAIT_S
 
-BROKEN = "schema: cellapp-profile\nversion: 1\nname: bad\nsede: 1\n"
 UR = DeviceReport(model="UR10", serial="2015", state="RUNNING, NORMAL", joints_c=(25.0, 31.0))
 
 
@@ -156,41 +154,6 @@ async def test_devices_are_asked_again_and_again_but_not_while_a_job_runs(monkey
         screen.post_message(DevicesProbed(other, DoctorResult(findings=())))
         await pilot.pause()
         assert [row[3] for row in device_rows(app)] == [row[3] for row in before]
-
-
-async def test_a_broken_profile_and_none_at_all_are_told(tmp_path: Path) -> None:
-    app = CellApp(tmp_path / "nowhere")
-    async with app.run_test(size=SMALL) as pilot:
-        await until(pilot, lambda: isinstance(app.screen, Question), "the offer of a first start")
-        await pilot.press("escape")
-        await until(pilot, lambda: app.screen is app.day_screen, "the screen")
-        for key in ("b", "r"):
-            await pilot.press(key)
-            await tells(pilot, "No profile is open")
-    (tmp_path / "bad.yaml").write_text(BROKEN)
-    app = CellApp(tmp_path)
-    async with app.run_test(size=SMALL) as pilot:
-        await until(pilot, lambda: bool(app.workspace.problem), "the problem")
-        await until(pilot, lambda: "bad.yaml:4  sede: unknown key" in shown_text(app), "its line")
-        assert "bad.yaml" in line(app, "cell-verdict")
-        assert device_rows(app) == []
-
-
-async def test_a_profile_from_elsewhere_joins_the_list_and_a_run_is_closed_by_enter_only(tmp_path: Path) -> None:
-    shutil.copytree(PROFILES, tmp_path / "elsewhere")
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        profiles = app.day_screen.query_one("#profiles", OptionList)
-        count = profiles.option_count
-        await pilot.press("o")
-        await until(pilot, lambda: isinstance(app.screen, FilePicker), "the picker")
-        app.screen.dismiss(tmp_path / "elsewhere" / "ur5-real.yaml")
-        path = tmp_path / "elsewhere" / "ur5-real.yaml"
-        await until(pilot, lambda: app.workspace.profile_path == path, "the profile")
-        assert profiles.option_count == count + 1
-        words = app.day_screen.query_one("#cell-words", DataTable)
-        await until(pilot, lambda: words.row_count > 0 and "UR5" in str(words.get_row_at(0)[1]), "its words")
 
 
 # -- Header and questions speak of the arms that a job moves, whatever is or was open besides --------------------------

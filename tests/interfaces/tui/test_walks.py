@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 from contextlib import AsyncExitStack
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,8 @@ from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.target_form import FieldRow
+from cellapp.interfaces.tui.job_record import LEVELS, LogRow
+from cellapp.interfaces.tui.widgets.log_view import LogView
 from tests.approved import assert_approved, commands_of
 from tests.cell.run.small_runs import collected_run, set_began
 from tests.interfaces.tui.pilot import PROFILES, SIZES, ended, opened, shows, until
@@ -29,6 +32,7 @@ from tests.twin import small_twin, write_profile
 
 WALKS = sorted((Path(__file__).parent / "walks").glob("*.txt"))
 DAY = Path("logs") / "day"
+NOON = datetime(2026, 3, 1, 12, 0, 0)
 DOWN = np.array([[0.0, 0.6, 0.0, -1.5, 0.0, 0.0]])
 """Bent down into the floor."""
 
@@ -88,7 +92,7 @@ class Walk:
                 self.app = CellApp(Path("profiles"))
                 size = next(one for one in SIZES if f"{one[0]}x{one[1]}" == (rest or "80x24"))
                 self.pilot = await self.stack.enter_async_context(self.app.run_test(size=size))
-                if Path("profiles").exists():
+                if (Path("profiles") / "twin.yaml").exists():
                     await opened(self.pilot, self.app)
             case "open":  # the run
                 self.app.open_run(DAY, Path("profiles") / "twin.yaml")
@@ -114,6 +118,20 @@ class Walk:
             case "write":  # FILE TEXT
                 Path(name).parent.mkdir(exist_ok=True)
                 Path(name).write_text(text.replace("\\n", "\n"), encoding="utf-8")
+            case "copy":  # FILE NEW
+                Path(text).parent.mkdir(exist_ok=True)
+                shutil.copy(name, text)
+            case "log":  # COUNT lines of all levels, on the screen Collect
+                view = self.app.screen.query_one(LogView)
+                await until(self.pilot, lambda: view.size.width > 0, "the log on the screen")
+                view.show_rows(
+                    [
+                        LogRow(NOON, LEVELS[number % 4], f"event {number} of arm {'left' if number % 3 else 'right'}")
+                        for number in range(int(rest))
+                    ]
+                )
+            case "clipboard":
+                return self.app.clipboard
             case "bend":  # FILE NEW: a plan whose third row is bent down into the floor
                 cells = [line.split(",") for line in Path(name).read_text("utf-8").splitlines()]
                 cells[3][cells[0].index("q2")] = "0.6"

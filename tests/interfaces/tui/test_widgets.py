@@ -18,7 +18,6 @@ from hypothesis.extra.numpy import arrays
 from rich.cells import cell_len
 from textual.color import Color
 from textual.pilot import Pilot
-from textual.widgets import Input
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.unseen_arms import note_halt, unseen_arms
@@ -36,7 +35,6 @@ from cellapp.ground.progress import (
 )
 from cellapp.interfaces.tui import app
 from cellapp.interfaces.tui.app import CellApp, SlowCollections
-from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
 from cellapp.interfaces.tui.job_record import LEVELS, MOST_LINES, JobRecord, Level, LogRow, Pace, banner_of, strip_of
 from cellapp.interfaces.tui.jobs import Ask, Job
 from cellapp.interfaces.tui.plots.drawing import (
@@ -47,11 +45,11 @@ from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.terminal import notice_sequence, title_sequence, title_words
 from cellapp.interfaces.tui.widgets.log_view import LogView
 from cellapp.interfaces.tui.widgets.log_view_pane import LogHeading
-from cellapp.interfaces.tui.widgets.log_view_rows import LogFilter, LogRows, as_text
+from cellapp.interfaces.tui.widgets.log_view_rows import LogFilter, LogRows
 from cellapp.interfaces.tui.widgets.progress_bars import Part, _line, ending_words, parts_of
 from cellapp.interfaces.tui.workspace import Workspace
 from tests.cell.run.small_runs import planned_run
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, shows, until
+from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, until
 from tests.waiting import WAIT_S
 
 NOON = datetime(2026, 3, 1, 12, 0, 0)
@@ -111,100 +109,15 @@ async def shown_log(pilot: Pilot[None], app: CellApp, rows: list[LogRow]) -> Log
     return view
 
 
-MANY = [
-    LogRow(NOON, LEVELS[number % 4], f"event {number} of arm {'left' if number % 3 else 'right'}")
-    for number in range(400)
-]
-
-
-async def test_keys_and_clicks_show_a_level_and_those_above() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        view = await shown_log(pilot, app, MANY)
-        for key, levels in (("D", LEVELS), ("I", LEVELS[1:]), ("W", LEVELS[2:]), ("E", LEVELS[3:])):
-            await pilot.press(key)
-            assert {row.level for row in view.rows.shown} == set(levels)
-            assert view.rows.counts["error"] == 100
-        await shows(pilot, "error 100")
-        heading = app.screen.query_one(LogHeading)
-        place = shown_text(app).splitlines()[heading.region.y].index("warning")
-        await pilot.click(heading, offset=(place + 1 - heading.region.x, 0))
-        assert view.rows.filter.least == "warning"
-
-
-async def test_search_as_it_is_typed_and_the_next_matches() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        view = await shown_log(pilot, app, MANY)
-        await pilot.press("slash", *"event 10")
-        await pilot.pause()
-        assert view.wanted == "event 10"
-        found = [number for number, row in enumerate(view.rows.shown) if "event 10" in row.text]
-        await shows(pilot, f"match {len(found)} of {len(found)}")
-        await pilot.press("enter")
-        await until(pilot, lambda: app.focused is view, "the focus")
-        await pilot.press(".")  # after the last comes the first
-        await pilot.pause()
-        await shows(pilot, f"match 1 of {len(found)}")
-        assert view.chosen() == [view.rows.shown[found[0]]]
-        await pilot.press(".")
-        await until(pilot, lambda: view.chosen() == [view.rows.shown[found[1]]], "the next match")
-        await pilot.press(",", ",")
-        await until(pilot, lambda: view.chosen() == [view.rows.shown[found[-1]]], "the match two before")
-        await pilot.press("slash")
-        app.screen.query_one("#log-field", Input).value = "nowhere"
-        await pilot.pause()
-        await shows(pilot, "no match")
-
-
-async def test_filter_by_a_text_shows_only_lines_with_it() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        view = await shown_log(pilot, app, MANY)
-        await pilot.press("f", *"RIGHT", "enter")
-        right = [row for row in MANY if "right" in row.text and row.level != "debug"]
-        await until(pilot, lambda: view.rows.shown == right, "the lines with the text")
-        await shows(pilot, "filter 'RIGHT'")
-        view.add_rows(rows_of("of the left arm", "of the right arm"))
-        assert view.rows.shown[-1].text == "of the right arm"
-        assert all("right" in row.text for row in view.rows.shown)
-        await pilot.press("f")
-        app.screen.query_one("#log-field", Input).value = ""
-        await pilot.pause()
-        assert len(view.rows.shown) == 302
-
-
-async def write_over(pilot: Pilot[None], app: CellApp, file: Path) -> str:
-    """Save into a file that is there, after the question; return what it holds then."""
-    before = file.read_text("utf-8")
-    await pilot.press("w")
-    await until(pilot, lambda: isinstance(app.screen, SaveAs), "the dialog")
-    await until(pilot, lambda: app.screen.query_one("#path", Input).value == file.name, "the text of the field")
-    await pilot.press("enter")
-    await shows(pilot, "exists")
-    assert isinstance(app.screen, SaveAs)
-    assert file.read_text("utf-8") == before
-    await pilot.press("enter")
-    await until(pilot, lambda: app.screen is app.day_screen, "the end of the dialog")
-    return file.read_text("utf-8")
-
-
-async def test_marked_lines_are_copied_and_saved_and_nothing_is_replaced_unasked(tmp_path: Path) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        view = await shown_log(pilot, app, rows_of(*(f"row {number}" for number in range(5))))
-        await pilot.press("home", "down", "shift+down", "shift+down", "y")
-        await until(pilot, lambda: app.clipboard == as_text(view.rows.shown[1:4]), "the copy")
-        (tmp_path / "log.txt").write_text("kept", encoding="utf-8")
-        assert await write_over(pilot, app, tmp_path / "log.txt") == as_text(view.rows.shown[1:4])
-        await pilot.press("end")  # no line is marked: all that are shown_log
-        assert await write_over(pilot, app, tmp_path / "log.txt") == as_text(view.rows.shown)
-
-
 async def test_text_selected_with_the_mouse_is_copied() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         view = await shown_log(pilot, app, rows_of("first row", "second row"))
+        heading = app.screen.query_one(LogHeading)
+        place = shown_text(app).splitlines()[heading.region.y].index("warning")
+        await pilot.click(heading, offset=(place + 1 - heading.region.x, 0))
+        assert view.rows.filter.least == "warning"
+        await pilot.press("D")
         await pilot.mouse_down(view, offset=(11, 0))
         await pilot.hover(view, offset=(17, 1))
         await pilot.mouse_up(view, offset=(17, 1))
