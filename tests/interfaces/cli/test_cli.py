@@ -200,19 +200,6 @@ def test_doctor(work: Path, call: Any) -> None:
     assert "checks failed" in ended.err
 
 
-def test_what_a_person_sees_without_json(work: Path, call: Any) -> None:
-    ended = call("calibrate", "collected", "--parameters")
-    assert ended.code == 0
-    assert "Arm left: held-out errors [mm]" in ended.out
-    assert "Arm right: identified parameters" in ended.out
-    ended = call("push", "done", "targets.yaml", "--verify")
-    assert "left, compensated" in ended.out
-    assert "target far: out of reach" in ended.out
-    ended = call("push", "done", "targets.yaml")
-    assert re.match(r"(\d+) of \d+ targets reached\n", ended.out)
-    assert call("show", "planned", "log").out == "no log lines to show\n"
-
-
 PATHS = """\
 schema: cellapp-paths
 version: 1
@@ -264,34 +251,6 @@ SHOWN = (
 )
 
 
-def test_what_is_out_of_date_is_shown_and_not_pushed(work: Path, call: Any) -> None:
-    with RunFile.open(work / "done", write=True) as run:
-        for name in run.profile.arms:
-            words = list(run.readings(name).split or ())
-            run.assign_splits(name, [*words[1:], words[0]])
-    assert "the discovery is out of date" in call("calibrate", "done").out
-    assert "calibrated again since" in " ".join(call("show", "done").out.split())
-    assert "out of date: " in call("show", "done", "verification").out
-    before = bytes_below(work / "done")
-    one_sentence(call("push", "done", "targets.yaml"), "'discover' is out of date", "Run 'cellapp discover done' first")
-    assert bytes_below(work / "done") == before
-    insisted = call("push", "done", "targets.yaml", "--verify", "--out-of-date", "--json", "-")
-    assert "was used although 'discover' is out of date" in insisted.json["notes"][0]
-    assert call("discover", "done").code == 0
-    assert call("push", "done", "targets.yaml", "--verify").code == 0
-
-
-def test_a_verification_that_measured_nothing_leaves_the_earlier_one(work: Path, call: Any) -> None:
-    before = call("show", "done", "verification", "--json", "-").json
-    targets = "schema: cellapp-targets\nversion: 1\ntargets:\n"
-    turned_away = "  - {name: away, arm: left, position: [-0.0284, 0.7304, 0.7779], rpy: [1.6177, 0.5759, 2.5395]}\n"
-    (work / "away.yaml").write_text(targets + turned_away, "utf-8")
-    ended = call("push", "done", "away.yaml", "--verify")
-    assert ended.code == 1
-    assert "nothing is stored, an earlier verification still counts" in ended.out
-    assert call("show", "done", "verification", "--json", "-").json == before
-
-
 def test_results_are_valid_by_the_exported_schemas(made: Path, work: Path, call: Any) -> None:
     schemas = call("schema", "--json", "-").out
     schemas = json.loads(schemas)
@@ -320,20 +279,6 @@ def test_a_verification_that_does_not_hold_exits_with_one(
 
 
 # -- readings out and in ----------------------------------------------------------------------------------------------
-
-
-def test_the_identified_arms_for_other_programs(work: Path, call: Any) -> None:
-    out = call("export", "done", "--geometry", "arms.json")
-    assert out.code == 0
-    arms = json.loads((work / "arms.json").read_text("utf-8"))["arms"]
-    assert set(arms) == {"left", "right"}
-    assert [len(arm["urdf"]) for arm in arms.values()] == [7, 7]
-    assert set(arms["left"]["ur_deltas"]["lost"]["beta_rad"]) == {"beta2", "beta3"}
-    assert "lose" in out.out
-    assert "--as writes a file for each program" in out.out
-    refused = call("export", "done")
-    assert refused.code == 2
-    assert "--csv FILE" in refused.err
 
 
 def test_export_then_import_gives_the_same_readings(work: Path, call: Any) -> None:
@@ -401,8 +346,22 @@ def damaged_model(work: Path) -> None:
     spoil_run(work / "done", "UPDATE stage SET model = '[1]' WHERE name = 'calibrate'")
 
 
-SPOILS = {one.__name__: one for one in (misspelt_key, truncated, newer, damaged_basis, damaged_model)}
+def other_splits(work: Path) -> None:
+    with RunFile.open(work / "done", write=True) as run:
+        for name in run.profile.arms:
+            words = list(run.readings(name).split or ())
+            run.assign_splits(name, [*words[1:], words[0]])
+
+
+SPOILS = {one.__name__: one for one in (other_splits, misspelt_key, truncated, newer, damaged_basis, damaged_model)}
 TRANSCRIPTS = sorted((Path(__file__).parent / "transcripts").glob("*.txt"))
+
+
+def keys_of(value: Any, depth: int = 0) -> list[str]:
+    """The keys of JSON, one a line; of lists the length."""
+    if isinstance(value, dict):
+        return [line for key, one in value.items() for line in ("  " * depth + key, *keys_of(one, depth + 1))]
+    return ["  " * depth + f"{len(value)} values"] if isinstance(value, list) else []
 
 
 def bare(text: str) -> str:
@@ -414,9 +373,10 @@ def bare(text: str) -> str:
 def test_a_transcript_says_what_was_approved(
     path: Path, work: Path, call: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """``cellapp WORDS``; ``refused WORDS`` and ``looks WORDS``, which fail or not, and change no byte; ``spoil WHAT``;
-    ``log``; ``write FILE TEXT``; ``same FILE FILE``. Below stands what is printed, marked if on standard error, and an
-    exit code that is not 0. Digits are compared where commands are refused.
+    """``cellapp WORDS``; ``does WORDS``, of which only the exit code is kept; ``refused WORDS`` and ``looks WORDS``,
+    which fail or not, and change no byte; ``spoil WHAT``; ``log``; ``write FILE TEXT``; ``edit FILE OLD NEW``;
+    ``keys FILE``; ``same FILE FILE``. Below stands what is printed, marked if on standard error, and an exit code that
+    is not 0. Digits are compared where commands are refused.
     """
     monkeypatch.setenv("COLUMNS", "100")
     shown = []
@@ -433,14 +393,19 @@ def test_a_transcript_says_what_was_approved(
                     run.log("info", "the last line")
             case "write":
                 (work / words[0]).write_text(words[1].replace("\\n", "\n"), "utf-8")
+            case "edit":
+                edit(work / words[0], words[1].replace("\\n", "\n"), words[2])
+            case "keys":
+                shown += keys_of(json.loads((work / words[0]).read_text("utf-8")))
             case "same":
                 assert (work / words[0]).read_bytes() == (work / words[1]).read_bytes()
             case _:
                 ended = call(*words)
-                shown += [*ended.out.splitlines(), *(f"! {line}" for line in ended.err.splitlines() if line)]
+                if what != "does":
+                    shown += [*ended.out.splitlines(), *(f"! {line}" for line in ended.err.splitlines() if line)]
                 shown += [f"exit code {ended.code}"] if ended.code else []
-                assert what == "cellapp" or (ended.code > 0) == (what == "refused"), command
-                assert what == "cellapp" or bytes_below(work) == before, command
+                assert what in ("cellapp", "does") or (ended.code > 0) == (what == "refused"), command
+                assert what in ("cellapp", "does") or bytes_below(work) == before, command
     exact = path.stem.startswith("refused")
     assert_approved(path, "\n".join(shown).replace(str(work), "HERE"), str if exact else bare)
 
@@ -474,24 +439,6 @@ def test_fewer_readings_than_parameters(work: Path, call: Any, table: list[dict[
         shown = {stage: errors["position_mm"]["rms"] for stage, errors in arm["validate"].items()}
         assert shown["geometry"] < 0.9 * shown["nominal"]
     assert "pair: skipped, 10 common stops leave 6 to identify and 4 to validate" in " ".join(ended.json["notes"])
-
-
-def test_a_plan_that_cannot_be_made_leaves_no_run_behind(work: Path, call: Any) -> None:
-    text = (work / "twin.yaml").read_text("utf-8")
-    (work / "twin.yaml").write_text(re.sub(r"(?m)^  floor: .*$", "  floor: 0.4", text), "utf-8")
-    before = bytes_below(work)
-    one_sentence(call("plan", "twin.yaml", "--run", "new/one"), "arm left: none of", "the floor")
-    assert bytes_below(work) == before
-    assert not (work / "new").exists()
-    (work / "twin.yaml").write_text(text.replace("  stops: 30", "  stops: 3"), "utf-8")
-    assert call("plan", "twin.yaml", "--run", "new/one").code == 0
-
-
-def test_a_target_list_that_is_wrong_is_found_before_anything_moves(work: Path, call: Any) -> None:
-    edit(work / "targets" / "twin.yaml", "arm: right", "arm: middle")
-    before = bytes_below(work)
-    one_sentence(call("run", "twin.yaml", "--run", "new"), "target 'right-01': no arm 'middle'")
-    assert bytes_below(work) == before
 
 
 def test_a_controller_that_is_not_there_is_named_and_nothing_is_stored(work: Path, call: Any) -> None:
