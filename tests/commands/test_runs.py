@@ -202,25 +202,6 @@ def test_strange_content_is_a_row_too(tmp_path: Path, statement: str) -> None:
     assert RunsResult.from_json(list_runs(tmp_path).to_json(), "list").runs == (row,)
 
 
-def test_other_versions_of_results_are_said_to_be_unreadable(finished_copy: Path) -> None:
-    with contextlib.closing(sqlite3.connect(finished_copy / "run.sqlite")) as connection:
-        connection.execute("UPDATE stage SET text = '{\"arms\": 3}' WHERE name = 'discover'")
-        connection.commit()
-    row = summarise(finished_copy)
-    assert row.problem == ""
-    assert {stage.name: bool(stage.out_of_date) for stage in row.stages}["discover"]
-    assert row.figures["left"].verdict is None
-
-
-def test_a_run_of_an_older_schema(tmp_path: Path) -> None:
-    old = Path(__file__).parents[1] / "fixtures" / "run-schema-2"
-    folder = Path(shutil.copytree(old, tmp_path / "old"))
-    row = summarise(folder)
-    assert row.problem == ""
-    assert row.figures
-    assert all(stage.out_of_date for stage in row.stages)
-
-
 # -- Comparing two runs: what differs and by how many standard uncertainties; what cannot be compared is said ----------
 
 
@@ -404,17 +385,6 @@ def test_the_more_runs_the_more_must_differ(worn: Path, tmp_path: Path) -> None:
         shutil.copytree(worn / f"m{month}", tmp_path / f"m{month}")
     few, many = (arm_history("left", folder).runs[1].moved[0].chance for folder in (tmp_path, worn))
     assert many == pytest.approx((MONTHS - 1) * few)
-
-
-def test_compare_judges_by_the_same_differences(worn: Path) -> None:
-    with RunFile.open(worn / "m0") as a, RunFile.open(worn / "m3") as b:
-        values = {one.name: one for one in compare_runs(a, b).arms["left"].parameters}
-    (theta3,) = arm_history("left", worn).runs[3].moved
-    assert (values["theta3"].difference, values["theta3"].standard_uncertainty) == (
-        theta3.difference,
-        theta3.standard_uncertainty,
-    )
-    assert values["x0"].differs, "compare shows the base too"
 
 
 def test_a_name_that_stands_for_two_arms_is_refused_and_serial_numbers_keep_them_apart(

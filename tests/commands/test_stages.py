@@ -6,7 +6,6 @@ import json
 import shutil
 import sqlite3
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,6 @@ from cellapp.robot.model import CellModel
 from tests.twin import PROFILES, small_twin
 
 OLD_RUN = Path(__file__).parents[1] / "fixtures" / "run-schema-2"
-NOON = datetime(2026, 1, 2, 12, tzinfo=UTC)
 TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())[:2]
 
 

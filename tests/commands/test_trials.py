@@ -268,27 +268,8 @@ def test_changed_readings_are_reported(judged_once: tuple[Path, list[str], Judge
         judge_trials(folder, Work())
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "said"),
-    [
-        ("judge empty", 2, "empty holds no sealed trials (truth.json is missing)"),
-        ("judge torn", 2, "torn holds no sealed trials (seal.txt is missing)"),
-        ("judge bare", 2, "bare holds no runs"),
-        ("judge broken", 1, "the seal is broken"),
-        ("judge bare --json no/where.json", 2, "--json: no/where.json: folder not found"),
-        ("judge bare --jobs 0", 2, ""),
-        ("seal twin.yaml --out torn --n 1", 2, "torn is not empty; give a new folder"),
-        ("seal twin.yaml --out torn/truth.json --n 1", 2, "torn/truth.json: "),
-    ],
-)
-def test_what_is_wrong_is_said_in_one_sentence(
-    arguments: str,
-    code: int,
-    said: str,
-    mine: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+def test_what_is_wrong_is_said_as_approved(
+    mine: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     shutil.copytree(PROFILES, tmp_path, dirs_exist_ok=True)
@@ -298,10 +279,11 @@ def test_what_is_wrong_is_said_in_one_sentence(
             shutil.copy(mine / file, tmp_path / name / file)
     shutil.copytree(tmp_path / "bare", tmp_path / "broken")
     (tmp_path / "broken" / "seal.txt").write_text("")
-    found, out, err = call(capsys, monkeypatch, "trials", *arguments.split())
-    assert (found, out) == (code, "")
-    assert said in err
-    assert "Traceback" not in err
+    said = []
+    for words in commands_of(SCORES.with_name("refusals.txt")):
+        code, out, err = call(capsys, monkeypatch, "trials", *words.split())
+        said.append(f"$ {words}\n{out}{err.strip()}\nexit code {code}")
+    assert_approved(SCORES.with_name("refusals.txt"), "\n".join(said))
     assert not (tmp_path / "new").exists()
 
 

@@ -31,8 +31,6 @@ from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, DISCOVER, ISO9283, VERIFY
 from cellapp.interfaces.page.page import page_text, write_page
-from cellapp.robot.effects import EFFECTS, EffectTerm
-from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
 from tests.approved import assert_approved, without_digits
 from tests.estimation.uncertainty.cases import pose_test
@@ -232,34 +230,6 @@ def test_same_run_same_bytes_except_for_the_time(single: RunFile, single_text: s
     time = r'<time datetime="[^"]*">[^<]*</time>'
     assert re.sub(time, "", written) == re.sub(time, "", single_text)
     assert not list(single.folder.glob("*.part"))
-
-
-# -- a discovery in which everything occurs ---------------------------------------------------------------------------
-
-
-def test_effects_of_time_are_drawn_as_they_were_evaluated(double: RunFile) -> None:
-    step = EffectTerm(
-        slug="base_step",
-        names=("base_step_x",),
-        values=np.array([2e-3]),
-        standard_errors=np.array([1e-6]),
-        units=("m",),
-        law=EFFECTS["base_step"].law("onset", {"onset_s": 30.5}),
-    )
-    model = CellModel.from_json(read_stages(double).current[CALIBRATE].model or "")
-    arms = {**model.arms, LEFT: replace(model.arms[LEFT], effects=(step,))}
-    store_discovery(double, discovery(LEFT, RIGHT), replace(model, arms=arms).to_json())
-    readings = double.readings(LEFT)
-    rows = readings.in_split("validate")
-    held_out = readings.take(rows)
-    geometry = model.arms[LEFT].predict(held_out.q)
-    after = held_out.time_s > 30.5
-    assert 0 < after.sum() < len(after)
-    chart = stop_error_chart(LEFT, read_report_data(double).held_out[LEFT], None)
-    (shown,) = (one.y for one in chart.series if one.name == "effects")
-    plain = np.linalg.norm(held_out.p_M - geometry, axis=1) * 1e3
-    assert shown[~after] == pytest.approx(plain[~after], abs=1e-6)
-    assert np.abs(shown[after] - plain[after]).min() > 0.2
 
 
 # -- numbers ----------------------------------------------------------------------------------------------------------

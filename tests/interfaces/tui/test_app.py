@@ -9,24 +9,20 @@ from pathlib import Path
 import pytest
 from textual.binding import Binding
 from textual.dom import DOMNode
-from textual.geometry import Region
 from textual.widgets import Input, Tree
 
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.program import Palette
-from cellapp.interfaces.tui.dialogs.question import Choice, Question
+from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.endings import ERROR_LOG
 from cellapp.interfaces.tui.keys import KEYS, WAYS
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.controls import Entry, StopButton, key_lines
-from cellapp.interfaces.tui.widgets.header import StepTab
+from cellapp.interfaces.tui.widgets.controls import Entry, key_lines
 from cellapp.interfaces.tui.widgets.log_view_pane import LogField
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import (
     PROFILES,
-    SIZES,
     SMALL,
     WAIT_S,
     HeldJob,
@@ -38,33 +34,6 @@ from tests.interfaces.tui.pilot import (
     tells,
     until,
 )
-
-
-async def test_every_screen_is_one_key_away_and_stop_is_in_the_same_corner_of_screens_and_dialogs() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        for size in SIZES:
-            await pilot.resize_terminal(*size)
-            corner = Region(size[0] - 11, 0, 11, 1)
-            for entry in (*SCREENS, SCREENS[0]):
-                await pilot.press(entry.key)
-                await pilot.pause()
-                assert entry.step == app.day_screen.STEP
-                (present,) = app.screen.query(".step.present").results(StepTab)
-                assert present.step == entry.step
-                assert app.screen.query_one(StopButton).region == corner
-                first_line = shown_text(app).splitlines()[0]
-                assert " SIMULATED " in first_line
-                assert first_line.endswith(" STOP  Esc")
-            for key in ("ctrl+p", "question_mark", "f5"):
-                await pilot.press(key)
-                await until(pilot, lambda: isinstance(app.screen, Question | Palette), f"the dialog of {key}")
-                await pilot.pause()
-                assert app.screen.query_one(StopButton).region == corner
-                assert shown_text(app).splitlines()[0].endswith("STOP  Esc")
-                await pilot.press("escape")
-                await until(pilot, lambda: app.screen is app.day_screen, "the end of the dialog")
 
 
 async def test_an_unforeseen_error_is_one_sentence_and_its_text_is_kept() -> None:

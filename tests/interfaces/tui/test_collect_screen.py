@@ -165,19 +165,6 @@ async def begin_and_end(pilot: Pilot[None], app: CellApp, asked: list[tuple[Held
     await finished(pilot, app, asked[-1][0])
 
 
-async def test_an_interrupted_run_is_resumed(asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:
-    run = collected_run(Path("logs/part"), "stopped")
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_collect(pilot, app, run)
-        await shows(pilot, "INTERRUPTED, 2 of 4 stops  b measures the 2 stops that are left.")
-        await pilot.press("d")
-        assert app.screen is app.day_screen
-        await pilot.press("b", "enter")
-        await begin_and_end(pilot, app, asked)
-        assert asked[0][1] == {"folder": run, "resume": True}
-
-
 async def test_real_arms_ask_with_their_first_path_instead(
     asked: list[tuple[HeldJob, dict[str, Any]]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

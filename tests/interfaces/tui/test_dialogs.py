@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from textual.pilot import Pilot
 from textual.screen import ModalScreen
-from textual.widgets import Input, OptionList, Static
+from textual.widgets import Input, OptionList
 
 from cellapp.cell.run import RunFile, sqlite_file
 from cellapp.cell.targets.records import ArmVerification, MeasuredTarget, VerifyResult
@@ -27,8 +26,6 @@ from cellapp.ground.results import ErrorSummary, Result
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.dialogs.first_run import Welcome
-from cellapp.interfaces.tui.dialogs.own_readings import OwnReadings
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.endings import REPORT_FILE, ending_of
@@ -36,8 +33,6 @@ from cellapp.interfaces.tui.jobs import Job, JobEnded
 from cellapp.interfaces.tui.offers import WRITE
 from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens.calibrate import ExportArms
-from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
-from tests.arms import UR5
 from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, until
 
 GIVEN = {"folder": Path("day"), "program": Path("old.script")}
@@ -155,59 +150,6 @@ async def test_the_earlier_run_is_chosen_and_shown(finished_run: Path) -> None:
         result = read_results(run).calibrate
     assert result is not None
     assert all(arm.prior is not None and arm.prior.stage == "discover" for arm in result.arms.values())
-
-
-SIZE = (120, 40)
-
-
-@pytest.fixture
-def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CellApp:
-    monkeypatch.chdir(tmp_path)
-    q = np.random.default_rng(2).uniform(-2.5, 2.5, (40, 6))
-    p_M = smr_positions(nominal_geometry(UR5, np.array([0.0, 0.02, 0.08])), q)
-    rows = [" ".join(f"{v:.6f}" for v in (*np.degrees(a), *b)) for a, b in zip(q, p_M, strict=True)]
-    Path("mine.txt").write_text("\n".join(["j1 j2 j3 j4 j5 j6 x y z", *rows]))
-    return CellApp(Path("profiles"))
-
-
-async def dialog(pilot: Pilot[None], own: CellApp, **typed: str) -> None:
-    """Fill in the dialog from the first start on, and send it."""
-    await until(pilot, lambda: isinstance(own.screen, Welcome), "the question")
-    await pilot.press("r")
-    await until(pilot, lambda: isinstance(own.screen, OwnReadings), "the dialog")
-    for name, text in typed.items():
-        field = own.screen.query_one(f"#{name}")
-        (field if isinstance(field, Input) else field.query_one(Input)).value = text
-    await pilot.press("enter")
-
-
-async def test_from_a_table_to_an_open_run(own: CellApp) -> None:
-    async with own.run_test(size=SIZE) as pilot:
-        await dialog(pilot, own, readings="mine.txt", arm="ur5")
-        await until(pilot, lambda: own.workspace.folder == Path("logs/mine"), "the run")
-        assert own.workspace.next_step == "calibrate"
-    with RunFile.open(Path("logs/mine")) as run:
-        assert len(run.readings("robot")) == 40
-    assert Path("profiles/mine.yaml").is_file()
-
-
-async def test_wrong_words_are_refused_in_the_dialog(own: CellApp) -> None:
-    async with own.run_test(size=SIZE) as pilot:
-        await dialog(pilot, own, readings="mine.txt", angles="turns")
-        await until(
-            pilot,
-            lambda: "rad or deg" in str(own.screen.query_one("#why", Static).content),
-            "the sentence",
-        )
-        assert isinstance(own.screen, OwnReadings)
-
-
-async def test_an_arm_that_is_not_named_is_a_message(own: CellApp) -> None:
-    async with own.run_test(size=SIZE) as pilot:
-        await dialog(pilot, own, readings="mine.txt")
-        await until(pilot, lambda: "which arm?" in own.message, "the message")
-        assert "ur5 (0.0 mm)" in own.message
-    assert not Path("logs/mine").exists()
 
 
 RUN = Path("logs/monday")

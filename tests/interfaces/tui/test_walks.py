@@ -24,7 +24,9 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.target_form import FieldRow
 from cellapp.interfaces.tui.job_record import LEVELS, LogRow
 from cellapp.interfaces.tui.widgets.log_view import LogView
+from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from tests.approved import assert_approved, commands_of
+from tests.arms import UR5
 from tests.cell.run.small_runs import collected_run, set_began
 from tests.interfaces.tui.pilot import PROFILES, SIZES, ended, opened, shows, until
 from tests.interfaces.tui.test_snapshots import final_text, words_of
@@ -118,6 +120,11 @@ class Walk:
             case "write":  # FILE TEXT
                 Path(name).parent.mkdir(exist_ok=True)
                 Path(name).write_text(text.replace("\\n", "\n"), encoding="utf-8")
+            case "own":  # FILE: stops of a UR5 in somebody's own form
+                q = np.random.default_rng(2).uniform(-2.5, 2.5, (40, 6))
+                p_M = smr_positions(nominal_geometry(UR5, np.array([0.0, 0.02, 0.08])), q)
+                table = np.column_stack([np.degrees(q), p_M])
+                np.savetxt(rest, table, "%.6f", header="j1 j2 j3 j4 j5 j6 x y z", comments="")
             case "copy":  # FILE NEW
                 Path(text).parent.mkdir(exist_ok=True)
                 shutil.copy(name, text)
