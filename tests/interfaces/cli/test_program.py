@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import jsonschema
 import numpy as np
@@ -26,7 +26,6 @@ from cellapp.cell.run import RunFile, import_csv
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.doctor.result import DoctorResult, Finding
 from cellapp.commands.export.run import export_run
-from cellapp.commands.record import Asked, Request, Verb, View, Work
 from cellapp.commands.registry import records
 from cellapp.commands.runs.history import summarise
 from cellapp.commands.schema import json_schema
@@ -36,9 +35,7 @@ from cellapp.commands.stages import DATA_MARK, append_stage, basis_of, data_mark
 from cellapp.estimation.readings import Reading
 from cellapp.ground import removed
 from cellapp.ground.errors import CheckFailed, InputError
-from cellapp.ground.results import ErrorResult, Result
-from cellapp.interfaces.cli.command_outputs import Commands
-from cellapp.interfaces.cli.derived import command_of
+from cellapp.ground.results import ErrorResult
 from cellapp.interfaces.cli.program import wants_json
 from cellapp.interfaces.page import page
 from cellapp.interfaces.page.page import page_text
@@ -144,63 +141,6 @@ def test_an_unexpected_error_is_an_object(
 )
 def test_when_json_is_wanted(arguments: str, expected: bool) -> None:
     assert wants_json(arguments.split()) is expected
-
-
-# -- What a command that is made from a record shows: announced results, refusals, results that are JSON themselves ----
-
-
-class ToyRequest(Request):
-    """Say what kind of result it is."""
-
-    kind: Annotated[Literal["served", "refused", "json"], Asked("Which.", argument=True)]
-
-
-class ToyResult(Result, schema="cellapp-toy"):
-    """What was asked for."""
-
-    kind: str
-
-
-class Toy(Verb):
-    """A verb without a folder of its own."""
-
-    def run(self, request: Request, work: Work) -> ToyResult:
-        assert isinstance(request, ToyRequest)
-        result = ToyResult(kind=request.kind)
-        if request.kind == "served":
-            work.announce(result)
-            work.say("serving")
-        return result
-
-    def view(self, result: Result, request: Request | None = None) -> View:
-        assert isinstance(result, ToyResult)
-        refused = "not done" if result.kind == "refused" else ""
-        return View((f"kind {result.kind}",), refused=refused, is_json=result.kind == "json")
-
-
-def called(*arguments: str) -> tuple[str, BaseException | None]:
-    app = Commands()
-    app.command("toy")(command_of(Toy("toy", ToyRequest, chapter="")))
-    ended = CliRunner().invoke(app, arguments)
-    return ended.output, ended.exception
-
-
-def test_a_result_that_was_announced_is_not_shown_again(tmp_path: Path) -> None:
-    file = tmp_path / "served.json"
-    assert called("served", "--json", str(file)) == ("kind served\nserving\n", None)
-    assert json.loads(file.read_text("utf-8"))["kind"] == "served"
-
-
-def test_a_refusal_that_the_work_showed_comes_after_the_result(tmp_path: Path) -> None:
-    file = tmp_path / "refused.json"
-    output, error = called("refused", "--json", str(file))
-    assert (output, type(error), str(error)) == ("kind refused\n", InputError, "not done")
-    assert file.is_file()
-
-
-def test_a_result_that_is_json_is_shown_or_written(tmp_path: Path) -> None:
-    assert called("json") == ("kind json\n", None)
-    assert called("json", "--json", str(tmp_path / "new.json")) == ("", None)
 
 
 # -- What a finished run says, on the terminal and on the page: no double stop, one spelling of units, words for keys --

@@ -16,7 +16,6 @@ from textual.pilot import Pilot
 from textual.widgets import Static
 
 from cellapp.cell.driving.motion import sweep_sentence
-from cellapp.cell.profile import load_profile
 from cellapp.cell.run import ReferenceRow, RunFile
 from cellapp.cell.run.measured_again import earlier_readings
 from cellapp.commands.collect.run import collect_stops
@@ -61,7 +60,7 @@ from tests.interfaces.tui.pilot import (
     until,
 )
 from tests.interfaces.tui.test_snapshots import SNAPSHOTS, final_text, size_name, words_of
-from tests.twin import small_twin, write_profile
+from tests.twin import small_twin
 
 Q0 = (0.5,) * 6
 Q1 = (-1.0, 0.25, 1.0, 1.5, -0.5, 2.0)
@@ -386,46 +385,9 @@ async def test_marked_stops_are_measured_again_after_a_question(measured_run: Pa
         assert earlier_readings(opened, "right").readings.configuration.tolist() == [11]
 
 
-DAY = Path("logs") / "day"
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a small twin and a planned run of it."""
-    made = tmp_path_factory.mktemp("work")
-    profile = write_profile(made / "profiles")
-    for path in (made / "profiles").glob("*.yaml"):
-        if path != profile:
-            path.unlink()
-    profile.write_text(profile.read_text("utf-8").replace("  stops: 30", "  stops: 30\n  method: random"), "utf-8")
-    new_planned_run(load_profile(profile), made / DAY).close()
-    return made
-
-
-@pytest.fixture
-def day(folder: Path, tmp_path: Path) -> CellApp:
-    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
-    return CellApp(Path("profiles"))
-
-
-async def open_day(pilot: Pilot[None], day: CellApp) -> None:
-    await opened(pilot, day)
-    day.open_run(DAY, Path("profiles") / "twin.yaml")
-    await until(pilot, lambda: day.workspace.folder == DAY, "the run")
-
-
-async def collect(pilot: Pilot[None], day: CellApp) -> None:
-    """Begin to collect by keys."""
-    await pilot.press("3")
-    await shows(pilot, "READY, 30 stops")
-    await pilot.press("b")
-    await shows(pilot, "Begin to collect?")
-    await pilot.press("b")
-
-
-async def test_a_full_disk_holds_the_reading_until_a_person_freed_it(
-    day: CellApp, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_full_disk_holds_the_reading_until_a_person_freed_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = Path("logs/day")
+    new_planned_run(small_twin(30, plan={"method": "random"}), run).close()
     add_stop, full = RunFile.add_stop, [True]
 
     def refused(self: RunFile, stop: int, rows: Any, *others: Any) -> None:
@@ -434,9 +396,13 @@ async def test_a_full_disk_holds_the_reading_until_a_person_freed_it(
         add_stop(self, stop, rows, *others)
 
     monkeypatch.setattr(RunFile, "add_stop", refused)
-    async with day.run_test(size=SMALL) as pilot:
-        await open_day(pilot, day)
-        await collect(pilot, day)
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_collect(pilot, app, run)
+        await shows(pilot, "READY, 30 stops")
+        await pilot.press("b")
+        await shows(pilot, "Begin to collect?")
+        await pilot.press("b")
         await shows(pilot, "STOPPED", "disk is full", "c resumes")
         full[0] = False
         await pilot.press("c")

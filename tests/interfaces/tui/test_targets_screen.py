@@ -17,8 +17,7 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.screens import targets
-from cellapp.interfaces.tui.screens.targets import TargetEdits, TargetsScreen
-from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, tells, until
+from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, until
 from tests.twin import small_twin
 
 TWIN = PROFILES / "twin.yaml"
@@ -29,17 +28,8 @@ def grid(app: CellApp) -> DataTable[object]:
     return app.day_screen.query_one("#grid", DataTable)
 
 
-def column(app: CellApp, number: int) -> list[str]:
-    """The cells of one column of the list."""
-    return [str(grid(app).get_row_at(row)[number]) for row in range(grid(app).row_count)]
-
-
 def heading(app: CellApp) -> str:
     return str(app.day_screen.query_one("#about-list", Static).content)
-
-
-def about(app: CellApp) -> str:
-    return str(app.day_screen.query_one("#about-target", Static).content)
 
 
 async def show_targets(pilot: Pilot[None], app: CellApp, run: Path | None, targets: Path | None = None) -> None:
@@ -75,31 +65,6 @@ def few(tmp_path: Path) -> Path:
     sizes = (2e-3, 1e-6, None)
     path.write_text(targets_text([t.model_copy(update={"tolerance": size}) for t, size in zip(LISTED, sizes)]))
     return path
-
-
-async def test_an_empty_list_and_an_arm_that_the_run_does_not_have(
-    finished_copy: Path, few: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_targets(pilot, app, finished_copy, few)
-        screen = app.day_screen
-        assert isinstance(screen, TargetsScreen)
-        strange = LISTED[0].model_copy(update={"arm": "middle"})
-        monkeypatch.setattr(screen, "_edits", TargetEdits(few, (strange,), (strange,)))
-        await pilot.press("b")
-        await until(
-            pilot,
-            lambda: app.message == "Target 'left-01': no arm 'middle'; arms are left, right. Enter edits it.",
-            "the message",
-        )
-        monkeypatch.setattr(screen, "_edits", TargetEdits(few, (), ()))
-        screen._draw_list()
-        for key, says in (("b", "No targets"), ("m", "No targets"), ("w", "An empty list cannot be saved")):
-            await pilot.press(key)
-            await tells(pilot, says)
-        await pilot.press("enter", "-", "ctrl+z")
-        assert app.screen is screen
 
 
 async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(
