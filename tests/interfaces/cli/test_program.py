@@ -36,7 +36,6 @@ from cellapp.estimation.readings import Reading
 from cellapp.ground import removed
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.results import ErrorResult
-from cellapp.interfaces.cli.program import wants_json
 from cellapp.interfaces.page import page
 from cellapp.interfaces.page.page import page_text
 from cellapp.interfaces.tui.workspace import load_workspace
@@ -133,14 +132,6 @@ def test_an_unexpected_error_is_an_object(
     assert answer["exit_code"] == 1
     assert answer["message"].startswith("unexpected RuntimeError: out of order")
     assert "out of order" in Path("cellapp-error.log").read_text("utf-8")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [("plan --json -", True), ("plan --json=-", True), ("plan --json file -", False), ("plan - --json", False)],
-)
-def test_when_json_is_wanted(arguments: str, expected: bool) -> None:
-    assert wants_json(arguments.split()) is expected
 
 
 # -- What a finished run says, on the terminal and on the page: no double stop, one spelling of units, words for keys --
