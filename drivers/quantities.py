@@ -31,7 +31,7 @@ _UNITS: dict[str, dict[str, float]] = {
     "relative length": {"m/m": 1.0, "mm/m": 1e-3, "um/m": 1e-6, "ppm": 1e-6},
     "temperature": {"degC": 1.0},
 }
-_NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S+)\s*")
+_NUMBER_AND_UNIT = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([^\s\d.]\S*)\s*")
 
 
 def parse_quantity(kind: str, value: object) -> float:

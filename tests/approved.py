@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.commands.view.charts import Chart
-from cellapp.commands.view.parts import CellScene, Facts, Parts, Section
+from cellapp.commands.view.parts import Facts, Parts, Section
 from cellapp.commands.view.table import Table
 
 UPDATE = os.environ.get("CELLAPP_UPDATE_SNAPSHOTS", "") not in ("", "0")
@@ -71,8 +71,6 @@ def _lines(part: object) -> Iterator[str]:
         yield from (f"  limit {one.name}: {one.value:.4g}" for one in part.limits)
         yield from ([f"  categories {', '.join(part.categories)}"] if part.categories else [])
         yield f"  {part.message}"
-    elif isinstance(part, CellScene):
-        yield "scene of the cell"
     else:
         yield str(part)
 

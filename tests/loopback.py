@@ -11,7 +11,7 @@ _FIRST_NET = 80
 def own_address(number: int) -> str:
     """A loopback address that no other process of the same test run uses.
 
-    ``number`` (2 to 254) belongs to one module; 41 to 68, 71 to 75 are taken. pytest-xdist names its workers gw0, gw1
+    ``number`` (2 to 254) belongs to one module; 41 to 68, 71 to 77 are taken. pytest-xdist names its workers gw0, gw1
     ... in the environment, which the processes that a test starts inherit.
     """
     worker = os.environ.get("PYTEST_XDIST_WORKER", "gw0")

@@ -46,6 +46,7 @@ SETTINGS = (
 DRIVERS = ("drivers.plant", "drivers.arms.ur", "drivers.trackers.lmf")
 """Some of what no command needs that only reads the profile."""
 LOADED_LATER = {
+    "cellapp.cell.profile.loader": "the mathematics is loaded where an arm has a calibration of its controller",
     "cellapp.interfaces.cli": "a command loads what it needs: --help and a stop from another window do not wait",
     "cellapp.interfaces.tui": "a screen or a job loads what it needs, in its own thread",
     "cellapp.interfaces.page": "the terminal application reads the state of a run without drawing its page",
@@ -53,7 +54,6 @@ LOADED_LATER = {
     "cellapp.commands.record": "a verb's run and view are loaded when it runs; words of errors on an error",
     "cellapp.commands.init.request": "starters are read where one has to be named",
     "cellapp.commands.calibrate.run": "the fit of recordings is loaded where some were made",
-    "cellapp.commands.compensate.details": "scipy is loaded where a target has a work frame",
     "cellapp.commands.docs.handbook": "chapters are read without the mathematics",
     **{
         f"drivers.{module}": "a profile is read without any driver"

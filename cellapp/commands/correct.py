@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -17,6 +18,7 @@ from cellapp.cell.programs.solving import (
     assumptions,
     correct_lines,
     gate_findings,
+    judged,
     model_notes,
     refusal,
     rewritten,
@@ -27,7 +29,7 @@ from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.run.samples import known_readings
 from cellapp.commands.record import Asked, Request, RunFolder, Verb, View, Work
 from cellapp.commands.stages import read_stages
-from cellapp.commands.stored_model import model_of, stage_in_force
+from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
@@ -83,6 +85,13 @@ class CorrectRequest(Request):
             label="correct outside the joint ranges of the readings too",
         ),
     ] = False
+    insignificant: Annotated[
+        bool,
+        Asked(
+            "Correct targets whose correction is not significant too.",
+            label="correct what is not significant too",
+        ),
+    ] = False
 
 
 VERB = Verb("correct", CorrectRequest, chapter="programs", question="Correct a program")
@@ -104,6 +113,7 @@ def run(request: CorrectRequest, work: Work) -> CorrectResult:
             tcp=None if request.tcp is None else typed_tcp(request.tcp),
             partly=request.partly,
             extrapolate=request.extrapolate,
+            insignificant=request.insignificant,
             outputs=work.outputs,
         )
 
@@ -117,6 +127,7 @@ def correct_run(
     tcp: Six | None = None,
     partly: bool = False,
     extrapolate: bool = False,
+    insignificant: bool = False,
     outputs: Outputs = NEW_ONLY,
 ) -> CorrectResult:
     """Write a copy of a program with targets that a plain controller truly reaches.
@@ -137,6 +148,8 @@ def correct_run(
         Write the copy even if some targets stay uncorrected.
     extrapolate : bool
         Also correct targets outside the joint ranges of the readings.
+    insignificant : bool
+        Also correct targets whose correction is not significant against their own uncertainty.
     outputs : Outputs
         Which files may be replaced; none by default.
 
@@ -146,6 +159,7 @@ def correct_run(
         If the program cannot be read, the run is not calibrated or has no such arm, or the copy cannot be written.
     """
     stages = read_stages(run)
+    require_own_factory(run, "correct")
     model = model_of(run, stage_in_force(run, stages))
     name = _arm(run, list(model.arms), arm)
     model_arm = model.arms[name]
@@ -155,10 +169,10 @@ def correct_run(
     if not read.targets and not read.left:
         raise InputError(f"{program}: no motion with a target found; nothing was written")
     limits = np.array(settings.joint_limits)
-    home = np.zeros(_JOINTS) if settings.home is None else np.array(settings.home)
+    home = None if settings.home is None else np.array(settings.home)
     q = known_readings(run, name).q
     place = Workplace(model_arm, limits, home, q, run.profile.seed, read.payload_kg, extrapolate)
-    corrected = solve_targets(place, read.targets)
+    corrected, common = judged(place, read.targets, solve_targets(place, read.targets), every=insignificant)
     stale = stages.stale_arms()
     result = CorrectResult(
         program=str(program),
@@ -172,7 +186,9 @@ def correct_run(
             *model_notes(model_arm),
             *read.notes,
             *gate_findings(run.profile, model, name, corrected),
+            *([] if model_arm.posterior is not None else [_no_sigma(run)]),
         ),
+        common=tuple(common),
     )
     if result.refused and not partly:
         return result.model_copy(update={"out": None})
@@ -197,6 +213,11 @@ def typed_tcp(text: str) -> Six:
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _no_sigma(run: RunFile) -> str:
+    command = shlex.join(["cellapp", "discover", str(run.folder)])
+    return f"sigma is not stated: only a discovery estimates the uncertainty of the model; '{command}' makes one"
 
 
 def _arm(run: RunFile, arms: Sequence[str], asked: str | None) -> str:
@@ -269,7 +290,9 @@ def _rows(target: CorrectedTarget) -> list[tuple[Cell, ...]]:
     old: tuple[Cell, ...] = (str(target.line), target.command, _numbers(target.old), None, None, None)
     if target.new is None:
         return [old, ("", "", "not corrected, see below", None, None, None)]
-    sizes = (target.correction_mm, target.correction_mrad, target.uncertainty_mm)
+    sizes = (target.correction_mm, target.correction_mrad, target.own_mm)
+    if target.significant is False:
+        return [old, ("", target.nearest_to, "left as taught: not significant", *sizes)]
     return [old, ("", target.nearest_to, _numbers(target.new), *sizes)]
 
 

@@ -149,10 +149,6 @@ def _serve_tracker(
         port=tracker.port,
         token=token,
     )
-    for name, arm in profile.arms.items():
-        controller = arm.driver.emulated_controller()
-        if controller is not None and controller.trigger_output is not None:
-            server.wire(name, controller.trigger_output, bridge.tracker.trigger)
     try:
         stack.enter_context(bridge)
     except OSError as error:

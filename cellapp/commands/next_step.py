@@ -13,6 +13,7 @@ from cellapp.estimation.iso9283.norm import IsoTest
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import COMPENSATE, ISO9283, Record
+from cellapp.ground.shell import shell_word
 
 
 class ArmState(Record):
@@ -47,7 +48,7 @@ def next_step(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> 
         return "", ""
     verb = _next_verb(run, stages, arms)
     if not verb and (tests := _missing_tests(run, stages)):
-        return "iso9283", f"cellapp iso9283 {tests[0]} PROFILE --run {run.folder}"
+        return "iso9283", f"cellapp iso9283 {tests[0]} --run {shell_word(run.folder)}"
     begun = verb == "collect" and any(arm.measured for arm in arms.values())
     return verb, next_command(verb, run.folder) + (" --resume" if begun else "")
 

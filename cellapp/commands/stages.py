@@ -41,6 +41,7 @@ from cellapp.ground.results import (
     Result,
     StageName,
 )
+from cellapp.ground.shell import shell_word
 from cellapp.robot.model.model import MODEL_SCHEMA
 
 
@@ -272,13 +273,13 @@ def next_command(verb: NextVerb, folder: Path) -> str:
         case "":
             return ""
         case "push":
-            return f"cellapp push {folder} TARGETS --verify"
+            return f"cellapp push {shell_word(folder)} TARGETS --verify"
         case "compensate":
-            return f"cellapp compensate {folder} TARGETS"
+            return f"cellapp compensate {shell_word(folder)} TARGETS"
         case "plan":
             return "cellapp plan PROFILE --run NEW"
         case _:
-            return f"cellapp {verb} {folder}"
+            return f"cellapp {verb} {shell_word(folder)}"
 
 
 def tracker_moved(located: StoredStage | None) -> bool:
@@ -562,7 +563,7 @@ def _page_complaints(run: RunFile, stages: RunStages) -> list[str]:
     if found is not None and found.group(1) == data_mark(run, stages):
         return []
     why = "an older version wrote it" if found is None else "the run has changed since"
-    return [f"{REPORT_FILE} is out of date ({why}); run 'cellapp report {run.folder}'"]
+    return [f"{REPORT_FILE} is out of date ({why}); run 'cellapp report {shell_word(run.folder)}'"]
 
 
 def _certificate_complaints(run: RunFile, stages: RunStages) -> list[str]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from cellapp.cell.run.file import RunFile
 from cellapp.commands.stages import CALIBRATION_FILE, Basis, RunStages, StoredStage, append_stage
 from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.estimation.calibration.registration import factory_doubt
 from cellapp.estimation.discovery.records import DiscoverResult, with_effects
 from cellapp.estimation.monitoring.moved import CalibratedArm
 from cellapp.ground.errors import InputError
@@ -53,6 +54,16 @@ def require_current_model(run: RunFile, stages: RunStages, verb: str) -> None:
             f"{verb}: {stale}; nothing was moved. Run '{stages.next_step(run.folder)}' first, or insist with"
             " --out-of-date"
         )
+
+
+def require_own_factory(run: RunFile, verb: str) -> None:
+    """Raise ``InputError`` if an arm's factory calibration explains the readings worse than the published table."""
+    for name, arm in run.profile.arms.items():
+        if doubt := factory_doubt(arm, run.readings(name)):
+            raise InputError(
+                f"{verb}: arm '{name}': {doubt}; nothing was written or moved. Give the calibration.conf of this arm's"
+                f" controller as arms.{name}.factory, or none, then import and calibrate again"
+            )
 
 
 def stale_notes(stages: RunStages, used: StoredStage) -> list[str]:

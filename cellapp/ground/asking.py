@@ -1,8 +1,9 @@
 """Ask the job that runs in a run's folder for something, from another process on the same computer.
 
 A file in the folder, which only its owner may read, has the port and a random token of the job: a request never reaches
-a later job, and nobody else can send one. A stop must not wait for packages that it does not need: this module imports
-little, and nothing that it imports does otherwise.
+a later job, and nobody else can send one. The job locks the file while it runs: only a missing or unlocked one is no
+job. A stop must not wait for packages that it does not need: this module imports little, and nothing that it imports
+does otherwise.
 """
 
 from __future__ import annotations
@@ -10,10 +11,15 @@ from __future__ import annotations
 import json
 import os
 import socket
+import sys
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import IO, Literal, NamedTuple, get_args
 
 from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.shell import shell_word
+
+if sys.platform != "win32":
+    import fcntl
 
 Verb = Literal["pause", "resume", "stop", "abort"]
 VERBS: tuple[Verb, ...] = get_args(Verb)
@@ -29,6 +35,8 @@ LONGEST_LINE = 2000
 PATIENCE_S = 2.0
 """A job answers in milliseconds: its brakes are commanded without waiting for rest."""
 
+_HELD = "a job that runs holds it"
+_PRESS = "if an arm moves, press its emergency stop"
 _RUN_FILE = "run.sqlite"
 """As ``cellapp.cell.run`` names it, which imports much."""
 _GLANCE_S = 1.0
@@ -79,6 +87,22 @@ class NoJob(InputError):
     """No job runs in the folder."""
 
 
+class UnreadableJob(InputError):
+    """The folder's job cannot be asked: ``owner`` is the account that alone may read its file."""
+
+    def __init__(self, path: Path, error: OSError) -> None:
+        self.owner = "unknown"
+        for place in (path.parent, path):
+            try:
+                self.owner = place.owner()
+            except (OSError, KeyError, NotImplementedError):  # hidden by its folder; not a known account; Windows
+                break
+        super().__init__(
+            f"{path}: belongs to account '{self.owner}' and cannot be read ({error.strerror}), so a job may run and"
+            f" move arms: give the command as that account or as root; {_PRESS}"
+        )
+
+
 def this_computer() -> str:
     """The name of this computer."""
     return socket.gethostname()
@@ -94,9 +118,9 @@ def ask_running_job(folder: Path, verb: Verb) -> str:
     HardwareError
         If a job listens but does not answer: its arms may move.
     """
-    if not (folder / _RUN_FILE).is_file():
-        raise InputError(f"{folder}: no run is here; name the folder of a run")
     address = address_of_job(folder)
+    if address is None and not (folder / _RUN_FILE).is_file():
+        raise InputError(f"{folder}: no run is here; name the folder of a run")
     if address is None:
         raise NoJob(f"no job runs in {folder}")
     if not address.is_here:
@@ -128,38 +152,76 @@ def look_at_job(folder: Path) -> JobSeen | None:
         return JobSeen(**json.loads(answer.partition(" ")[2]))
     except (ValueError, TypeError):
         raise InputError(
-            f"the job in {folder} is of another version of cellapp; look at it with that one. 'cellapp stop {folder}'"
+            f"the job in {folder} is of another version of cellapp; look at it with that one. 'cellapp stop"
+            f" {shell_word(folder)}'"
             " stops it all the same"
         ) from None
 
 
 def who_uses(folder: Path) -> str:
     """Which job uses a run's folder, as a phrase; empty if none does. The job itself is not asked for anything."""
-    address = address_of_job(folder)
-    if address is None:
-        return ""
-    if not address.is_here:
-        return f"a job on computer '{address.computer}', if it still runs"
     try:
+        address = address_of_job(folder)
+        if address is None:
+            return ""
+        if not address.is_here:
+            return f"a job on computer '{address.computer}', if it still runs"
         return "" if exchange(folder, address, LOOK, _GLANCE_S) is None else RUNS_NOW
+    except UnreadableJob as error:
+        return f"a job of account '{error.owner}', if it still runs"
     except HardwareError:
         return "a job that does not answer"
 
 
 def address_of_job(folder: Path) -> JobAddress | None:
-    """Read where the job of a folder listens; None without a readable file. The job may have ended since."""
+    """Read where the job of a folder listens; None if there is no file, or a damaged one that no job holds.
+
+    The job may have ended since.
+
+    Raises
+    ------
+    UnreadableJob
+        If there is a file that this account may not read.
+    HardwareError
+        If a job holds a file that does not state where it listens.
+    """
+    path = folder / JOB_FILE
     try:
-        found = json.loads((folder / JOB_FILE).read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            text, held = file.read(LONGEST_LINE), not taken(file)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise UnreadableJob(path, error) from None
+    try:
+        found = json.loads(text)
         process = int(found.get("process", 0))  # files of earlier versions do not state it
         return JobAddress(str(found["computer"]), process, int(found["port"]), str(found["token"]))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError):
+        if held:
+            raise HardwareError(f"{path}: {_HELD}, but the file does not say where it listens; {_PRESS}") from None
         return None
+
+
+def taken(file: IO[bytes], *, alone: bool = False) -> bool:
+    """Take the lock of an open job file until it is closed, ``alone`` as a job does; return False if it is held.
+
+    A system without such locks, like some network folders, knows no holder.
+    """
+    if sys.platform != "win32":
+        try:
+            fcntl.flock(file, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:
+            pass
+    return True
 
 
 def exchange(folder: Path, address: JobAddress, request: str, patience_s: float) -> str | None:
     """Send one request and return the answer; None if nobody listens or it is not that job.
 
-    Raises ``HardwareError`` if somebody listens and is silent.
+    Raises ``HardwareError`` if somebody listens and is silent, or a job holds the file and nobody listens.
     """
     try:
         with socket.create_connection(("127.0.0.1", address.port), patience_s) as connection:
@@ -168,9 +230,21 @@ def exchange(folder: Path, address: JobAddress, request: str, patience_s: float)
                 answer = reader.readline(LONGEST_LINE)
     except TimeoutError:
         raise HardwareError(
-            f"the job in {folder} did not answer within {patience_s:g} s; if an arm moves, press its emergency"
-            f" stop. If no job runs there, delete {folder / JOB_FILE}"
+            f"the job in {folder} did not answer within {patience_s:g} s; {_PRESS}. If no job runs there, delete"
+            f" {folder / JOB_FILE}"
         ) from None
     except (OSError, OverflowError):
-        return None
-    return answer.decode("utf-8", "replace").strip() or None
+        answer = b""
+    text = answer.decode("utf-8", "replace").strip()
+    if not text and _is_held(folder / JOB_FILE):
+        raise HardwareError(f"{folder / JOB_FILE}: {_HELD} and does not answer; {_PRESS}")
+    return text or None
+
+
+def _is_held(path: Path) -> bool:
+    """Return whether a job that runs holds the lock of a job file."""
+    try:
+        with path.open("rb") as file:
+            return not taken(file)
+    except OSError:  # it has ended meanwhile
+        return False

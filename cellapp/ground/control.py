@@ -39,11 +39,17 @@ class JobControl(CancelToken):
     ----------
     holds : bool
         Whether a person attends the job and may resume it after ``stop``. Otherwise ``stop`` ends the job.
+
+    Attributes
+    ----------
+    run : str
+        The run of the job, by which controllers name its programs; empty until it is known.
     """
 
     def __init__(self, *, holds: bool = False) -> None:
         super().__init__()
         self.holds = holds
+        self.run = ""
         self._request: Request = "none"
         self._changed = threading.Condition()
         self._brakes: list[Callable[[str], None]] = []

@@ -31,6 +31,7 @@ COMMANDS: Mapping[str, str] = {
 PROFILE_KEYS: Mapping[str, str] = {
     "plant.torques": "leave it out; masses are those that the profile states",
     "notify": "delete it; in a script, call your command after 'cellapp collect' by its exit code",
+    "arms.*.driver.trigger_output": "delete it; the motion tells the offset of the clocks",
     **{
         f"arms.*.smr.{key}": "mount a 6-D probe (smr.probe), or import readings of three SMRs"
         for key in ("name", "nests", "distances")

@@ -1,4 +1,4 @@
-"""Checks of a stream of joint positions before the first one is sent: finite numbers, limits, steps, start position."""
+"""Checks of a motion or of a stream of joint positions before they are sent: finite numbers, limits, steps, start."""
 
 from __future__ import annotations
 
@@ -12,6 +12,55 @@ AT_START_RAD = 1e-3
 _ROUNDING_RAD = 1e-9
 _SLACK = 1e-3
 """Relative excess of speed and acceleration that is taken for rounding of the samples."""
+
+
+_RATE_SLACK = 1e-6
+"""Relative excess of a stated speed or acceleration that is taken for rounding."""
+
+
+def checked_move(
+    name: str,
+    q: NDArray[np.float64],
+    speed: NDArray[np.float64],
+    acceleration: NDArray[np.float64],
+    limits: JointLimits,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Check goal, speed and acceleration (N,) of a motion of arm ``name``; return arrays. Raises ``LimitExceeded``."""
+    goal = _per_joint(name, "position", q, len(limits.speed))
+    low, high = limits.position.T
+    for joint in np.flatnonzero((goal < low - _ROUNDING_RAD) | (goal > high + _ROUNDING_RAD)):
+        raise LimitExceeded(
+            f"arm {name}: position {goal[joint]:.4f} rad of joint {joint + 1} is outside"
+            f" [{low[joint]:.4f}, {high[joint]:.4f}] rad"
+        )
+    rates = []
+    for what, unit, value, most in (
+        ("speed", "rad/s", speed, limits.speed),
+        ("acceleration", "rad/s^2", acceleration, limits.acceleration),
+    ):
+        rate = _per_joint(name, what, value, len(most))
+        for joint in np.flatnonzero((rate <= 0.0) | (rate > most * (1.0 + _RATE_SLACK))):
+            raise LimitExceeded(
+                f"arm {name}: {what} {rate[joint]:g} {unit} of joint {joint + 1} is not above 0 and at most"
+                f" {most[joint]:g} {unit}"
+            )
+        rates.append(rate)
+    return goal, rates[0], rates[1]
+
+
+def _per_joint(name: str, what: str, value: NDArray[np.float64], joints: int) -> NDArray[np.float64]:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise LimitExceeded(f"arm {name}: {what}: expected {joints} numbers") from None
+    if array.shape != (joints,):
+        raise LimitExceeded(
+            f"arm {name}: {what} has shape {array.shape}, expected one number for each of {joints} joints"
+        )
+    if not np.isfinite(array).all():
+        joint = int(np.argmin(np.isfinite(array))) + 1
+        raise LimitExceeded(f"arm {name}: {what} of joint {joint} is not a finite number")
+    return array
 
 
 def checked_path(

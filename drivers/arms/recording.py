@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
+
+from drivers.arms.protocol import Arm
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +26,6 @@ class JointRecord:
         Time between two samples [s].
     temperature_c : array, shape (n, N), or None
         Joint temperatures [degC]; None if not reported.
-    triggers_s : array, shape (k,)
-        Timestamps of the samples in which a pulse to the tracker began [s].
     """
 
     time_s: NDArray[np.float64]
@@ -32,7 +33,6 @@ class JointRecord:
     qd: NDArray[np.float64]
     period_s: float
     temperature_c: NDArray[np.float64] | None = None
-    triggers_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     @property
     def missing(self) -> int:
@@ -52,14 +52,33 @@ class RecordingArm(Protocol):
     def start_recording(self) -> None:
         """Start recording over a separate connection; return after the first sample. Raises ``LinkLost``."""
 
-    def pulse(self) -> bool:
-        """Send a pulse to the tracker's trigger input; return False if the profile has no output for it.
-
-        Only while a recording runs. Raises ``LinkLost``.
-        """
-
     def recorded(self) -> tuple[int, int]:
         """Return the numbers of received and lost samples of the running recording; never block."""
 
     def end_recording(self) -> JointRecord:
-        """End the recording and return all samples. Raises ``LinkLost`` if the connection ended before."""
+        """End the recording after one more sample; return all. Raises ``LinkLost`` if the connection ended before."""
+
+
+@runtime_checkable
+class SettlingArm(RecordingArm, Protocol):
+    """Additional interface of a recorded arm that states when it counts as settled."""
+
+    @property
+    def settle_window(self) -> float:
+        """Largest change of a joint at rest [rad]."""
+
+
+def recording(arm: Arm) -> Callable[[], JointRecord]:
+    """Begin to record an arm at rest; return the function that ends it. Both raise ``ArmError``.
+
+    Of an arm that is not a ``SettlingArm``, the only sample is its state at the end.
+    """
+    if isinstance(arm, SettlingArm):
+        arm.start_recording()
+        return arm.end_recording
+
+    def end() -> JointRecord:
+        state = arm.state()
+        return JointRecord(np.array([state.time_s]), state.q[np.newaxis], np.zeros((1, len(state.q))), 1.0)
+
+    return end

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -38,6 +38,8 @@ class ArmContext:
         The simulated cell; None if no device of the cell is simulated.
     simulation : bool
         Whether the arm's controller must be in its simulation mode, in which no arm moves.
+    user : str
+        Who drives it, for other computers: the run of a job.
     """
 
     name: str
@@ -48,6 +50,7 @@ class ArmContext:
     payload_center_m: NDArray[np.float64]
     plant: Plant | None = None
     simulation: bool = False
+    user: str = ""
 
 
 @dataclass(frozen=True)
@@ -63,13 +66,11 @@ class Package:
 class EmulatedController:
     """How an emulated UR controller may replace an arm's own.
 
-    ``host`` is its loopback address, None for any free one; ``serial`` is the serial number it reports, None for any;
-    ``trigger_output`` is the digital output that is wired to the tracker's trigger input.
+    ``host`` is its loopback address, None for any free one; ``serial`` is the serial number it reports, None for any.
     """
 
     host: str | None = None
     serial: str | None = None
-    trigger_output: int | None = None
 
 
 class ArmSettings(Section):
@@ -81,8 +82,6 @@ class ArmSettings(Section):
     has_device: ClassVar[bool] = True
     """Whether there is an arm to move; if not, readings come from a file."""
     packages: ClassVar[tuple[Package, ...]] = ()
-    repeatable_probe: ClassVar[bool] = False
-    """Whether a probe may be repeated every few seconds: it only reads, and does not block the device for others."""
 
     @property
     def controller_address(self) -> str:
@@ -105,6 +104,20 @@ class ArmSettings(Section):
     @abstractmethod
     def probe(self, arm: ArmContext, patience_s: float) -> Sequence[Finding]:
         """Check the arm without moving it; a controller that is silent for ``patience_s`` [s] counts as dead."""
+
+    def link(self, arm: ArmContext, look: Callable[[], None]) -> Sequence[Finding]:
+        """Measure for some seconds whether the link to the controller is fast enough; empty for other kinds.
+
+        ``look`` is called meanwhile and may raise.
+        """
+        return ()
+
+    def left_program(self) -> str:
+        """Return who started the program that runs on the controller, if a driver of this kind did; else empty."""
+        return ""
+
+    def end_program(self) -> None:
+        """End the program that runs on the controller, whoever started it. Raises ``LinkLost``."""
 
     def excerpt(self, patience_s: float) -> Sequence[Mapping[str, object]]:
         """Return some states of the arm as its controller sends them, for a fault report; empty for other kinds."""

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arms.path_checks import checked_path
+from drivers.arms.path_checks import checked_move, checked_path
 from drivers.arms.path_end import slowed
 from drivers.arms.protocol import (
     ArmError,
@@ -17,7 +17,6 @@ from drivers.arms.protocol import (
     DoubtListener,
     EmergencyStop,
     JointLimits,
-    LimitExceeded,
     LinkLost,
     LiveArm,
     MotionStopped,
@@ -33,10 +32,6 @@ CYCLE_S = 0.008
 """Control cycle: every query takes one, so that simulated time passes while a caller polls."""
 SETTLE_S = 0.2
 """An arm counts as settled after this time at rest."""
-_ROUNDING_RAD = 1e-9
-"""Tolerance of a position limit for rounding."""
-_ROUNDING = 1e-9
-"""Relative tolerance of a speed or acceleration limit for rounding."""
 
 _Sample = tuple[float, NDArray[np.float64], NDArray[np.float64]]
 """Time [s], joint positions [rad] and speeds [rad/s] of a control cycle."""
@@ -160,18 +155,6 @@ class SimulatedArm:
             speed_fraction=1.0,
         )
 
-    def _per_joint(self, what: str, value: NDArray[np.float64]) -> NDArray[np.float64]:
-        array = np.array(value, dtype=np.float64)
-        if array.shape != (self._config.joints,):
-            raise LimitExceeded(
-                f"arm {self._name}: {what} has shape {array.shape}, expected one number for each of"
-                f" {self._config.joints} joints"
-            )
-        if not np.isfinite(array).all():
-            joint = int(np.argmin(np.isfinite(array))) + 1
-            raise LimitExceeded(f"arm {self._name}: {what} of joint {joint} is not a finite number")
-        return array
-
     def start_move(self, q: NDArray[np.float64], speed: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Start a joint motion, straight in joint space: all joints start and end together.
 
@@ -179,27 +162,9 @@ class SimulatedArm:
         or ``ArmError`` while it moves.
         """
         self._may_start()
-        goal = self._per_joint("position", q)
-        low, high = self._config.limits.T
-        for joint in np.flatnonzero((goal < low - _ROUNDING_RAD) | (goal > high + _ROUNDING_RAD)):
-            raise LimitExceeded(
-                f"arm {self._name}: position {goal[joint]:.4f} rad of joint {joint + 1} is outside"
-                f" [{low[joint]:.4f}, {high[joint]:.4f}] rad"
-            )
-        rates = []
-        for what, unit, value, most in (
-            ("speed", "rad/s", speed, self._config.speed),
-            ("acceleration", "rad/s^2", acceleration, self._config.acceleration),
-        ):
-            rate = self._per_joint(what, value)
-            for joint in np.flatnonzero((rate <= 0.0) | (rate > most * (1.0 + _ROUNDING))):
-                raise LimitExceeded(
-                    f"arm {self._name}: {what} {rate[joint]:g} {unit} of joint {joint + 1} is not above 0 and at most"
-                    f" {most[joint]:g} {unit}"
-                )
-            rates.append(rate)
+        goal, speeds, accelerations = checked_move(self._name, q, speed, acceleration, self.limits())
         self._cut_short = False
-        self._plant.start_move(self._name, goal, rates[0], rates[1])
+        self._plant.start_move(self._name, goal, speeds, accelerations)
 
     def _may_move(self) -> None:
         if self._refusals > self._released:
@@ -273,10 +238,6 @@ class SimulatedArm:
             return
         record.append((self._plant.clock_s, self._plant.q(self._name), self._plant.speeds(self._name)))
         self._plant.schedule.at(began_s + (number + 1) * CYCLE_S, lambda: self._keep(record, began_s, number + 1))
-
-    def pulse(self) -> bool:
-        """Return False: a simulated arm has no output."""
-        return False
 
     def recorded(self) -> tuple[int, int]:
         """Return how many samples there are; none is missing."""

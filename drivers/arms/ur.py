@@ -23,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arms.path_checks import checked_path
+from drivers.arms.path_checks import checked_move, checked_path
 from drivers.arms.protocol import (
     ArmIdentity,
     ArmState,
@@ -36,9 +36,9 @@ from drivers.arms.protocol import (
     stale,
 )
 from drivers.arms.recording import JointRecord, counts_so_far
-from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, load_checks
+from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, held_by, load_checks
 from drivers.arms.ur_guarded_link import ANSWER_WITHIN_S, CONFIRM_WITHIN_S, GuardedLink, arm_error, arm_state
-from drivers.arms.ur_links import RTDE_PORT, Connection, cause
+from drivers.arms.ur_links import RTDE_PORT, Connection, cause, program_name, running_program
 from drivers.arms.ur_motion import OPTIONAL_VARIABLES, STILL_MOVING
 from drivers.arms.ur_options import UrOptions
 from drivers.arms.ur_probe import UrProbe, probe_ur
@@ -51,6 +51,10 @@ LONGEST_BRAKING_S = 3.0
 """Upper bound of the braking time: several times what a UR arm takes to brake from full speed."""
 
 _HELLO_WITHIN_S = 10.0
+_QUICK_END_S = 0.3
+"""Time limit for the end of an interrupted ``connect``, whose program has begun no motion."""
+_KNOWN_WITHIN_S, _ASK_AGAIN_S = 1.5, 0.1
+"""Time limit for the name of the program of who holds the controller: programs start within a second."""
 _ENDS_WITHIN_S = 3.0
 _MARGIN_S = 1.0
 _ROWS_AT_ONCE = 20
@@ -65,14 +69,22 @@ class UrArm(GuardedLink):
     """One UR arm. Any thread may call ``live`` and the stopping methods, one thread at a time the others."""
 
     def __init__(
-        self, name: str, settings: UrOptions, expected: UrExpectation, *, rest_s: float = LONGEST_BRAKING_S
+        self,
+        name: str,
+        settings: UrOptions,
+        expected: UrExpectation,
+        *,
+        rest_s: float = LONGEST_BRAKING_S,
+        user: str = "",
     ) -> None:
-        """Open nothing yet. An arm in doubt is monitored for at most ``rest_s`` [s] until it rests."""
+        """Open nothing yet. An arm in doubt is monitored for at most ``rest_s`` [s] until it rests.
+
+        ``user``, a job's run, becomes a part of the name of the control program.
+        """
         super().__init__(name, settings, rest_s)
         self._expected = expected
         self._rest_s = rest_s
-        self._interrupted = False
-        """Whether a refusal of motion ended the last ``connect``."""
+        self._user = user
         self._probed: UrProbe | None = None
         self._serial = ""
         self._checksum: str | None = expected.checksum
@@ -93,7 +105,6 @@ class UrArm(GuardedLink):
             if self._latch.brakes != brakes:
                 raise arm_error(self._name, "stopped", "it was stopped while it was being connected")
 
-        self._interrupted = False
         self._latch.wait_for_stops(brakes, self._rest_s + _MARGIN_S)
         try:
             going_on()
@@ -102,7 +113,6 @@ class UrArm(GuardedLink):
             self._latch.release(brakes)
             self._require_not_braked()
         except MotionStopped:
-            self._interrupted = True
             self._give_up()
             raise
         finally:
@@ -110,12 +120,16 @@ class UrArm(GuardedLink):
         self._doubt.report()
 
     def _give_up(self) -> None:
-        """Kill the client and stop the program that it may have started. Takes half a second: nothing has moved yet."""
+        """Kill the client and end the program that it may have started; ``disconnect`` waits for one that starts late.
+
+        Takes half a second: nothing has moved yet.
+        """
         self._drop_worker()
-        if self._program.may_run:
-            with suppress(LinkLost):
-                self._program.bring_to_rest(quickly=True)
-            self._program.started()  # a program that was uploaded may still start
+        with suppress(LinkLost):
+            if self._program.awaited:
+                self._program.end_late_start(_QUICK_END_S)
+            elif self._program.may_run:
+                self._program.bring_to_rest()
 
     def _connect_anew(self, going_on: GoingOn) -> None:
         self._drop_worker()
@@ -207,9 +221,7 @@ class UrArm(GuardedLink):
 
         Raises ``LimitExceeded`` before anything is sent, otherwise as the protocol specifies.
         """
-        goal = checked_goal(self._name, q, self._limits)
-        speeds = checked_speed(self._name, speed, self._limits)
-        accelerations = checked_acceleration(self._name, acceleration, self._limits)
+        goal, speeds, accelerations = checked_move(self._name, q, speed, acceleration, self._limits)
         self._connected()
         self._program.started()
         self._call(
@@ -231,7 +243,11 @@ class UrArm(GuardedLink):
         return arm_state(answer, self._settings.settle_speed)
 
     def disconnect(self) -> None:
-        """Stop the arm, its program and the client; leave nothing on the controller. Harmless when closed."""
+        """Stop the arm, its program and the client; leave nothing on the controller. Harmless when closed.
+
+        Wait for a program that was uploaded and has not started yet, at most ``startup_timeout``, to end it. Raises
+        ``LinkLost`` if the arm was not seen at rest, or that program was not seen.
+        """
         worker, self._worker = self._worker, None
         self._doubt.mute()
         if worker is not None:
@@ -239,8 +255,12 @@ class UrArm(GuardedLink):
             self._gaps = self._gaps.joined(worker.gaps)
         self._stop_line.close()
         self._probed, self._fault = None, None
+        try:
+            self._program.end_late_start(self._settings.startup_timeout)
+        except LinkLost as error:
+            raise LinkLost(f"arm {self._name}: {error}") from error
         if self._program.may_run:
-            self._require_rest(quickly=self._interrupted)
+            self._require_rest()
 
     # -- connecting ----------------------------------------------------------------------------------------------------
 
@@ -288,7 +308,7 @@ class UrArm(GuardedLink):
 
     def _start_client(self, probe: UrProbe, going_on: GoingOn) -> None:
         going_on()
-        worker = WorkerProcess(self._name, self._doubted, self._program.started)
+        worker = WorkerProcess(self._name, self._doubted, self._program.uploaded)
         self._worker = self._connecting = worker
         self._fault = None
         timeout = self._settings.startup_timeout
@@ -301,6 +321,8 @@ class UrArm(GuardedLink):
                 timeout,
                 going_on,
                 host=self._host,
+                program=program_name(self._user),
+                version=probe.software.split(".")[:2],
                 optional=[name for name, value in zip(OPTIONAL_VARIABLES, reported) if value is not None],
                 watchdog_hz=self._settings.watchdog_hz,
                 settle_s=self._settings.settle_time,
@@ -317,16 +339,23 @@ class UrArm(GuardedLink):
         except WorkerRefusal as error:
             going_on()
             self._give_up()
-            raise arm_error(self._name, error.kind, error.text) from error
+            text = self._who_holds_it() if error.kind == "occupied" else ""
+            raise arm_error(self._name, error.kind, text or error.text) from error
         except WorkerGone as error:
             going_on()
-            doubt = self._link_in_doubt(f"the client did not start: {error}", error.kind)
-            if worker.opening:
-                self._program.started()  # a program that was uploaded may still start
-            raise doubt from error
+            raise self._link_in_doubt(f"the client did not start: {error}", error.kind) from error
         except BaseException:
             self._give_up()
             raise
+
+    def _who_holds_it(self) -> str:
+        """Return who holds the controller, by the name of the program; it may be about to start."""
+        patience = Patience(_KNOWN_WITHIN_S)
+        while not patience.over:
+            if running := running_program(self._host, patience.left_s):
+                return held_by(running)
+            time.sleep(_ASK_AGAIN_S)
+        return ""
 
     def _keep_warnings(self, results: list[Check], probe: UrProbe) -> None:
         now = "" if probe.kinematics is None else probe.kinematics.checksum
@@ -342,24 +371,7 @@ class UrArm(GuardedLink):
         return self._probed
 
 
-# -- Checks of a motion request for a UR arm before anything is sent: goals, speeds, accelerations and their limits ---
-
-
-_ROUNDING_RAD = 1e-9
-_LIMIT_SLACK = 1e-6
-"""Relative tolerance of a speed or acceleration limit for rounding."""
-
-
-def checked_goal(name: str, q: NDArray[np.float64], limits: JointLimits) -> NDArray[np.float64]:
-    """Check a goal of arm ``name``; return its joint positions (6,) [rad]. Raises ``LimitExceeded``."""
-    goal = _checked_vector(name, "position", q)
-    low, high = limits.position.T
-    for joint in np.flatnonzero((goal < low - _ROUNDING_RAD) | (goal > high + _ROUNDING_RAD)):
-        raise LimitExceeded(
-            f"arm {name}: position {goal[joint]:.4f} rad of joint {joint + 1} is outside"
-            f" [{low[joint]:.4f}, {high[joint]:.4f}] rad"
-        )
-    return goal
+# -- Checks of a request before anything is sent ----------------------------------------------------------------------
 
 
 def checked_rows(name: str, q: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -370,16 +382,6 @@ def checked_rows(name: str, q: NDArray[np.float64]) -> NDArray[np.float64]:
     if not np.isfinite(rows).all():
         raise LimitExceeded(f"arm {name}: row {int(np.argmin(np.isfinite(rows).all(axis=1)))} is not finite numbers")
     return rows
-
-
-def checked_speed(name: str, speed: NDArray[np.float64], limits: JointLimits) -> NDArray[np.float64]:
-    """Check speeds; return them, (6,) [rad/s]. Raises ``LimitExceeded``."""
-    return _checked_rates(name, "speed", "rad/s", speed, limits.speed)
-
-
-def checked_acceleration(name: str, acceleration: NDArray[np.float64], limits: JointLimits) -> NDArray[np.float64]:
-    """Check accelerations; return them, (6,) [rad/s^2]. Raises ``LimitExceeded``."""
-    return _checked_rates(name, "acceleration", "rad/s^2", acceleration, limits.acceleration)
 
 
 def narrower(asked: JointLimits, allowed: JointLimits | None) -> JointLimits:
@@ -395,48 +397,20 @@ def narrower(asked: JointLimits, allowed: JointLimits | None) -> JointLimits:
     return replace(asked, position=position, speed=np.minimum(asked.speed, allowed.speed))
 
 
-def _checked_vector(name: str, what: str, value: NDArray[np.float64]) -> NDArray[np.float64]:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise LimitExceeded(f"arm {name}: {what}: expected {JOINTS} numbers") from None
-    if array.shape != (JOINTS,):
-        raise LimitExceeded(
-            f"arm {name}: {what} has shape {array.shape}, expected one number for each of {JOINTS} joints"
-        )
-    if not np.isfinite(array).all():
-        joint = int(np.argmin(np.isfinite(array))) + 1
-        raise LimitExceeded(f"arm {name}: {what} of joint {joint} is not a finite number")
-    return array
-
-
-def _checked_rates(
-    name: str, what: str, unit: str, value: NDArray[np.float64], limit: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    rate = _checked_vector(name, what, value)
-    for joint in np.flatnonzero((rate <= 0.0) | (rate > limit * (1.0 + _LIMIT_SLACK))):
-        raise LimitExceeded(
-            f"arm {name}: {what} {rate[joint]:g} {unit} of joint {joint + 1} is not above 0 and at most"
-            f" {limit[joint]:g} {unit}"
-        )
-    return rate
-
-
 # ---------------------------------------------------------------------------------------------------------------------
-# Recorder of every state that a UR controller sends, over a separate RTDE connection; pulses of a digital output.
+# Recorder of every state that a UR controller sends, over a separate RTDE connection.
 #
 # The RTDE client that moves the arm keeps only the newest of several states that arrive together. Here a thread keeps
-# all. Lost states are counted by the controller's own clock. The connection claims only the digital output.
+# all. Lost states are counted by the controller's own clock.
 
 
 _OPENS_WITHIN_S = 3.0
 _SILENT_S = 2.0
 """A controller that sends nothing for this long has ended the recording."""
 _RECORDING_ENDS_WITHIN_S = 1.0
-_PULSE_S = 0.02
+_LAST_SAMPLE_LOOK_S = 0.001
 _REQUIRED = ("timestamp", "actual_q", "actual_qd")
-_OPTIONAL = ("joint_temperatures", "actual_digital_output_bits")
-_INPUTS = ("standard_digital_output_mask", "standard_digital_output")
+_OPTIONAL = ("joint_temperatures",)
 
 Values = dict[str, tuple[float, ...]]
 
@@ -444,11 +418,9 @@ Values = dict[str, tuple[float, ...]]
 class UrRecorder:
     """Recorder from construction, which waits for the first state, until ``end``."""
 
-    def __init__(
-        self, name: str, host: str, period_s: float, trigger_output: int | None = None, *, port: int = RTDE_PORT
-    ) -> None:
+    def __init__(self, name: str, host: str, period_s: float, *, port: int = RTDE_PORT) -> None:
         """Connect. Raises ``LinkLost``."""
-        self._name, self._period_s, self._output = name, period_s, trigger_output
+        self._name, self._period_s = name, period_s
         self._states: list[Values] = []
         self._problem: LinkLost | None = None
         self._ending = threading.Event()
@@ -458,7 +430,6 @@ class UrRecorder:
             self._link = Connection.to(host, port, patience)
             try:
                 self._outputs = Outputs(self._link, patience, _REQUIRED, _OPTIONAL, 1.0 / period_s)
-                self._pulses = self._outputs.claim(_INPUTS) if trigger_output is not None else None
             except BaseException:
                 self._link.close()
                 raise
@@ -471,16 +442,6 @@ class UrRecorder:
             why = "no state came" if self._problem is None else cause(self._problem)
             raise LinkLost(f"arm {name}: its joints are not recorded: {why}")
 
-    def pulse(self) -> bool:
-        """Switch the digital output on for a moment; return False if there is none. Raises ``LinkLost``."""
-        if self._pulses is None or self._output is None:
-            return False
-        bit = 1 << self._output
-        self._pulses((bit, bit))
-        time.sleep(_PULSE_S)
-        self._pulses((bit, 0))
-        return True
-
     def so_far(self) -> tuple[int, int]:
         """Return the numbers of received and lost states; from any thread."""
         count = len(self._states)
@@ -488,24 +449,22 @@ class UrRecorder:
         return counts_so_far(count, first_s, latest_s, self._period_s)
 
     def end(self) -> JointRecord:
-        """Close the connection and return all samples. Raises ``LinkLost`` if the connection ended before."""
-        problem = self._problem
+        """Close the connection after one more sample; return all. Raises ``LinkLost`` if it ended before."""
+        count, patience = len(self._states), Patience(_SILENT_S)
+        while len(self._states) == count and self._problem is None and not patience.over:
+            time.sleep(_LAST_SAMPLE_LOOK_S)
+        problem = self._problem or (LinkLost("no state came") if len(self._states) == count else None)
         self.close()
         if problem is not None:
             raise LinkLost(f"arm {self._name}: the recording of its joints ended early: {cause(problem)}") from problem
         states = self._states
-        output = self._output
-        bits = [int(state.get("actual_digital_output_bits", (0,))[0]) for state in states]
-        level = np.array([0 if output is None else (value >> output) & 1 for value in bits], dtype=np.int8)
-        time_s = _table(states, "timestamp")[:, 0]
         temperature = _table(states, "joint_temperatures")
         return JointRecord(
-            time_s=time_s,
+            time_s=_table(states, "timestamp")[:, 0],
             q=_table(states, "actual_q"),
             qd=_table(states, "actual_qd"),
             period_s=self._period_s,
             temperature_c=temperature if temperature.any() else None,
-            triggers_s=time_s[1:][np.diff(level) > 0],
         )
 
     def close(self) -> None:
@@ -588,14 +547,15 @@ class UrPathArm(UrArm):
 
     # -- recording -----------------------------------------------------------------------------------------------------
 
+    @property
+    def settle_window(self) -> float:
+        """Largest change of a joint at rest [rad]."""
+        return self._settings.settle_window
+
     def start_recording(self) -> None:
         """Record every state of the controller over a separate connection. Raises ``LinkLost``."""
         self._end_recorder()
-        self._recorder = UrRecorder(self._name, self._host, self.path_period_s, self._settings.trigger_output)
-
-    def pulse(self) -> bool:
-        """Send a pulse at the controller's output; return False if there is none."""
-        return self._recorder is not None and self._recorder.pulse()
+        self._recorder = UrRecorder(self._name, self._host, self.path_period_s)
 
     def recorded(self) -> tuple[int, int]:
         """Return the numbers of received and lost samples."""

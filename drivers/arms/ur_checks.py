@@ -21,11 +21,13 @@ from drivers.arms.protocol import (
     WrongRobot,
     stale,
 )
+from drivers.arms.ur_links import other_user, printable
 from drivers.arms.ur_probe import UrProbe
-from drivers.arms.ur_rtde_reader import SLIDER_DOWN, safety_error, safety_remedy
+from drivers.arms.ur_rtde_reader import SLIDER_DOWN, mode_remedy, safety_error, safety_remedy
 from drivers.findings import Status
 
 JOINTS = 6
+END_COMMAND = "'cellapp doctor PROFILE' at a terminal"
 
 _LIMIT_SLACK_RAD = 1e-3
 _RATE_SLACK = 1e-3
@@ -159,8 +161,7 @@ def _robot_mode(probe: UrProbe) -> Check:
         return Check(subject, "ok", "RUNNING: powered, brakes released")
     if mode is None:
         return Check(subject, "failed", "the controller does not report its mode; look at the pendant")
-    text = f"{mode}, needed is RUNNING; power the arm on and release its brakes on the pendant"
-    return Check(subject, "failed", text)
+    return Check(subject, "failed", f"{mode}, needed is RUNNING; {mode_remedy(mode)}")
 
 
 def _remote_control(probe: UrProbe) -> Check:
@@ -196,14 +197,21 @@ def _program(probe: UrProbe) -> Check:
     if probe.program_running is None:
         return Check(subject, "warning", "the controller does not report whether a program runs; look at the pendant")
     if probe.program_running:
-        return Check(subject, "failed", "a program runs, and the arm may move; stop it on the pendant before a job")
+        return Check(subject, "failed", held_by(probe.program))
     if probe.sample is not None and probe.sample.program in ("PAUSED", "PAUSING", "RESUMING"):
-        text = (
-            "a program that is not this driver's is paused; it would go on where it was: stop it on the pendant before"
-            " a job"
-        )
-        return Check(subject, "failed", text)
+        return Check(subject, "failed", held_by(probe.program, "is paused; it would go on where it was"))
     return Check(subject, "ok", "none runs")
+
+
+def held_by(program: str | None, does: str = "runs, and the arm may move") -> str:
+    """Return who holds a controller by a program of that name, and what to do about it."""
+    if user := other_user(program or ""):
+        return (
+            f"{user}, holds the arm: its program {does}; wait for the end of that job, or stop it there. If it has"
+            f" ended, {END_COMMAND} ends the program after one question"
+        )
+    name = "" if not program or program.startswith("<") else f" ({printable(program)})"
+    return f"a program{name} that is not this driver's {does}; stop it on the pendant before a job"
 
 
 def _port(port: int, is_open: bool) -> Check:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import queue
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -30,9 +31,17 @@ from drivers.arms.protocol import (
     ProtectiveStop,
 )
 from drivers.arms.ur_checks import JOINTS
-from drivers.arms.ur_links import DASHBOARD_PORT, Connection, Dashboard, cause, require_stopped, stop_program
+from drivers.arms.ur_links import (
+    DASHBOARD_PORT,
+    RTDE_PORT,
+    Connection,
+    Dashboard,
+    cause,
+    require_stopped,
+    stop_program,
+)
 from drivers.arms.ur_options import UrOptions
-from drivers.arms.ur_rtde_reader import not_ready, wait_at_rest
+from drivers.arms.ur_rtde_reader import not_ready, samples, wait_at_rest
 from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess, WorkerRefusal
 from drivers.patience import SLICE_S, Patience, patient_get
 
@@ -184,10 +193,10 @@ class GuardedLink:
         if self._latch.stops > 1:
             raise arm_error(self._name, "stopped", "it is being stopped")
 
-    def _require_rest(self, *, quickly: bool = False, look: Callable[[], None] | None = None) -> None:
+    def _require_rest(self, *, look: Callable[[], None] | None = None) -> None:
         """Bring the arm to rest. Raises ``LinkLost`` with the arm's name."""
         try:
-            self._program.bring_to_rest(quickly=quickly, look=look)
+            self._program.bring_to_rest(look=look)
         except LinkLost as error:
             text = f"its stop was not confirmed: {cause(error)}; treat it as moving until you see it at rest"
             raise LinkLost(f"arm {self._name}: {text}") from error
@@ -391,18 +400,24 @@ class StopLatch:
 
 
 _STOP_WITHIN_S = 1.0
-_QUICK_STOP_S, _QUICK_REST_S = 0.2, 0.25
-"""Time limits after an interrupted ``connect``, whose program has begun no motion."""
+_LOOK_AGAIN_S = 0.1
 
 
 class OwnProgram:
-    """Programs that this driver has started on one controller, which may run motions."""
+    """Programs that this driver has started on one controller, which may run motions.
+
+    Attributes
+    ----------
+    awaited : bool
+        Whether one was uploaded that was not seen to run yet. A stop before its start may not keep it from starting.
+    """
 
     def __init__(self, host: str, rest_s: float) -> None:
         """``rest_s`` [s] is the longest time to wait for rest."""
         self._host, self._rest_s = host, rest_s
         self._started = self._ended = 0
         """Counters, so that a program that starts while the previous one is brought to rest is not forgotten."""
+        self.awaited = False
 
     @property
     def may_run(self) -> bool:
@@ -413,11 +428,33 @@ class OwnProgram:
         """Note that a program may run from now on."""
         self._started += 1
 
+    def uploaded(self, may_start: bool) -> None:
+        """Note that a program was uploaded, or that it was seen to run."""
+        self.awaited = may_start
+        self.started()
+
+    def end_late_start(self, within_s: float) -> None:
+        """Wait until a program that was uploaded runs, then end it; it has begun no motion. Raises ``LinkLost``."""
+        patience = Patience(within_s)
+        while self.awaited:
+            try:
+                with Connection.to(self._host, RTDE_PORT, patience) as link:
+                    if any(sample.program != "STOPPED" for sample in samples(link, patience)):
+                        self.bring_to_rest()
+                        self.awaited = False
+            except LinkLost as error:
+                if patience.left_s < 2.0 * _LOOK_AGAIN_S:
+                    raise LinkLost(
+                        f"the program that was uploaded to it was not seen to start and end within {within_s:g} s"
+                        f" ({cause(error)}); look at the pendant: end it if it runs"
+                    ) from error
+                time.sleep(_LOOK_AGAIN_S)
+
     def wait_at_rest(self) -> None:
         """Monitor the arm until it rests. Raises ``LinkLost``."""
         wait_at_rest(self._host, self._rest_s)
 
-    def bring_to_rest(self, *, quickly: bool = False, look: Callable[[], None] | None = None) -> None:
+    def bring_to_rest(self, *, look: Callable[[], None] | None = None) -> None:
         """Stop the controller's program and monitor the arm until it rests; ``look`` is called meanwhile and may raise.
 
         Raises
@@ -428,11 +465,11 @@ class OwnProgram:
         started = self._started
         not_stopped: LinkLost | None = None
         try:
-            stop_program(self._host, _QUICK_STOP_S if quickly else _STOP_WITHIN_S, look=look)
+            stop_program(self._host, _STOP_WITHIN_S, look=look)
         except LinkLost as error:
             not_stopped = error
         try:
-            sample = wait_at_rest(self._host, _QUICK_REST_S if quickly else self._rest_s, look=look)
+            sample = wait_at_rest(self._host, self._rest_s, look=look)
         except LinkLost as error:
             raise LinkLost(" and ".join(cause(one) for one in (not_stopped, error) if one is not None)) from error
         if not_stopped is not None and sample.program == "PLAYING":
@@ -669,17 +706,20 @@ REFUSALS: Mapping[str, type[ArmError]] = {
     "local": NotInRemoteControl,
     "link": LinkLost,
     "driver": LinkLost,
+    "ended": LinkLost,
     "nonsense": LinkLost,
     "timeout": ArmTimeout,
     "stopped": MotionStopped,
     "stalled": HostStalled,
     "failed": ArmError,
     "advised": ArmError,
+    "occupied": ArmError,
 }
 """Exception for each kind of refusal of the worker. A kind without a remedy here has the remedy in its text."""
 _REMEDIES = {
     "link": "see whether the controller is on and the network between works, then connect again",
-    "driver": "close other programs on this computer, then connect again",
+    "driver": "possible: other programs take its time; close them, then connect again",
+    "ended": "connect again; if it ends again, report it",
     "nonsense": "look at the pendant's log, restart the controller",
     "timeout": "see what the pendant shows",
     "stopped": "connect again when it may move",

@@ -6,6 +6,7 @@ import errno
 import ipaddress
 import os
 import queue
+import re
 import selectors
 import socket
 import threading
@@ -22,6 +23,10 @@ SCRIPT_PORT = 30003
 RTDE_PORT = 30004
 
 LOCAL_CONTROL = "the pendant is in local control"
+_OWN_PREFIX = "rtde_control_cellapp_"
+"""Begin of the names of this driver's control programs: the RTDE client's own name, then ours."""
+_OWN_PROGRAM = re.compile(rf"{_OWN_PREFIX}(.+?)__(.+?)(?:\.urp)?$")
+_LONGEST_PART = 24
 
 _MAX_LINE = 4096
 _READ_BYTES = 65536
@@ -61,6 +66,29 @@ def resolve(host: str, patience: Patience) -> str:
             f"{printable(host)}: no IPv4 host of that name was found; check the spelling, or give a numeric address"
         )
     return address
+
+
+def program_name(user: str) -> str:
+    """Return the name of the control program that this computer starts for ``user``: a job's run, for example."""
+    parts = (re.sub("[^A-Za-z0-9]+", "_", part).strip("_")[:_LONGEST_PART] for part in (socket.gethostname(), user))
+    return _OWN_PREFIX + "__".join(part.strip("_") or "unnamed" for part in parts)
+
+
+def other_user(program: str) -> str:
+    """Return who started a program, from its name; empty if it is none of this driver's."""
+    found = _OWN_PROGRAM.match(program)
+    return "" if found is None else f"another cellapp, on {found.group(1)}, run {found.group(2)}"
+
+
+def running_program(host: str, timeout_s: float) -> str:
+    """Return the name of the program that runs or is paused; empty if none does, or the dashboard did not answer."""
+    patience = Patience(timeout_s)
+    try:
+        with Connection.to(host, DASHBOARD_PORT, patience) as link:
+            state, _, name = Dashboard(link, patience).ask("programState").partition(" ")
+    except LinkLost:
+        return ""
+    return name if state in ("PLAYING", "PAUSED") else ""
 
 
 def printable(text: str, longest: int = 80) -> str:

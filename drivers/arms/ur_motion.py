@@ -58,7 +58,7 @@ def read_worker_sample(receive: Any, optional: Collection[str]) -> UrSample:
 
 STREAMS_APART_S = 0.05
 """Largest age difference of the two streams: the end of a motion comes over another connection than the positions."""
-_REST_DWELL_S = 0.05
+REST_DWELL_S = 0.05
 
 
 class Unrest:
@@ -88,7 +88,7 @@ class Unrest:
             self._still_since_s = None
         elif self._still_since_s is None:
             self._still_since_s = sample.time_s
-        elif sample.time_s - self._still_since_s >= _REST_DWELL_S:
+        elif sample.time_s - self._still_since_s >= REST_DWELL_S:
             self._moved = False
 
     def settled(self) -> None:
@@ -112,6 +112,8 @@ _STREAM_PERIODS_S = 0.016
 """Two state periods of a CB3 controller: it may see a silence that is longer than measured here by this much."""
 _EXPIRED_WITHIN_S = 0.2
 """Largest time between a silence and a stopped program for which the watchdog is blamed."""
+KICKED_AFTER = 0.2
+"""Part of the watchdog's period after which it is kicked again."""
 
 
 @dataclass
@@ -142,7 +144,7 @@ class Kicks:
 
     def due(self, now: float) -> bool:
         """Return whether the next kick is due."""
-        return self._last_s is None or now - self._last_s >= 0.2 * self._period_s
+        return self._last_s is None or now - self._last_s >= KICKED_AFTER * self._period_s
 
     def kicked(self, now: float) -> None:
         """Note a kick, or a command that has the same effect."""

@@ -36,9 +36,6 @@ class UrOptions(ArmSettings):
     settle_speed: Annotated[AngularSpeed, Field(gt=0.0, le=0.1)] = 0.005
     settle_window: Annotated[Angle, Field(gt=0.0, le=0.01)] = 2e-4
 
-    trigger_output: Annotated[int, Field(strict=True, ge=0, le=7)] | None = None
-    """The standard digital output that is wired to the tracker's trigger input."""
-
     servo_lookahead: Annotated[Time, Field(ge=0.03, le=0.2)] = 0.03
     """Look-ahead time of ``servoj`` on paths. They are smooth already: a longer one only adds lag."""
     servo_gain: Annotated[float, Field(strict=True, ge=100.0, le=2000.0)] = 300.0
@@ -49,9 +46,7 @@ class UrOptions(ArmSettings):
         """The host, as written."""
         return self.host
 
-    repeatable_probe: ClassVar[bool] = True
-
     def emulated_controller(self) -> EmulatedController | None:
         """Return the loopback address of the controller; None if it is on another machine."""
         host = loopback_ipv4(self.host)
-        return None if host is None else EmulatedController(host, self.serial, self.trigger_output)
+        return None if host is None else EmulatedController(host, self.serial)

@@ -10,9 +10,13 @@ import enum
 import math
 import re
 import struct
+import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -29,7 +33,7 @@ from drivers.arms.ur_links import (
     printable,
     resolve,
 )
-from drivers.arms.ur_rtde_reader import UrSample, read_sample
+from drivers.arms.ur_rtde_reader import UrSample, read_sample, samples
 from drivers.findings import DeviceReport
 from drivers.patience import Patience
 
@@ -66,6 +70,7 @@ class _Query(enum.StrEnum):
     SAFETY_MODE = "safetymode"
     SAFETY_STATUS = "safetystatus"
     RUNNING = "running"
+    PROGRAM = "programState"
     REMOTE_CONTROL = "is in remote control"
 
 
@@ -77,6 +82,7 @@ _ANSWERS = {
     _Query.SAFETY_MODE: re.compile(r"Safetymode: ([A-Z_]{1,40})$"),
     _Query.SAFETY_STATUS: re.compile(r"Safetystatus: ([A-Z_0-9]{1,60})$"),
     _Query.RUNNING: re.compile(r"(?:Program|Robot) running: (true|false)$", re.IGNORECASE),
+    _Query.PROGRAM: re.compile(r"(?:PLAYING|PAUSED) (.{1,200})$"),
     _Query.REMOTE_CONTROL: re.compile(r"(true|false)$", re.IGNORECASE),
 }
 
@@ -168,6 +174,8 @@ class UrProbe:
         Why no state was read; empty if one was.
     real_robot : bool or None
         Whether motions move the real arm; False: the controller is in simulation mode.
+    program : str or None
+        Name of the program that runs or is paused.
     """
 
     host: str
@@ -189,6 +197,7 @@ class UrProbe:
     sample: UrSample | None = None
     sample_note: str = ""
     real_robot: bool | None = None
+    program: str | None = None
 
     @property
     def full_model(self) -> str | None:
@@ -271,6 +280,7 @@ def probe_ur(
         sample=sample,
         sample_note=sample_note,
         real_robot=primary_state.real_robot,
+        program=answers.get(_Query.PROGRAM),
     )
 
 
@@ -465,3 +475,49 @@ def _values(form: struct.Struct, payload: bytes, what: str) -> tuple[Any, ...]:
     if not all(map(math.isfinite, values)):
         raise ValueError(f"the {what} hold a value that is not a finite number")
     return values
+
+
+# -- The timing of the link: round trips on the dashboard, silences between the states ---------------------------------
+
+
+_TIMED_S = 2.0
+_ASK_EVERY_S = 0.05
+
+
+def time_link(host: str, timeout_s: float, look: Callable[[], None]) -> tuple[float, str]:
+    """Measure the link for 2 s; return by how much a message may be late [s], and the figures in words.
+
+    ``look`` is called meanwhile and may raise. Raises ``LinkLost``.
+    """
+    patience, ended = Patience(_TIMED_S + timeout_s, look=look), threading.Event()
+    address, trips_s, arrived_s, stamps_s = resolve(host, patience), list[float](), list[float](), list[float]()
+    with Connection(host, address, DASHBOARD_PORT) as line, Connection(host, address, RTDE_PORT) as stream:
+        dashboard = Dashboard(line, Patience(_TIMED_S + timeout_s))
+
+        def ask() -> None:
+            with suppress(LinkLost):
+                while not ended.wait(_ASK_EVERY_S):
+                    asked_s = time.monotonic()
+                    dashboard.ask(_Query.RUNNING)
+                    trips_s.append(time.monotonic() - asked_s)
+
+        asking = threading.Thread(target=ask, name=f"round trips to {host}", daemon=True)
+        asking.start()
+        try:
+            for sample in samples(stream, patience):
+                stamps_s.append(sample.time_s)
+                arrived_s.append(time.monotonic())
+                if arrived_s[-1] - arrived_s[0] > _TIMED_S:
+                    break
+        finally:
+            ended.set()
+            asking.join()
+    if not trips_s:
+        raise LinkLost(f"{host}: its dashboard does not answer")
+    gaps_s, steps_s = ([after - before for before, after in pairwise(one)] for one in (arrived_s, stamps_s))
+    late_s, usual_s = max(gaps_s) - median(gaps_s), max(median(steps_s), 1e-3)
+    missed = sum(max(round(step_s / usual_s) - 1, 0) for step_s in steps_s)
+    return max(late_s, *trips_s), (
+        f"round trip {1e3 * median(trips_s):.1f} ms, at most {1e3 * max(trips_s):.1f} ms; states at most"
+        f" {1e3 * late_s:.1f} ms late, {missed} of {len(stamps_s) + missed} missed in {_TIMED_S:g} s"
+    )

@@ -18,7 +18,7 @@ from drivers.arms.ur_links import RTDE_PORT, Connection
 from drivers.patience import Patience
 
 _HEADER = struct.Struct(">HB")
-_VERSION, _OUTPUTS, _INPUTS, _START, _DATA = ord("V"), ord("O"), ord("I"), ord("S"), ord("U")
+_VERSION, _OUTPUTS, _START, _DATA = ord("V"), ord("O"), ord("S"), ord("U")
 _FREQUENCY_HZ = 125.0
 """Rate that every series supports."""
 _MAX_PACKETS = 1000
@@ -223,19 +223,6 @@ class Outputs:
         self.names = names
         self._formats = [struct.Struct(f">{_FORMATS[kind]}") for kind in types]
 
-    def claim(self, inputs: tuple[str, ...]) -> Callable[[Sequence[int]], None]:
-        """Claim inputs of one byte each; return the function that writes them. Raises ``LinkLost`` if taken."""
-        answer = self._packets.ask(_INPUTS, ",".join(inputs).encode("ascii"))
-        types = answer[1:].decode("ascii", errors="replace").strip(",").split(",")
-        if not answer or not answer[0] or types != ["UINT8"] * len(inputs):
-            raise LinkLost(f"{self._packets.where}: another program uses its digital outputs, or it has none")
-        number = answer[:1]
-
-        def write(values: Sequence[int]) -> None:
-            self._packets.send(_DATA, number + bytes(values))
-
-        return write
-
     def states(self, patience: Callable[[], Patience]) -> Iterator[dict[str, tuple[float, ...]]]:
         """Yield states as they arrive, as output -> its values; ``patience`` returns the time limit of each wait."""
         expected = 1 + sum(part.size for part in self._formats)
@@ -369,5 +356,21 @@ def not_ready(robot_mode: str, safety_mode: str) -> tuple[str, str] | None:
     if safety_mode != "NORMAL":
         return _NAMES.get(safety_error(safety_mode), f"safety mode {safety_mode}"), safety_remedy(safety_mode)
     if robot_mode != "RUNNING":
-        return f"robot mode {robot_mode}, needed is RUNNING", "power the arm on and release its brakes on the pendant"
+        return f"robot mode {robot_mode}, needed is RUNNING", mode_remedy(robot_mode)
     return None
+
+
+_MODE_REMEDY = {
+    "CONFIRM_SAFETY": "look at the pendant and confirm its safety configuration",
+    "BOOTING": "wait until it has booted",
+    "POWER_OFF": "power the arm on and release its brakes on the pendant",
+    "POWER_ON": "release its brakes on the pendant, wait until it is ready",
+    "IDLE": "release its brakes on the pendant, wait until it is ready",
+    "BACKDRIVE": "it is guided by hand: leave the arm alone, and end that mode on the pendant",
+    "UPDATING_FIRMWARE": "wait until its firmware is updated",
+}
+
+
+def mode_remedy(mode: str) -> str:
+    """Return what a person must do about a robot mode other than RUNNING."""
+    return _MODE_REMEDY.get(mode, "look at the pendant")

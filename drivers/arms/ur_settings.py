@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -18,8 +19,11 @@ if TYPE_CHECKING:
     from drivers.arms.ur_checks import UrExpectation
 
 
+_PROGRAM_WITHIN_S = 2.0
 _EXCERPT = 50
 """Number of states in an excerpt: 0.1 s of an e-Series controller, 0.4 s of a CB3."""
+_LONGEST_S = 5.0
+"""A controller that is silent for this long [s] counts as dead, even if the profile allows it more time."""
 _SAFETY_LIMITS = (
     "not asked: planes and other limits of the safety configuration are known to a running program only; before the"
     " first motion the controller is asked about every planned stop"
@@ -60,7 +64,7 @@ class UrSettings(UrOptions):
         """Return the driver, not connected yet. Raises ``SettingError``."""
         from drivers.arms.ur import UrPathArm
 
-        return UrPathArm(arm.name, self, self.expectation(arm))
+        return UrPathArm(arm.name, self, self.expectation(arm), user=arm.user)
 
     def probe(self, arm: ArmContext, patience_s: float) -> list[Finding]:
         """Query the controller over plain sockets and compare its answers with the profile."""
@@ -82,6 +86,40 @@ class UrSettings(UrOptions):
         checked = [Finding(check.subject, check.status, check.text) for check in found]
         link = Finding("link", "ok", where, answers.report())
         return [link, *checked, Finding("safety limits", "ok", _SAFETY_LIMITS), motion]
+
+    def link(self, arm: ArmContext, look: Callable[[], None]) -> list[Finding]:
+        """Compare round trips and silences of 2 s with the watchdog's period; twice if they exceed it."""
+        from drivers.arms import ur_probe
+        from drivers.arms.ur_motion import KICKED_AFTER
+
+        period_s, timeout_s = 1.0 / self.watchdog_hz, min(self.timeout, _LONGEST_S)
+        try:
+            late_s, figures = ur_probe.time_link(self.host, timeout_s, look)
+            if late_s > (1.0 - KICKED_AFTER) * period_s:  # once, this computer may be the cause
+                late_s, figures = ur_probe.time_link(self.host, timeout_s, look)
+        except ArmError as error:
+            return [Finding("timing", "failed", str(error))]
+        if late_s <= (1.0 - KICKED_AFTER) * period_s:
+            return [Finding("timing", "ok", figures)]
+        hertz = int(10.0 * (1.0 - KICKED_AFTER) / late_s) / 10.0
+        way = f"or set arms.{arm.name}.driver.watchdog_hz to {hertz:g}" if hertz >= 1.0 else "no setting helps"
+        text = (
+            f"{figures}: too slow for the watchdog, which stops the arm after {period_s:.2f} s of silence; see to"
+            f" the network and close other programs on this computer; {way}"
+        )
+        return [Finding("timing", "failed", text)]
+
+    def left_program(self) -> str:
+        """Return which cellapp started the program that runs on the controller; empty if none did."""
+        from drivers.arms.ur_links import other_user, running_program
+
+        return other_user(running_program(self.host, _PROGRAM_WITHIN_S))
+
+    def end_program(self) -> None:
+        """End the program that runs on the controller, whoever started it. Raises ``LinkLost``."""
+        from drivers.arms.ur_links import stop_program
+
+        stop_program(self.host, _PROGRAM_WITHIN_S)
 
     def excerpt(self, patience_s: float) -> list[dict[str, object]]:
         """Return the next states over RTDE; if the controller stops sending, fewer ones, and the reason at the end."""

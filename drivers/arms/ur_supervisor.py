@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,7 +17,16 @@ from typing import Any, NoReturn, Protocol
 from drivers.arms.protocol import LinkLost, LiveArm
 from drivers.arms.ur_control import Refusal, UrControl, advised, failed
 from drivers.arms.ur_links import LOCAL_CONTROL, in_local_control, stop_program
-from drivers.arms.ur_motion import STILL_MOVING, STREAMS_APART_S, Kicks, Motion, RestCriterion, Unrest, leading_rates
+from drivers.arms.ur_motion import (
+    REST_DWELL_S,
+    STILL_MOVING,
+    STREAMS_APART_S,
+    Kicks,
+    Motion,
+    RestCriterion,
+    Unrest,
+    leading_rates,
+)
 from drivers.arms.ur_rtde_reader import UrSample, not_ready
 from drivers.patience import Patience, RunningTime
 
@@ -34,6 +44,12 @@ _CATCH_UP_S = 0.02
 _BROKEN_BY_STALL_S = 1.0
 """A stall at least this long, and at most this long ago, explains a broken link: the client's own silence broke it."""
 _ASK_AGAIN_S = 0.0005
+_LATELY, _LATE_S = 125, 0.06
+"""States within which a late one is remembered; one that is later than this shows a late network."""
+_WAITED = 0.5
+"""Part of a silence of this computer from which on it was the controller's, which was asked for something."""
+_NO_MODE = "UNKNOWN_0"
+"""A safety mode that no controller has."""
 
 End = Callable[[str, str], NoReturn]
 """Function that ends the process; its arguments are a kind of ``ur_guarded_link.REFUSALS`` and a sentence."""
@@ -48,6 +64,12 @@ class States:
         self._stall_ended_s, self._stall_s = -math.inf, 0.0
         self._time_s = -1.0
         self._looks_without_news = 0
+        self._lately: deque[float] = deque(maxlen=_LATELY)
+
+    @property
+    def late_s(self) -> float:
+        """Longest time between two of the last states [s], while this process looked."""
+        return max(self._lately, default=0.0)
 
     @property
     def age_s(self) -> float:
@@ -73,13 +95,17 @@ class States:
             self.lost("the controller's state is not one of six joints")
         if not sample.finite:
             self._end("nonsense", "the controller reports positions or speeds of its joints that are no numbers")
+        if sample.safety_mode == _NO_MODE:
+            self._end("nonsense", "a malformed packet came from the controller: its state has no safety mode")
         return sample
 
     def look(self) -> tuple[UrSample, bool]:
         """Return the newest state, and whether it is new; end the process if none has arrived for too long."""
-        self._note_look()
+        late = self._note_look()
         sample, now = self.newest(), time.monotonic()
         if sample.time_s != self._time_s:
+            if not late:
+                self._lately.append(now - self._news_s)
             self._time_s, self._news_s, self._looks_without_news = sample.time_s, now, 0
             return sample, True
         self._looks_without_news += 1
@@ -108,7 +134,7 @@ class States:
         """Note a look at the arm; return whether it is late, so that the newest state may be old."""
         now = time.monotonic()
         gap_s, self._looked_s = now - self._looked_s, now
-        if gap_s > _BROKEN_BY_STALL_S:
+        if gap_s > _BROKEN_BY_STALL_S and self._control.waited_s < _WAITED * gap_s:
             self._stall_ended_s, self._stall_s = now, gap_s
         return gap_s > _STALL_S
 
@@ -145,8 +171,11 @@ class Application(Protocol):
     def answer(self, message: Mapping[str, Any]) -> None:
         """Send a message."""
 
-    def check(self, kicks: Kicks, live: LiveArm, *, watched: bool) -> str:
-        """Exchange heartbeats; return why the application no longer watches a motion (``watched``), else empty."""
+    def opening(self, may_start: bool) -> None:
+        """Tell that a program may start from now on, or that it was seen to run."""
+
+    def check(self, kicks: Kicks, live: LiveArm) -> str:
+        """Exchange heartbeats; return why the application no longer watches its arm, else empty."""
 
     def exit_link_lost(self, kind: str, text: str) -> NoReturn:
         """Report, stop the arm over the dashboard, and end the process."""
@@ -172,6 +201,8 @@ class Supervisor:
         self._cut_short = False
         self._settle_requests: list[SettleRequest] = []
         self._resting_since: UrSample | None = None
+        self._rests_at: UrSample | None = None  # where it settled; None while a motion or a stop may change that
+        self._left_rest_s: float | None = None  # controller time since when it has been away from there
         self._fault: Refusal | None = None
         self._halted = False
         self._program_stopped_s: float | None = None  # since when the program has been stopped without a brake
@@ -213,6 +244,11 @@ class Supervisor:
     def live(self) -> LiveArm:
         """Age of the newest state, and whether the arm moves."""
         return LiveArm(self._states.age_s, self.may_move or self._fast)
+
+    @property
+    def waits_s(self) -> float:
+        """How long the controller has been asked for something without an answer [s]; from any thread."""
+        return self._control.waits_s
 
     def confirm(self) -> dict[str, Any]:
         """Return the next state, which shows whether the program runs; require that both connections are open.
@@ -348,7 +384,7 @@ class Supervisor:
         self._kicks.start(time.monotonic(), 1.0 / self._watchdog_hz)
 
     def _stop_program(self) -> None:
-        with suppress(LinkLost):
+        with self._control.waiting(), suppress(LinkLost):
             stop_program(self._control.host, _STOP_WITHIN_S)
 
     def _now(self) -> float:
@@ -390,7 +426,7 @@ class Supervisor:
             self._look()
 
         try:
-            self._control.upload(meanwhile)
+            self._control.upload(meanwhile, self._application.opening)
             self._start_watchdog()
         except Refusal as refusal:
             if refusal.kind == "stopped":
@@ -434,16 +470,29 @@ class Supervisor:
     def _program_stopped(self) -> Refusal:
         """Record why the control program was stopped by something other than the application."""
         gap_s = self._kicks.expired_before(self._program_stopped_s)
-        if gap_s is not None:
-            text = (
-                f"this computer was silent for {gap_s:.2f} s, so the controller's watchdog"
-                f" ({1.0 / self._watchdog_hz:.2f} s) stopped its program"
+        watchdog = f"the controller's watchdog ({1.0 / self._watchdog_hz:.2f} s)"
+        if gap_s is not None and self._control.waited_s > _WAITED * gap_s:
+            waited = (
+                f"its controller took {self._control.waited_s:.2f} s for an answer (it hangs, or the network is late)"
             )
+            return self._record_fault(Refusal("link", f"{waited}, so {watchdog} stopped its program"))
+        if gap_s is not None:
+            text = f"this computer was silent for {gap_s:.2f} s, so {watchdog} stopped its program"
             return self._record_fault(Refusal("stalled", text))
-        fault = self._record_fault(failed("its program was stopped on the pendant"))
-        if fault.kind == "failed" and in_local_control(self._control.host, _LOCAL_WITHIN_S):
+        fault = self._record_fault(failed(f"its program ended; possible: {self._what_ended_it(watchdog)}"))
+        with self._control.waiting():
+            local = fault.kind == "failed" and in_local_control(self._control.host, _LOCAL_WITHIN_S)
+        if local:
             self._fault = fault = Refusal("local", f"its program was stopped, and {LOCAL_CONTROL}; switch it to Remote")
         return fault
+
+    def _what_ended_it(self, watchdog: str) -> str:
+        """Return what may have ended the program, most likely first: a late network was seen, all else was not."""
+        stopped = "it was stopped on the pendant, or another program was started"
+        late_s = self._states.late_s
+        if late_s > _LATE_S:
+            return f"the network is late (a state came after {late_s:.2f} s), so {watchdog} ended it; or {stopped}"
+        return f"{stopped}; or the network lost messages of this computer, and {watchdog} ended it"
 
     # -- monitoring ----------------------------------------------------------------------------------------------------
 
@@ -456,6 +505,7 @@ class Supervisor:
         self._check_program(sample, time.monotonic())
         if news:
             self._update_rest(sample)
+            self._watch_rest(sample)
         if self._motion is not None and self._motion.running:
             self._track_motion(self._motion, sample, now, news)
         may_kick = self._fault is None and self._program_stopped_s is None and not self._halted
@@ -467,7 +517,7 @@ class Supervisor:
 
     def _look(self) -> tuple[UrSample, bool]:
         """Check everything that can stop an arm at any time; return its newest state, and whether that is new."""
-        unwatched = self._application.check(self._kicks, self.live, watched=self._moves)
+        unwatched = self._application.check(self._kicks, self.live)
         self._states.check_links()
         sample, news = self._states.look()
         if news:
@@ -522,6 +572,24 @@ class Supervisor:
             self._resting_since = None
         elif first is None or sample.distance(first.q) > self._rest.position:
             self._resting_since = sample
+
+    def _watch_rest(self, sample: UrSample) -> None:
+        """Record a fault if the arm leaves its rest without a motion of ours: something pushes it, or it creeps."""
+        first, at = self._resting_since, self._rests_at
+        meant = self._motion is not None or self.may_move or self._halted or self._application.braked
+        if meant or self._fault is not None or sample.program != "PLAYING":
+            self._rests_at = self._left_rest_s = None
+        elif at is None:
+            if first is not None and sample.time_s - first.time_s >= self._rest.dwell_s:
+                self._rests_at = first
+        elif sample.speed <= self._rest.speed and sample.distance(at.q) <= self._rest.position:
+            self._left_rest_s = None
+        elif self._left_rest_s is None:
+            self._left_rest_s = sample.time_s
+        elif sample.time_s - self._left_rest_s >= REST_DWELL_S:
+            off, speed = math.degrees(sample.distance(at.q)), math.degrees(sample.speed)
+            text = f"it left its rest without being asked: now {off:.3f} deg from there, at {speed:.2f} deg/s"
+            self._record_fault(failed(text))
 
     def _answer_settle_requests(self, sample: UrSample, now: float, news: bool) -> None:
         waiting = []

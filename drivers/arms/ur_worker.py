@@ -14,7 +14,8 @@ from the worker
 ``{"doubt": kind, "text": ...}``    a fault, sent before anything else is done about it
 ``{"decelerating": true}``          the control program decelerates the motion, or there was none
 ``{"lost": text, "kind": kind}``    the last line of a worker that ends itself
-``{"opening": true}``               from now on a program of this worker may run on the controller
+``{"waits": ...}``                  how long it has asked the controller for something without an answer [s]
+``{"opening": true}``               from now on a program of this worker may start; false: it was seen to run
 ``{"beat": [...]}``                 the worker looks at the arm; its longest silence towards the watchdog [s], how often
                                     that exceeded half of the watchdog's period, age of the arm's newest state [s],
                                     whether the arm moves, and the number of the last request served
@@ -57,7 +58,9 @@ _TICK_S = 0.008
 _BEAT_EVERY_S = 0.05
 _UNHEARD_S = 0.5
 _UNHEARD_LOOKS = 20
-"""An application hangs or is suspended if it sends nothing for ``_UNHEARD_S`` and this many looks of the worker."""
+"""An application hangs or is suspended if it sends nothing for ``_UNHEARD_S`` and this many looks of the worker. Then
+the arm needs a person, also at rest: what the application would do next was decided before."""
+_WAITS_S = 0.1
 _STOP_WITHIN_S = 1.0
 _BRAKE_WITHIN_S = 0.3
 _BRAKE_READ_S = 0.002
@@ -94,6 +97,8 @@ class Worker:
             self.brake()
         elif "do" in message:
             self._requests.put({**message, "brakes": self._brakes})
+        elif self._supervisor is not None and (waits_s := self._supervisor.waits_s) > _WAITS_S:
+            self.answer({"waits": waits_s})
 
     def brake(self) -> None:
         """Stop the program now, whatever the main thread does; the module docstring explains the order."""
@@ -130,8 +135,12 @@ class Worker:
             except OSError:  # the application has ended
                 self.exit_orphaned()
 
-    def check(self, kicks: Kicks, live: LiveArm, *, watched: bool) -> str:
-        """Exchange heartbeats; return why the application no longer watches a motion (``watched``), else empty."""
+    def opening(self, may_start: bool) -> None:
+        """Tell that a program may start from now on, or that it was seen to run."""
+        self.answer({"opening": may_start})
+
+    def check(self, kicks: Kicks, live: LiveArm) -> str:
+        """Exchange heartbeats; return why the application no longer watches its arm, else empty."""
         now = time.monotonic()
         if os.name == "posix" and os.getppid() != self._parent:
             self.exit_orphaned()
@@ -139,7 +148,7 @@ class Worker:
             self._beat_s = now
             self.answer({"beat": [kicks.longest_s, kicks.late, live.age_s, live.moving, self._served]})
         self._looks_unheard += 1
-        if watched and now - self._heard_s > _UNHEARD_S and self._looks_unheard > _UNHEARD_LOOKS:
+        if now - self._heard_s > _UNHEARD_S and self._looks_unheard > _UNHEARD_LOOKS:
             return f"this program was silent for {_UNHEARD_S:g} s (suspended, or hung), so its worker stopped the arm"
         return ""
 
@@ -223,16 +232,17 @@ class Worker:
 
     def _open(self, request: Mapping[str, Any]) -> dict[str, Any]:
         rest = RestCriterion(*(float(request[key]) for key in ("settle_s", "settle_speed", "settle_position")))
-        host = str(request["host"])
+        host, version = str(request["host"]), (int(request["version"][0]), int(request["version"][1]))
+        timeout_s = float(request["timeout_s"])
+        control = UrControl.open(host, request["optional"], timeout_s, str(request["program"]), version)
 
-        def opening() -> None:
-            time.sleep(_BRAKE_READ_S)  # the client has held the interpreter's lock: a brake may be unread
+        def meanwhile() -> None:
             if self.braked:
                 raise Refusal("stopped", "it was stopped while it was being connected")
-            self._host = host  # from here on a program of this worker may run on that host
-            self.answer({"opening": True})
 
-        control = UrControl.open(host, request["optional"], float(request["timeout_s"]), opening)
+        time.sleep(_BRAKE_READ_S)  # the client has held the interpreter's lock: a brake may be unread
+        self._host = host  # from here on a program of this worker may run on that host
+        control.upload(meanwhile, self.opening)
         supervisor = PathSupervisor(self, control, float(request["watchdog_hz"]), rest)
         state = supervisor.begin()
         self._supervisor = supervisor

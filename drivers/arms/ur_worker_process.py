@@ -7,6 +7,7 @@ import math
 import os
 import queue
 import select
+import signal
 import subprocess
 import sys
 import threading
@@ -63,6 +64,24 @@ def last_words(lines: Iterable[bytes]) -> str:
     return f": {texts[dumps[-1]]}" + ("" if where is None else f" {' '.join(texts[where + 1 : where + 3])}")
 
 
+_CRASHES = ("SIGABRT", "SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL")
+_WHAT = b"what():"
+"""In front of the reason that the RTDE client's own language gives for a crash."""
+
+
+def ending(code: int, lines: Iterable[bytes]) -> WorkerGone:
+    """Return why a process ended, by its exit code and the lines that it wrote last."""
+    kept = list(lines)
+    if -code not in [getattr(signal, name, 0) for name in _CRASHES]:
+        how = f"signal {-code}" if code < 0 else f"exit code {code}"
+        return WorkerGone(f"its driver process ended ({how}{last_words(kept)})", "ended")
+    said = next((line.partition(_WHAT)[2] for line in kept if _WHAT in line), b"")
+    what = f": {printable(said.decode(errors='replace').strip(), _LONGEST_LINE)}" if said else last_words(kept)
+    return WorkerGone(
+        f"its RTDE client crashed (signal {-code}{what}); possible: a malformed packet came, or the link broke", "link"
+    )
+
+
 class WorkerGone(Exception):
     """The worker process has ended, or did not answer in time; the message is the reason.
 
@@ -117,10 +136,10 @@ class WorkerProcess:
     """A worker process. Several threads may call its methods.
 
     ``doubted`` is called when the worker reports a fault, falls silent or ends, unless it was asked to end. ``opens``
-    is called when it may start a program on the controller.
+    is called with True when it may start a program on the controller, with False when that was seen to run.
     """
 
-    def __init__(self, name: str, doubted: Doubted, opens: Callable[[], None]) -> None:
+    def __init__(self, name: str, doubted: Doubted, opens: Callable[[bool], None]) -> None:
         root = str(Path(drivers.__file__).parents[1])
         paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
         self._process = subprocess.Popen(
@@ -138,14 +157,13 @@ class WorkerProcess:
         self._pending: dict[int, _Pending] = {}
         self._hello: queue.SimpleQueue[None] = queue.SimpleQueue()
         self._ended: WorkerGone | None = None
-        self._opening = False
         self._motion_asked = self._served = 0
         self._told = False  # whether it was told to brake since the last request that releases
         self._ending = threading.Event()
         self._decelerating = threading.Event()
         self._gaps = HeartbeatGaps()
         self._live = (math.inf, True, 0.0)
-        self._beat_s = 0.0
+        self._beat_s = self._waits_until_s = 0.0
         self._looks = 0
         self._last_words: deque[bytes] = deque(maxlen=_LAST_LINES)
         self._listener = threading.Thread(target=self._listen, name=f"errors of {name}", daemon=True)
@@ -163,11 +181,6 @@ class WorkerProcess:
     def has_ended(self) -> bool:
         """Whether the process has ended."""
         return self._ended is not None
-
-    @property
-    def opening(self) -> bool:
-        """Whether it may have started a program on the controller."""
-        return self._opening
 
     @property
     def gaps(self) -> HeartbeatGaps:
@@ -224,7 +237,7 @@ class WorkerProcess:
         try:
             answer = patient_get(answered, Patience(within_s))
         except queue.Empty:
-            raise WorkerGone(f"its driver process did not answer '{request}' within {within_s:.1f} s") from None
+            raise self._silent(f"did not answer '{request}' within {within_s:.1f} s") from None
         finally:
             with self._lock:
                 self._pending.pop(number, None)
@@ -341,7 +354,17 @@ class WorkerProcess:
             self._looks += 1
             if not silent and time.monotonic() - self._beat_s > _SILENT_S and self._looks > _SILENT_LOOKS:
                 silent = True
-                self._doubted("driver", f"its driver process was silent for {_SILENT_S:g} s")
+                doubt = self._silent(f"was silent for {_SILENT_S:g} s")
+                self._doubted(doubt.kind, str(doubt))
+
+    def _silent(self, how: str) -> WorkerGone:
+        """Return the doubt about a worker that is silent; it may have told that it waits for its controller."""
+        if time.monotonic() < self._waits_until_s:
+            return WorkerGone(
+                f"its controller has not answered a command for {_SILENT_S:g} s: it hangs, or the network is late",
+                "link",
+            )
+        return WorkerGone(f"its driver process {how}")
 
     def _listen(self) -> None:
         """Keep the last lines of the worker's standard error."""
@@ -355,8 +378,11 @@ class WorkerProcess:
         for line in self._process.stdout:
             if not line.endswith(b"\n"):  # the process ended in the middle of a line
                 break
-            self._seen()
             message = json.loads(line)
+            if "waits" in message:
+                self._waits_until_s = time.monotonic() + _SILENT_S
+                continue
+            self._seen()
             if "beat" in message:
                 longest_s, late, age_s, moving, served = message["beat"]
                 self._gaps, self._live = HeartbeatGaps(longest_s, late), (age_s, moving, time.monotonic())
@@ -368,8 +394,7 @@ class WorkerProcess:
             elif "lost" in message:
                 reason = WorkerGone(str(message["lost"]), str(message["kind"]))
             elif "opening" in message:
-                self._opening = True
-                self._opens()
+                self._opens(bool(message["opening"]))
             elif "hello" in message:
                 self._hello.put(None)
             else:
@@ -378,12 +403,11 @@ class WorkerProcess:
                 if pending is not None:
                     pending.answered.put(message)
         if reason is None:
-            self._report("driver", "its driver process ended")
+            self._report("ended", "its driver process ended")
         code = self._process.wait()
         self._listener.join(_LAST_WORDS_WITHIN_S)
         with self._lock:
-            how = f"signal {-code}" if code < 0 else f"exit code {code}"
-            self._ended = reason or WorkerGone(f"its driver process ended ({how}{last_words(self._last_words)})")
+            self._ended = reason or ending(code, self._last_words)
             for pending in self._pending.values():
                 pending.answered.put(None)
         self._hello.put(None)

@@ -163,7 +163,7 @@ class TrackerBridgeEmulator(TrackerService):
         self._answer(link, line.sequence, ("ok", {}))
 
     def _command(self, link: Link, line: Line) -> None:
-        measuring = line.word in ("measure", "two-face") and line.fields.get("id", "") not in self._results
+        measuring = line.word == "measure" and line.fields.get("id", "") not in self._results
         if measuring and self._faults and self._active is None:
             if self._faults[0] == "tracker-reboot":
                 self._faults.popleft()

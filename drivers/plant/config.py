@@ -172,6 +172,7 @@ class PlantConfig:
     ``repeatability`` [rad]: standard deviation of each joint's stop position. ``noise``: whether the tracker has noise.
     ``floor`` [m]: height in C of the floor plane of the collision monitor. ``holding_k`` [K]: steady-state rise of a
     joint at rest above the air; 5 to 15 K on real arms.
+    ``earlier_jobs``: how often the cell was measured before, with noise of its own each time.
     ``factory``: how well controllers know their arms' axes from the factory; None: they have the published rows.
     """
 
@@ -185,6 +186,12 @@ class PlantConfig:
     floor: float = 0.0
     holding_k: float = 0.0
     factory: GeometryErrors | None = None
+    earlier_jobs: int = 0
+
+    def random(self, stream: int) -> np.random.Generator:
+        """Return the random numbers of one purpose: others for each job that measures."""
+        jobs = (self.earlier_jobs,) if self.earlier_jobs else ()
+        return np.random.default_rng(np.random.SeedSequence([self.seed, stream], spawn_key=jobs))
 
     def __post_init__(self) -> None:
         names = [arm.name for arm in self.arms]

@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.motion import AnyMotion, note_phase
+from drivers.plant.motion import note_phase
 from drivers.plant.true_arm import TrueArm
 
 LOOKAHEAD_S = 0.03
@@ -91,10 +91,10 @@ class ServoMotion:
         return away, self.speed_from + self.rate * away
 
 
-def follow(arm: TrueArm, goal: Array, time_s: float, rate: float, repeatability: float) -> AnyMotion | None:
+def follow(arm: TrueArm, goal: Array, time_s: float, rate: float, repeatability: float) -> None:
     """Make an arm that is at rest, or already in a stream, follow ``goal`` (N,) [rad] from ``time_s`` [s] on.
 
-    Return the motion that ended. ``repeatability`` [rad] is the standard deviation of the position error drawn for a
+    ``repeatability`` [rad] is the standard deviation of the position error drawn for a
     new stream. Raises ``ValueError`` during a motion of another kind.
     """
     if arm.motion is not None and arm.streamed is None:
@@ -110,7 +110,6 @@ def follow(arm: TrueArm, goal: Array, time_s: float, rate: float, repeatability:
         _note_reversals(arm, q)
     arm.streamed = q
     arm.motion = ServoMotion.towards(np.array(goal, dtype=np.float64), time_s, q, speed, rate)
-    return ended
 
 
 def _note_reversals(arm: TrueArm, q: Array) -> None:

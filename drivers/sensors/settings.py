@@ -18,8 +18,6 @@ class AirSensorSettings(Section):
     """Base of the settings of every kind of weather station."""
 
     kind: str
-    repeatable_probe: ClassVar[bool] = False
-    """Whether a probe may be repeated every few seconds: it only reads, and does not block the device for others."""
     needs_plant: ClassVar[bool] = False
     """Whether the station belongs to the simulated cell."""
 

@@ -27,7 +27,6 @@ from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge_wire import BadField, Fields, Garbled, Line, read_limits, read_packet
 from drivers.trackers.protocol import (
     Halted,
-    Inclination,
     NotReady,
     Packet,
     Point,
@@ -39,7 +38,6 @@ from drivers.trackers.protocol import (
     TrackerLinkLost,
     TrackerRefused,
     TrackerTimeout,
-    TwoFace,
     checked_point,
     no_packet,
 )
@@ -132,9 +130,9 @@ _SILENT_SHARE = 0.9
 """Silence counts only if this process looked for a line for this share of the time: it may not have been scheduled."""
 _CONFIRMING_TRIES = 3
 """Attempts of ``confirm``: after a damaged line or an ended connection it reconnects and asks again."""
-_HALTABLE = ("prepare", "measure", "two-face", "track")
+_HALTABLE = ("prepare", "measure", "track")
 """Commands that ``halt`` can end."""
-_FROM_TRACKER = ("identify", "prepare", "unmet", "inclination", "confirm", "measure", "two-face", "track", "end-track")
+_FROM_TRACKER = ("identify", "prepare", "unmet", "confirm", "measure", "track", "end-track")
 """Commands that the tracker itself answers, and not the bridge."""
 
 
@@ -276,15 +274,6 @@ class BridgeTracker:
         """Measure the SMR at ``expected_M`` (3,) [m]. Raises the errors of ``Tracker.measure``."""
         self._halting.clear()
         return self._read(wire.read_point, self._command("measure", _measure_fields(expected_M, averaging_s)))
-
-    def measure_two_face(self, expected_M: NDArray[np.float64], averaging_s: float) -> TwoFace:
-        """Measure the SMR at ``expected_M`` (3,) [m] in both faces. Raises the errors of ``Tracker.measure``."""
-        self._halting.clear()
-        return self._read(wire.read_two_face, self._command("two-face", _measure_fields(expected_M, averaging_s)))
-
-    def inclination(self) -> Inclination | None:
-        """Return the level's reading, or None if the tracker has no level."""
-        return self._read(wire.read_inclination, self._command("inclination"))
 
     def halt(self) -> None:
         """End the running command, which then raises ``Halted``; harmless when none runs. From any thread."""
@@ -672,7 +661,7 @@ class StreamingBridgeTracker(BridgeTracker):
         track.next = int(
             self._read(lambda fields: wire.read_number(fields, "next", track.next, track.next + 1), answer)
         )
-        if len(packet.device_time_s) or len(packet.triggers_s):
+        if len(packet.device_time_s):
             track.heard_s = now_s
             self._sign_of_life({})
             track.packets.append(packet)

@@ -149,9 +149,9 @@ _OLDEST_S = 1e6
 _MAX_RESULTS = 64
 """Number of stored results for clients that repeat a command; specified in BRIDGE.md."""
 _STREAMING = ("stream-limits", "track", "end-track")
-_COMMANDS = ("identify", "unmet", "confirm", "prepare", "inclination", "measure", "two-face", *_STREAMING)
+_COMMANDS = ("identify", "unmet", "confirm", "prepare", "measure", *_STREAMING)
 """Commands that the tracker answers."""
-_MEASURING = ("measure", "two-face", "track")
+_MEASURING = ("measure", "track")
 _MAX_BAD_LINES = 20
 _NOTICE_S = 0.2
 """Shortest time between two ``garbled`` errors, so that noise does not cause a flood of answers."""
@@ -509,8 +509,6 @@ class TrackerService:
             case "confirm":
                 within_s = wire.read_number(fields, "within", 1e-3, 60.0)
                 return lambda: self._confirm(within_s)
-            case "inclination":
-                return lambda: wire.inclination_fields(tracker.inclination())
             case "stream-limits":
                 return self._tracks.limits
             case "end-track":
@@ -527,8 +525,6 @@ class TrackerService:
                     id_, interval_s = fields["id"], wire.read_number(fields, "interval", 1e-4, 60.0)
                     return lambda: self._tracks.start(id_, expected_M, interval_s)
                 averaging_s = wire.read_number(fields, "averaging", 1e-3, 600.0)
-                if verb == "two-face":
-                    return lambda: wire.two_face_fields(tracker.measure_two_face(expected_M, averaging_s))
                 return lambda: wire.point_fields(tracker.measure(expected_M, averaging_s))
 
     def _confirm(self, within_s: float) -> dict[str, str]:

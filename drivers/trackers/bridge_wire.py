@@ -23,9 +23,7 @@ from numpy.typing import NDArray
 
 from drivers.trackers.protocol import (
     ACCURACIES,
-    Face,
     Halted,
-    Inclination,
     NotReady,
     Packet,
     Point,
@@ -39,7 +37,6 @@ from drivers.trackers.protocol import (
     TrackerLinkLost,
     TrackerRefused,
     TrackerTimeout,
-    TwoFace,
     Unstable,
     WrongTarget,
     stream_limits_of,
@@ -255,7 +252,7 @@ def read_preparation(fields: Fields) -> Preparation:
     )
 
 
-def point_fields(point: Point, prefix: str = "") -> dict[str, str]:
+def point_fields(point: Point) -> dict[str, str]:
     """Return the fields of a measured point. Raises ``BadField`` if it holds a value that is not finite."""
     values: dict[str, float | None] = {
         **dict(zip(_AXES, point.p_M, strict=True)),
@@ -265,31 +262,23 @@ def point_fields(point: Point, prefix: str = "") -> dict[str, str]:
         "temperature": point.temperature_c,
         "pressure": point.pressure_hpa,
         "humidity": point.humidity_percent,
-        "tracker_time": point.tracker_time_s,
-        "host_time": point.host_time_s,
     }
     if point.quaternion_M is not None:
         values |= dict(zip(_QUATERNION, point.quaternion_M, strict=True)) | {"sigma_rad": point.sigma_rad}
-    if point.precision_M is not None:
-        values |= {f"p{axis}": value for axis, value in zip(_AXES, point.precision_M, strict=True)}
     fields = {key: number(value) for key, value in values.items() if value is not None}
-    fields["face"] = str(point.face)
     if point.reflector:
         fields["reflector"] = text(point.reflector, 60)
     if point.quality:
         fields["quality"] = text("; ".join(point.quality), 120)
-    return {prefix + key: value for key, value in fields.items()}
+    return fields
 
 
-def read_point(fields: Fields, prefix: str = "") -> Point:
+def read_point(own: Fields) -> Point:
     """Read a measured point. Raises ``BadField``."""
-    own = {key.removeprefix(prefix): value for key, value in fields.items() if key.startswith(prefix)}
     covariance = np.zeros((3, 3))
     for i, j in _UPPER_TRIANGLE:
         low = 0.0 if i == j else -1.0
         covariance[i, j] = covariance[j, i] = read_number(own, f"c{_AXES[i]}{_AXES[j]}", low, 1.0)
-    face: Face = 1 if read_number(own, "face", 1, 2) == 1 else 2
-    precise = all(f"p{axis}" in own for axis in _AXES)
     turned = _QUATERNION[0] in own
     return Point(
         p_M=np.array([read_number(own, axis, -1e3, 1e3) for axis in _AXES]),
@@ -299,10 +288,6 @@ def read_point(fields: Fields, prefix: str = "") -> Point:
         temperature_c=read_optional(own, "temperature", -100.0, 200.0),
         pressure_hpa=read_optional(own, "pressure", 0.0, 2000.0),
         humidity_percent=read_optional(own, "humidity", 0.0, 100.0),
-        precision_M=np.array([read_number(own, f"p{axis}", 0.0, 1.0) for axis in _AXES]) if precise else None,
-        face=face,
-        tracker_time_s=read_optional(own, "tracker_time"),
-        host_time_s=read_optional(own, "host_time"),
         reflector=own.get("reflector", ""),
         quality=tuple(own["quality"].split("; ")) if own.get("quality") else (),
         quaternion_M=_read_quaternion(own) if turned else None,
@@ -317,41 +302,6 @@ def _read_quaternion(fields: Fields) -> NDArray[np.float64]:
     if abs(length - 1.0) > _UNIT_LENGTH:
         raise BadField(f"{', '.join(_QUATERNION)} has the length {length:.4g}; expected a unit quaternion")
     return values / length if abs(length - 1.0) > _ROUNDED else values
-
-
-def two_face_fields(pair: TwoFace) -> dict[str, str]:
-    """Return the answer to ``two-face``."""
-    return point_fields(pair.first, "a.") | point_fields(pair.second, "b.")
-
-
-def read_two_face(fields: Fields) -> TwoFace:
-    """Read the answer to ``two-face``. Raises ``BadField``."""
-    return TwoFace(read_point(fields, "a."), read_point(fields, "b."))
-
-
-def inclination_fields(level: Inclination | None) -> dict[str, str]:
-    """Return the answer to ``inclination``."""
-    if level is None:
-        return {"fitted": "0"}
-    tilt_x, tilt_y = level.tilt_rad
-    return {
-        "fitted": "1",
-        "tilt_x": number(tilt_x),
-        "tilt_y": number(tilt_y),
-        "drift": number(level.drift_rad),
-        "threshold": number(level.threshold_rad),
-    }
-
-
-def read_inclination(fields: Fields) -> Inclination | None:
-    """Read the answer to ``inclination``. Raises ``BadField``."""
-    if read_number(fields, "fitted", 0, 1) == 0:
-        return None
-    return Inclination(
-        (read_number(fields, "tilt_x", -4, 4), read_number(fields, "tilt_y", -4, 4)),
-        read_number(fields, "drift", 0, 4),
-        read_number(fields, "threshold", 0, 4),
-    )
 
 
 def unmet_fields(unmet: list[str]) -> dict[str, str]:
@@ -411,22 +361,17 @@ def read_packet(fields: Fields, now_s: float) -> tuple[Packet, int]:
     except ValueError as error:
         raise BadField(f"points: {error}") from error
     rows = rows.reshape(-1, 5)
-    pulses = [part for part in fields.get("pulses", "").split(";") if part]
-    if not all(_STAMP.fullmatch(part) for part in pulses):
-        raise BadField("pulses are stamps, separated by ';'")
     age_s = read_number(fields, "age", 0.0, 1e6) if len(rows) else 0.0
     waiting = int(read_number(fields, "waiting", 0, 10 * MOST_WAITING))
-    triggers = np.array([float(part) for part in pulses])
-    return Packet(rows[:, 0], rows[:, 1:4], rows[:, 4], now_s - age_s, triggers), waiting
+    return Packet(rows[:, 0], rows[:, 1:4], rows[:, 4], now_s - age_s), waiting
 
 
 @dataclass(frozen=True)
 class _Waiting:
-    """Points of one line, their arrival time at the bridge, and the trigger pulses since the previous line."""
+    """Points of one line, and their arrival time at the bridge."""
 
     points: tuple[str, ...]
     arrived_s: float
-    pulses: tuple[str, ...]
 
 
 class TrackBuffer:
@@ -443,8 +388,6 @@ class TrackBuffer:
         self._first = 0
         self._waiting = 0
         self._last_stamp_s = -math.inf
-        self._pulses: list[str] = []
-        self._heard_pulses = 0
         self._lost: TrackerError | None = None
 
     def received(self, packet: Packet) -> None:
@@ -456,16 +399,12 @@ class TrackBuffer:
             for stamp, p, sigma in zip(packet.device_time_s, packet.p_M, packet.sigma_m, strict=True)
         ]
         with self._lock:
-            self._heard_pulses += len(packet.triggers_s)
-            self._pulses += [f"{stamp:.7f}" for stamp in packet.triggers_s]
-            if self._waiting + len(points) > MOST_WAITING or not (points or self._pulses):
+            if self._waiting + len(points) > MOST_WAITING or not points:
                 return
-            if points:
-                self._last_stamp_s = float(packet.device_time_s[-1])
+            self._last_stamp_s = float(packet.device_time_s[-1])
             self._waiting += len(points)
-            for some in _lines(points) or [()]:
-                self._lines.append(_Waiting(some, self._clock(), tuple(self._pulses)))
-                self._pulses = []
+            for some in _lines(points):
+                self._lines.append(_Waiting(some, self._clock()))
 
     def lost(self, error: TrackerError) -> None:
         """Note that the track was lost: it has ended by itself."""
@@ -475,8 +414,7 @@ class TrackBuffer:
     def ended(self, track: Track) -> None:
         """Buffer the points of a finished track that did not arrive as packets."""
         rest = track.within(track.device_time_s > self._last_stamp_s)
-        pulses = track.triggers_s[self._heard_pulses :]
-        self.received(Packet(rest.device_time_s, rest.p_M, rest.sigma_m, 0.0, pulses))
+        self.received(Packet(rest.device_time_s, rest.p_M, rest.sigma_m, 0.0))
 
     def fields(self, number: int) -> dict[str, str]:
         """Return the answer to ``points from=number``. Raises ``BadField`` for a line that is no longer buffered."""
@@ -495,7 +433,6 @@ class TrackBuffer:
                 "age": f"{max(self._clock() - line.arrived_s, 0.0):.6f}",
                 "waiting": str(self._waiting - len(line.points)),
                 "next": str(number + 1),
-                "pulses": ";".join(line.pulses),
             }
 
 

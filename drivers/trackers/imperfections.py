@@ -22,10 +22,6 @@ class Imperfections:
         the time constant ``warm_up_s``.
     laser_s : float
         Warm-up time of the laser, before which nothing can be measured [s].
-    collimation_rad, index_rad : float
-        Errors of azimuth and elevation that change sign with the face [rad]; the first increases towards the zenith.
-    tilt_rad : tuple of two float
-        Tilt of the tracker, as its level reports it [rad].
     weather_station : bool
         Whether it measures the air. Otherwise it corrects for the values of ``prepare``, or for standard air.
     pressure_hpa, humidity_percent : float
@@ -44,9 +40,6 @@ class Imperfections:
     warm_up_m: float = 0.0
     warm_up_s: float = 2400.0
     laser_s: float = 0.0
-    collimation_rad: float = 0.0
-    index_rad: float = 0.0
-    tilt_rad: tuple[float, float] = (0.0, 0.0)
     weather_station: bool = True
     pressure_hpa: float = 1013.25
     humidity_percent: float = 50.0
@@ -61,18 +54,10 @@ class Imperfections:
         """Return the tracker's own clock (n,) at times (n,) of the plant [s]."""
         return self.clock_offset_s + (1.0 + self.clock_rate) * time_s
 
-    def pointed(self, p_M: Array, face: int, cold: float) -> Array:
-        """Return the point (3,) [m] at which the head points in a face; ``cold`` is the share of the warm-up left."""
+    def pointed(self, p_M: Array, cold: float) -> Array:
+        """Return the point (3,) [m] at which the head points; ``cold`` is the share of the warm-up left."""
         if any(self.warm_up_rad) and cold > 0.0:
             p_M = transform_points(rigid(np.array([0.0, 0.0, 0.0, *self.warm_up_rad]) * cold), p_M)
-        if self.collimation_rad or self.index_rad:
-            sign = 1.0 if face == 1 else -1.0
-            flat = math.hypot(p_M[0], p_M[1])
-            distance = math.hypot(flat, p_M[2])
-            azimuth = math.atan2(p_M[1], p_M[0]) + sign * self.collimation_rad * distance / flat
-            elevation = math.atan2(p_M[2], flat) + sign * self.index_rad
-            level, up = distance * math.cos(elevation), distance * math.sin(elevation)
-            p_M = np.array([level * math.cos(azimuth), level * math.sin(azimuth), up])
         return p_M
 
 

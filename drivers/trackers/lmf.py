@@ -41,15 +41,11 @@ from drivers.trackers.lmf_objects import (
     set_handler,
     set_quantity,
     start_level_monitoring,
-    to_si,
-    tracker_time_s,
     unwrap,
 )
 from drivers.trackers.lmf_options import DEFAULT_LIBRARY, LmfOptions
 from drivers.trackers.protocol import (
-    Face,
     Halted,
-    Inclination,
     NotReady,
     Point,
     Preparation,
@@ -59,7 +55,6 @@ from drivers.trackers.protocol import (
     TrackerLinkLost,
     TrackerRefused,
     TrackerTimeout,
-    TwoFace,
     Unstable,
     WrongTarget,
     checked_point,
@@ -83,7 +78,7 @@ _USUAL_ACCURACY = ErrorLaw()
 _IN_USE = 10011
 """LMF's error number for a tracker that another program holds."""
 _MAX_MESSAGES = 200
-_POINTING, _MEASURING, _TURNING = "pointing and searching", "measuring", "turning to face 2"
+_POINTING, _MEASURING = "pointing and searching", "measuring"
 
 
 class LmfTracker:
@@ -315,25 +310,6 @@ class LmfTracker:
                 unmet.append(text)
         return unmet
 
-    def inclination(self) -> Inclination | None:
-        """Return the reading of the monitored level; None if there is no level or ``gravity`` is off."""
-        return self._call("reading the level", self._inclination)
-
-    def _inclination(self, tracker: Any) -> Inclination | None:
-        level = tracker.InclinationSensor
-        if level is None or not unwrap(level.Monitoring.Active):
-            return None
-        tilt = level.CurrentInclinationToGravity
-        initial, current = level.Monitoring.Initial, level.Monitoring.Current
-        return Inclination(
-            tilt_rad=(to_si(tilt.InclinationRotX, "angle"), to_si(tilt.InclinationRotY, "angle")),
-            drift_rad=math.hypot(
-                to_si(current.X, "angle") - to_si(initial.X, "angle"),
-                to_si(current.Y, "angle") - to_si(initial.Y, "angle"),
-            ),
-            threshold_rad=to_si(level.Monitoring.Threshold, "angle"),
-        )
-
     # -- measuring -----------------------------------------------------------------------------------------------------
 
     def measure(self, expected_M: Vector, averaging_s: float) -> Point:
@@ -344,17 +320,6 @@ class LmfTracker:
         expected = checked_point(expected_M, averaging_s)
         return self._measure(expected, averaging_s)
 
-    def measure_two_face(self, expected_M: Vector, averaging_s: float) -> TwoFace:
-        """Measure in face 1, change face, measure in face 2; always return to face 1."""
-        expected = checked_point(expected_M, averaging_s)
-        first = self._measure(expected, averaging_s)
-        try:
-            self._call(_TURNING, partial(self._change_face, face=2), haltable=True)
-            second = self._average(expected, averaging_s, 2)
-        finally:
-            self._call("turning to face 1", partial(self._change_face, face=1))
-        return TwoFace(first, second)
-
     def halt(self) -> None:
         """Make the running measurement raise ``Halted``. LMF completes its call; the next call waits for that."""
         calls = self._calls
@@ -364,7 +329,7 @@ class LmfTracker:
     def _measure(self, expected: Vector, averaging_s: float) -> Point:
         self._clear_halt()
         self._call(_POINTING, partial(self._lock, expected=expected, averaging_s=averaging_s), haltable=True)
-        return self._average(expected, averaging_s, 1)
+        return self._average(expected, averaging_s)
 
     def _lock(self, tracker: Any, expected: Vector, averaging_s: float) -> None:
         require_ready(self._unmet(tracker))
@@ -381,27 +346,19 @@ class LmfTracker:
         if self._reflector and str(found.Name) != self._reflector and not probe:
             raise WrongTarget(f"tracker: it locked a '{found.Name}' where a '{self._reflector}' was expected")
 
-    def _change_face(self, tracker: Any, face: Face) -> None:
-        if bool(unwrap(tracker.Face.IsFace1)) != (face == 1):
-            tracker.Face.Change()
-            if bool(unwrap(tracker.Face.IsFace1)) != (face == 1):
-                raise TrackerError(f"tracker: it does not turn to face {face}")
-        if face == 2 and tracker.Targets.Selected is None:
-            raise TargetLost("tracker: it did not find the SMR again in face 2")
-
-    def _average(self, expected: Vector, averaging_s: float, face: Face) -> Point:
+    def _average(self, expected: Vector, averaging_s: float) -> Point:
         if self._use.stationary == "time":
             limit_s = averaging_s + OTHER_PROFILE_S
         else:
             limit_s = MEASURING_S[self._preparation.accuracy]
-        read = partial(self._read, averaging_s=averaging_s, face=face)
+        read = partial(self._read, averaging_s=averaging_s)
         point = self._call(_MEASURING, read, limit_s, haltable=True)
         off_m = float(np.linalg.norm(point.p_M - expected))
         if off_m > self._use.wrong_target:
             raise WrongTarget(f"tracker: it locked an SMR {off_m * 1e3:.0f} mm from where one was expected")
         return point
 
-    def _read(self, tracker: Any, averaging_s: float, face: Face) -> Point:
+    def _read(self, tracker: Any, averaging_s: float) -> Point:
         """Measure the locked SMR and convert LMF's result."""
         assert self._lmf is not None
         if tracker.Targets.Selected is None:
@@ -411,7 +368,7 @@ class LmfTracker:
         ended_s = time.monotonic()
         if result is None:
             raise TargetLost("tracker: it measured nothing")
-        p_M, precision_M = read_position(self._lmf, result.Position, face)
+        p_M, precision_M = read_position(self._lmf, result.Position)
         precision_m = float(np.linalg.norm(precision_M))
         if precision_m > self._use.shaking:
             raise Unstable(f"tracker: the SMR moved while it was measured: precision {precision_m * 1e6:.0f} µm")
@@ -427,10 +384,6 @@ class LmfTracker:
             temperature_c=air["Temperature"],
             pressure_hpa=air["Pressure"],
             humidity_percent=air["Humidity"],
-            precision_M=precision_M,
-            face=face,
-            tracker_time_s=tracker_time_s(result),
-            host_time_s=time.time(),
             reflector=self._reflector,
             quality=(*quality, *self._air_notices(tracker), *self._new_messages()),
             quaternion_M=quaternion_M,
@@ -493,7 +446,7 @@ class LmfTracker:
             return TrackerLinkLost(f"{text}; its state cannot be read either")
         if unmet:
             return NotReady(f"{text}; not ready: {'; '.join(unmet)}")
-        return TargetLost(text) if lost and what in (_POINTING, _MEASURING, _TURNING) else TrackerError(text)
+        return TargetLost(text) if lost and what in (_POINTING, _MEASURING) else TrackerError(text)
 
 
 # -- Search for Leica trackers in this computer's networks ------------------------------------------------------------

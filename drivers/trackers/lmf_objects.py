@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.trackers.lmf_options import LmfOptions
-from drivers.trackers.protocol import Face, Preparation, TrackerError
+from drivers.trackers.protocol import Preparation, TrackerError
 
 _UNITS: Mapping[str, Mapping[str, float]] = {
     "length": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "ft": 0.3048, "yd": 0.9144, "in": 0.0254},
@@ -307,7 +307,7 @@ class ErrorLaw:
         return across**2 * (np.eye(3) - beam) + along**2 * beam
 
 
-def read_position(lmf: Lmf, position: Any, face: Face) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def read_position(lmf: Lmf, position: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the point (3,) and the precision of each coordinate (3,) [m]. Raises ``TrackerError`` if invalid."""
     kind = unwrap(position.CoordinateType)
     if str(kind) != "Cartesian" and int(kind) != int(lmf.enumeration("ECoordinateType").Cartesian):
@@ -317,8 +317,8 @@ def read_position(lmf: Lmf, position: Any, face: Face) -> tuple[NDArray[np.float
     precision_M = np.array([precision_m(coordinate) for coordinate in coordinates])
     if not (np.isfinite(p_M).all() and np.isfinite(precision_M).all() and np.linalg.norm(p_M) > 0.0):
         raise TrackerError("tracker: it reports a point that is not valid")
-    if bool(unwrap(position.IsFace2)) != (face == 2):
-        raise TrackerError(f"tracker: it measured in another face than {face}")
+    if unwrap(position.IsFace2):
+        raise TrackerError("tracker: it measured in face 2")
     return p_M, precision_M
 
 

@@ -29,7 +29,6 @@ from drivers.trackers.protocol import (
     TargetLost,
     Track,
     TrackerError,
-    TwoFace,
     checked_point,
     no_packet,
 )
@@ -88,11 +87,6 @@ class LmfStreamTracker(LmfTracker):
         """Measure at rest; end a track."""
         self._leave()
         return super().measure(expected_M, averaging_s)
-
-    def measure_two_face(self, expected_M: Vector, averaging_s: float) -> TwoFace:
-        """Measure at rest in both faces; end a track."""
-        self._leave()
-        return super().measure_two_face(expected_M, averaging_s)
 
     def prepare(self, settings: Preparation) -> None:
         """Prepare the tracker; end a track."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from drivers.findings import DeviceReport
 
-Face = Literal[1, 2]
 Accuracy = Literal["fast", "standard", "precise"]
 
 ACCURACIES: tuple[Accuracy, ...] = ("fast", "standard", "precise")
@@ -82,13 +81,6 @@ class Point:
         Air temperature of the refraction correction [degC].
     pressure_hpa, humidity_percent : float or None
         Pressure [hPa] and relative humidity [%] of the correction; None: not reported.
-    precision_M : array, shape (3,), or None
-        Standard deviation of each coordinate as reported by the tracker [m]; None: not reported.
-    face : {1, 2}
-        Face of the measurement.
-    tracker_time_s, host_time_s : float or None
-        Time of the result on the tracker's clock and on the clock of its computer [s], each with its own origin; None:
-        not reported.
     reflector : str
         Reflector type whose offset was applied; empty: not reported.
     quality : tuple of str
@@ -106,10 +98,6 @@ class Point:
     temperature_c: float | None
     pressure_hpa: float | None = None
     humidity_percent: float | None = None
-    precision_M: NDArray[np.float64] | None = None
-    face: Face = 1
-    tracker_time_s: float | None = None
-    host_time_s: float | None = None
     reflector: str = ""
     quality: tuple[str, ...] = ()
     quaternion_M: NDArray[np.float64] | None = None
@@ -119,54 +107,6 @@ class Point:
     def orientation(self) -> tuple[NDArray[np.float64], float] | None:
         """Quaternion and its standard uncertainty (0 if not reported); None if no orientation was measured."""
         return None if self.quaternion_M is None else (self.quaternion_M, self.sigma_rad or 0.0)
-
-
-@dataclass(frozen=True)
-class TwoFace:
-    """Measurements of the same SMR in both faces. They differ by systematic errors that averaging does not reduce."""
-
-    first: Point
-    second: Point
-
-    @property
-    def across_m(self) -> float:
-        """Full difference of the two faces perpendicular to the beam [m]; ISO 10360-10 uses half of it."""
-        difference, beam = self._split()
-        return float(np.linalg.norm(difference - (difference @ beam) * beam))
-
-    @property
-    def along_m(self) -> float:
-        """Difference of the distances, second minus first [m]."""
-        difference, beam = self._split()
-        return float(difference @ beam)
-
-    def _split(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        middle = self.first.p_M + self.second.p_M
-        return self.second.p_M - self.first.p_M, middle / np.linalg.norm(middle)
-
-
-@dataclass(frozen=True)
-class Inclination:
-    """Reading of the level.
-
-    Attributes
-    ----------
-    tilt_rad : tuple of two float
-        Tilt relative to gravity about the tracker's x and y axes [rad].
-    drift_rad : float
-        Change of the tilt since monitoring began [rad].
-    threshold_rad : float
-        Drift above which the tracker counts as moved [rad].
-    """
-
-    tilt_rad: tuple[float, float]
-    drift_rad: float
-    threshold_rad: float
-
-    @property
-    def moved(self) -> bool:
-        """Whether the drift exceeds the threshold."""
-        return self.drift_rad > self.threshold_rad
 
 
 class TrackerError(Exception):
@@ -249,12 +189,6 @@ class Tracker(Protocol):
         ``TrackerLinkLost``.
         """
 
-    def measure_two_face(self, expected_M: NDArray[np.float64], averaging_s: float) -> TwoFace:
-        """Measure the SMR at ``expected_M`` (3,) [m] in face 1, then face 2; end in face 1. Raises like ``measure``."""
-
-    def inclination(self) -> Inclination | None:
-        """Return the level's reading, or None if the tracker has no level."""
-
     def halt(self) -> None:
         """End the running measurement, which then raises ``Halted``; harmless if none runs. From any thread."""
 
@@ -296,15 +230,12 @@ class Packet:
         Standard uncertainty of one coordinate of each point [m]; NaN if not known.
     arrived_s : float
         When they arrived, on the cell's clock [s]: late by up to about 40 ms.
-    triggers_s : array, shape (k,)
-        Timestamps of pulses at the tracker's trigger input since the last packet [s].
     """
 
     device_time_s: NDArray[np.float64]
     p_M: NDArray[np.float64]
     sigma_m: NDArray[np.float64]
     arrived_s: float
-    triggers_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,15 +252,12 @@ class Track:
         Standard uncertainty of one coordinate of each point [m]; NaN if not known.
     arrived_s : array, shape (n,)
         When the packet of each point arrived, on the cell's clock [s].
-    triggers_s : array, shape (k,)
-        Timestamps of pulses at the trigger input [s].
     """
 
     device_time_s: NDArray[np.float64]
     p_M: NDArray[np.float64]
     sigma_m: NDArray[np.float64]
     arrived_s: NDArray[np.float64]
-    triggers_s: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     @classmethod
     def of(cls, packets: Sequence[Packet]) -> Self:
@@ -340,7 +268,6 @@ class Track:
             np.concatenate([np.empty((0, 3)), *(packet.p_M for packet in packets)]),
             np.concatenate([np.empty(0), *(packet.sigma_m for packet in packets)]),
             np.repeat([packet.arrived_s for packet in packets], counts).astype(np.float64),
-            np.concatenate([np.empty(0), *(packet.triggers_s for packet in packets)]),
         )
 
     @property
@@ -355,10 +282,8 @@ class Track:
         return np.asarray(self.device_time_s + (self.arrived_s - self.device_time_s).min())
 
     def within(self, rows: NDArray[np.bool_]) -> Track:
-        """Return the points of the mask ``rows`` (n,), with all pulses."""
-        return Track(
-            self.device_time_s[rows], self.p_M[rows], self.sigma_m[rows], self.arrived_s[rows], self.triggers_s
-        )
+        """Return the points of the mask ``rows`` (n,)."""
+        return Track(self.device_time_s[rows], self.p_M[rows], self.sigma_m[rows], self.arrived_s[rows])
 
     def missing(self, interval_s: float) -> int:
         """Return the number of lost points, given one every ``interval_s``: the tracker could not send them."""

@@ -44,8 +44,6 @@ class TrackerSettings(Section):
     """Base of the settings of every kind of tracker. Defaults are those of a real tracker wired to this computer."""
 
     kind: str
-    repeatable_probe: ClassVar[bool] = False
-    """Whether a probe may be repeated every few seconds: it only reads, and does not block the device for others."""
     needs_plant: ClassVar[bool] = False
     """Whether the tracker belongs to the simulated cell."""
     has_device: ClassVar[bool] = True

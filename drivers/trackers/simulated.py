@@ -20,9 +20,7 @@ from drivers.plant.transforms import quaternion, rigid, transform_points
 from drivers.trackers.imperfections import PERFECT, Imperfections, refractivity
 from drivers.trackers.protocol import (
     PACKETS_HZ,
-    Face,
     Halted,
-    Inclination,
     Packet,
     Point,
     Preparation,
@@ -32,7 +30,6 @@ from drivers.trackers.protocol import (
     TrackerError,
     TrackerIdentity,
     TrackerLinkLost,
-    TwoFace,
     Unstable,
     WrongTarget,
     checked_point,
@@ -46,11 +43,9 @@ SEARCH_RADIUS_M = 0.1
 """Search radius about the expected point."""
 POINTING_S = 0.5
 """Time for turning the head and locking."""
-FACE_CHANGE_S = 3.0
 INITIALISE_S = 30.0
 SETTLE_S = 0.1
 """Time at rest after which an SMR no longer shakes."""
-INCLINATION_THRESHOLD_RAD = 15e-6
 REFLECTORS = ("simulated 1.5 in",)
 
 _WATCH_S = 0.02
@@ -110,14 +105,13 @@ class SimulatedTracker:
         self._watch_s = watch_s
         self._settings = Preparation()
         self._initialised = True
-        self._tilt_drift_rad = 0.0
         self._halt = threading.Event()
         self._stream: SimulatedStream | None = None
         """Stream of the SMR that is being followed; None if there is none."""
         self._blind_until_s = -math.inf
         """Time until which a broken beam cannot be locked again [s]."""
-        self._dynamic = np.random.default_rng([plant.config.seed, 3])
-        self._turns = np.random.default_rng([plant.config.seed, 5])
+        self._dynamic = plant.config.random(3)
+        self._turns = plant.config.random(5)
         self._connected = False
         self._link_cut = False
         self._down_until_s = -math.inf
@@ -200,16 +194,7 @@ class SimulatedTracker:
         or ``TrackerLinkLost``.
         """
         expected = self._checked_request(expected_M, averaging_s)
-        return self._measure(expected, averaging_s, 1)
-
-    def measure_two_face(self, expected_M: Vector, averaging_s: float) -> TwoFace:
-        """Measure in face 1, turn the head over, measure in face 2 and turn it back. Raises as ``measure``."""
-        expected = self._checked_request(expected_M, averaging_s)
-        first = self._measure(expected, averaging_s, 1)
-        self._wait(FACE_CHANGE_S)
-        second = self._measure(expected, averaging_s, 2)
-        self._wait(FACE_CHANGE_S)
-        return TwoFace(first, second)
+        return self._measure(expected, averaging_s)
 
     def _checked_request(self, expected_M: Vector, averaging_s: float) -> Vector:
         require_ready(self.unmet())
@@ -220,7 +205,7 @@ class SimulatedTracker:
             self._stream = None
         return expected
 
-    def _measure(self, expected: Vector, averaging_s: float, face: Face) -> Point:
+    def _measure(self, expected: Vector, averaging_s: float) -> Point:
         self._wait(POINTING_S)
         locked = self._lock(expected)
         rested_s = math.inf if locked.arm is None else self._plant.clock_s - self._plant.rest_s(locked.arm)
@@ -230,13 +215,12 @@ class SimulatedTracker:
         air = (self._plant.air_temperature_c, self._errors.pressure_hpa, self._errors.humidity_percent)
         read, covariance = self._plant.measure_positions(locked.p_M[None], averaging_s=averaging_s)
         applied, warnings = self._applied(air)
-        p_M = self._with_errors(read[0], face, air, applied)
+        p_M = self._with_errors(read[0], air, applied)
         self._average(locked, averaging_s)
         if self._wrong_target_m is not None and np.linalg.norm(p_M - expected) > self._wrong_target_m:
             off_mm = float(np.linalg.norm(p_M - expected)) * 1e3
             raise WrongTarget(f"tracker: it locked an SMR {off_mm:.0f} mm from where one was expected")
         self.measured += 1
-        clock = self._errors.clock_offset_s + (1.0 + self._errors.clock_rate) * self._plant.clock_s
         return Point(
             p_M=p_M,
             covariance_M=covariance[0],
@@ -245,10 +229,6 @@ class SimulatedTracker:
             temperature_c=applied[0],
             pressure_hpa=applied[1],
             humidity_percent=applied[2],
-            precision_M=np.sqrt(np.diag(covariance[0])),
-            face=face,
-            tracker_time_s=clock,
-            host_time_s=self._plant.clock_s,
             reflector=self._settings.reflector or REFLECTORS[0],
             quality=warnings,
             quaternion_M=self._orientation(locked),
@@ -312,17 +292,12 @@ class SimulatedTracker:
         self.measured += len(track.p_M)
         return track
 
-    def trigger(self) -> None:
-        """Register a pulse at the trigger input now."""
-        if self._stream is not None:
-            self._stream.trigger()
-
     def _points(self, p_M: Vector, *, moving: bool) -> tuple[Vector, Vector]:
         """Simulate measured points (n, 3) of true ones; return them and their standard uncertainties (n,)."""
         air = (self._plant.air_temperature_c, self._errors.pressure_hpa, self._errors.humidity_percent)
         read, covariance = self._plant.measure_positions(p_M)
         applied = self._applied(air)[0]
-        read = np.array([self._with_errors(one, 1, air, applied) for one in read]).reshape(-1, 3)
+        read = np.array([self._with_errors(one, air, applied) for one in read]).reshape(-1, 3)
         if self._plant.config.noise and moving:
             distance = np.linalg.norm(read, axis=1, keepdims=True)
             read = read * (1.0 + DYNAMIC_M * self._dynamic.standard_normal(distance.shape) / distance)
@@ -397,24 +372,17 @@ class SimulatedTracker:
         temperature, pressure, humidity = (s if g is None else g for g, s in zip(given, source, strict=True))
         return (temperature, pressure, humidity), warnings
 
-    def _with_errors(
-        self, p_M: Vector, face: Face, air: tuple[float, float, float], applied: tuple[float, float, float]
-    ) -> Vector:
+    def _with_errors(self, p_M: Vector, air: tuple[float, float, float], applied: tuple[float, float, float]) -> Vector:
         """Return the point (3,) with the tracker's own errors; exactly ``p_M`` if there are none."""
         errors, since_s = self._errors, self._plant.clock_s - self._switched_on_s
         cold = math.exp(-since_s / errors.warm_up_s)
-        p_M = errors.pointed(p_M, face, cold)
+        p_M = errors.pointed(p_M, cold)
         if applied != air:  # it divides the optical path by the refractive index of the assumed air
             p_M = p_M * ((1.0 + refractivity(*air)) / (1.0 + refractivity(*applied)))
         if errors.warm_up_m and cold > 0.0:
             distance = float(np.linalg.norm(p_M))
             p_M = p_M * ((distance + errors.warm_up_m * cold) / distance)
         return p_M
-
-    def inclination(self) -> Inclination:
-        """Return the tilt, and its drift since monitoring began."""
-        self._link()
-        return Inclination(self._errors.tilt_rad, self._tilt_drift_rad, INCLINATION_THRESHOLD_RAD)
 
     def halt(self) -> None:
         """End a running command, if another thread advances the plant; harmless when none runs."""
@@ -442,10 +410,6 @@ class SimulatedTracker:
         self._settings = Preparation()
         self._down_until_s = self._plant.clock_s + down_s
         self._halt.set()
-
-    def bump(self, angle_rad: float) -> None:
-        """Tilt the stand by an impact; the level reports it."""
-        self._tilt_drift_rad += angle_rad
 
 
 # -- The view of the simulated tracker: SMRs of arms and nests, and the bodies between them and the tracker -----------
@@ -563,8 +527,6 @@ class Sight:
 STREAM_LIMITS = StreamLimits(1e-3, 1.0)
 _STILL_M = 1e-9
 """Motion between two packets below which an SMR counts as resting."""
-TRIGGER_S = 5e-6
-"""Largest error of the timestamp of a pulse at the trigger input [s]."""
 
 
 class Measured(Protocol):
@@ -600,7 +562,6 @@ class SimulatedStream:
         self._packet_s = max(interval_s, 1.0 / PACKETS_HZ)
         self._taken = 0
         self._packets: list[Packet] = []
-        self._triggers: list[float] = []
         self._arrived_s = -math.inf
         self._on = True
 
@@ -614,11 +575,6 @@ class SimulatedStream:
             self._take(may_break=False)
         self._on = False
         return Track.of(self._packets)
-
-    def trigger(self) -> None:
-        """Store the timestamp of a pulse."""
-        error_s = self._rng.uniform(-TRIGGER_S, TRIGGER_S)
-        self._triggers.append(float(self._errors.own_time_s(np.array(self._plant.clock_s + error_s))))
 
     def _send(self, number: int) -> None:
         """Send one packet and schedule the next."""
@@ -635,12 +591,11 @@ class SimulatedStream:
             self._on = False
             self._lost(TargetLost(f"tracker: the beam to the SMR of {self._owner} broke while it was followed: {why}"))
             return False
-        triggers, self._triggers = np.array(self._triggers), []
         if self._errors.saturated and self._rng.random() < self._errors.saturated:
             time_s = time_s[:0]
-        if len(time_s) or len(triggers):
+        if len(time_s):
             p_M, sigma_m = self._measured(true_M[: len(time_s)], moving=float(np.ptp(true_M, axis=0).max()) > _STILL_M)
-            self._go(Packet(self._errors.own_time_s(time_s), p_M, sigma_m, math.nan, triggers))
+            self._go(Packet(self._errors.own_time_s(time_s), p_M, sigma_m, math.nan))
         return True
 
     def _broken(self, p_M: Vector, normal_M: Vector, *, may_break: bool) -> str:

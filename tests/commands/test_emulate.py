@@ -216,12 +216,8 @@ def served_cell() -> Profile:
     return twin.model_copy(
         update={
             "arms": {
-                name: arm.model_copy(
-                    update={
-                        "driver": UrSettings(host=HOSTS_OF_EMULATE_SWEEPS[name], watchdog_hz=2.0, trigger_output=number)
-                    }
-                )
-                for number, (name, arm) in enumerate(twin.arms.items())
+                name: arm.model_copy(update={"driver": UrSettings(host=HOSTS_OF_EMULATE_SWEEPS[name], watchdog_hz=2.0)})
+                for name, arm in twin.arms.items()
             },
             "collection": twin.collection.model_copy(update={"motion_rate": RATE_HZ}),
         }

@@ -13,7 +13,7 @@ from cellapp.cell.driving.iso9283 import programme
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.commands.iso9283.request import VERB, Iso9283Request
-from cellapp.commands.iso9283.run import iso9283_folder, iso9283_run
+from cellapp.commands.iso9283.run import iso9283_run, opened_run
 from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.result import read_results
@@ -90,7 +90,6 @@ def test_a_calibrated_run_is_tested_as_found_and_as_left(finished_copy: Path) ->
     assert section.message.lower() == f"{message.lower()}."
     assert [part.title for part in section.parts if isinstance(part, Chart)] == [
         "Pose accuracy at the five poses",
-        *(f"Arm {name}: error at each visit, calibrated commands" for name in result.arms),
     ]
     assert any("characteristics of orientation" in line for line in others)
     assert any("3 cycles at 100% of the profile's speed" in line and "payload: left 0.3 kg" in line for line in others)
@@ -116,10 +115,10 @@ def test_what_was_measured_before_a_fault_is_stored(finished_copy: Path, monkeyp
 
 
 def test_a_folder_of_another_cell_is_refused(tmp_path: Path) -> None:
-    iso9283_folder(small_twin(), tmp_path / "run").close()
-    iso9283_folder(small_twin(stops=7), tmp_path / "run").close()
+    opened_run(tmp_path / "run", small_twin(), new=True).close()
+    opened_run(tmp_path / "run", small_twin(stops=7), new=False).close()
     with pytest.raises(InputError, match="differs from 'twin' in section 'arms'"):
-        iso9283_folder(one_arm(), tmp_path / "run")
+        opened_run(tmp_path / "run", one_arm(), new=True)
 
 
 def saved(profile: Profile, folder: Path) -> Path:
@@ -135,7 +134,12 @@ def test_the_command_makes_one_test_in_a_new_run(
     loose = profile.tolerances.model_copy(update={"pose_accuracy": 0.05, "pose_repeatability": 0.05})
     path = saved(profile.model_copy(update={"tolerances": loose}), tmp_path)
     out = tmp_path / "result.json"
-    arguments = ("--run", tmp_path / "run", "--cycles", 2, "--json", out)
+    assert code_of(monkeypatch, "iso9283", "distance", path, "--run", tmp_path / "run") == 2  # a folder mistyped
+    assert "holds no run" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+    assert code_of(monkeypatch, "iso9283", "distance", path) == 2
+    assert "--nominal" in capsys.readouterr().err
+    arguments = ("--run", tmp_path / "run", "--cycles", 2, "--nominal", "--json", out)
     assert code_of(monkeypatch, "iso9283", "distance", path, *arguments) == 0
     printed = capsys.readouterr().out
     assert "Distance accuracy AD and repeatability RD" in printed

@@ -22,8 +22,12 @@ from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.run import RunFile, SessionEnd
 from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, ArmIdentity, ControllerIdentity, arm_identities
 from cellapp.commands.compare.run import (
-    ArmComparison,
+    GEOMETRY,
+    HELD_OUT,
+    TARGETS,
+    TRANSFORM,
     RunComparison,
+    ValueComparison,
     compare_runs,
     comparison_sentences,
     comparison_tables,
@@ -35,6 +39,7 @@ from cellapp.commands.runs.run import arm_history
 from cellapp.commands.runs.view import history_sentences, history_table, runs_sentences, runs_tables
 from cellapp.commands.stages import append_stage, basis_of, read_stages
 from cellapp.commands.stored_model import comparable_arms
+from cellapp.commands.view.words import STAGE_WORDS
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.monitoring.moved import EXPANSION, CalibratedArm, determined_values, differences
 from cellapp.ground.asking import JOB_FILE
@@ -219,27 +224,21 @@ def two_runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return measured_run(folder / "a", 1), measured_run(folder / "b", 2)
 
 
-def z_of(arm: ArmComparison) -> np.ndarray:
-    return np.array([value.z for value in arm.parameters if value.z is not None])
+def geometry(values: tuple[ValueComparison, ...]) -> dict[str, ValueComparison]:
+    return {value.name: value for value in values if value.of == GEOMETRY}
 
 
 def test_two_calibrations_of_one_cell_differ_as_their_standard_errors_say(two_runs: tuple[Path, Path]) -> None:
     result = compared(*two_runs)
     assert [(entry.key, entry.a, entry.b) for entry in result.profile] == [("seed", "1", "2")]
     assert list(result.arms) == ["left", "right"]
-    z = np.concatenate([z_of(arm) for arm in result.arms.values()])
+    z = np.array([one.z for values in result.arms.values() for one in values if one.z is not None])
     assert len(z) > 40
     assert 0.5 < np.sqrt(np.mean(z**2)) < 1.5
-    left = result.arms["left"]
-    assert set(left.heldout_mm) >= {"nominal", "geometry"}
-    geometry = left.heldout_mm["geometry"]
-    assert geometry.a_mean_mm is not None
-    assert geometry.a_mean_mm != geometry.b_mean_mm
-    assert result.pair is not None
-    assert result.pair.method is not None
-    assert {value.name for value in result.pair.parameters} >= {"x", "y", "z"}
-    assert result.pair.distance_mm is not None
-    assert result.pair.distance_mm < 1.0
+    errors = {value.name: value for value in result.arms["left"] if value.of == HELD_OUT}
+    assert {"nominal", STAGE_WORDS["geometry"]} <= set(errors)
+    assert errors[STAGE_WORDS["geometry"]].a != errors[STAGE_WORDS["geometry"]].b
+    assert {value.name for value in result.pair if value.of == TRANSFORM} >= {"x", "y", "z"}
     assert [note.partition(" ")[2] for note in result.notes] == [
         "was not searched for missing effects",
         "was not verified at targets",
@@ -249,14 +248,14 @@ def test_two_calibrations_of_one_cell_differ_as_their_standard_errors_say(two_ru
 def test_a_base_that_moved_is_flagged(two_runs: tuple[Path, Path], tmp_path: Path) -> None:
     moved = measured_run(tmp_path / "moved", 3, Truth((("x0", 2e-3),)))
     result = compared(two_runs[0], moved)
-    values = {value.name: value for value in result.arms["left"].parameters}
+    values = geometry(result.arms["left"])
     assert values["x0"].differs
     assert values["x0"].difference == pytest.approx(2e-3, abs=2e-4)
-    assert not any(value.name == "x0" and value.differs for value in result.arms["right"].parameters)
+    assert not geometry(result.arms["right"])["x0"].differs
     said = "\n".join(comparison_sentences(result))
     assert "arm left: " in said
     assert "x0" in said
-    back = {value.name: value for value in compared(moved, two_runs[0]).arms["left"].parameters}
+    back = geometry(compared(moved, two_runs[0]).arms["left"])
     assert back["x0"].difference == -values["x0"].difference  # type: ignore[operator]
 
 
@@ -264,9 +263,8 @@ def test_every_value_is_in_the_tables(two_runs: tuple[Path, Path]) -> None:
     result = compared(*two_runs)
     tables = {table.title: table for table in comparison_tables(result)}
     assert tables["Profile: what differs"].text_rows() == (("seed", "1", "2"),)
-    parameters = tables["Arm left: identified parameters"].text_rows()
-    assert [row[0] for row in parameters] == [value.name for value in result.arms["left"].parameters]
-    assert "Pair: held-out cooperative errors [mm]" in tables
+    assert [row[1] for row in tables["Arm left"].text_rows()] == [value.name for value in result.arms["left"]]
+    assert len(tables["Pair"].rows) == len(result.pair)
 
 
 def test_effects_in_one_run_only_and_in_both(finished_run: Path, finished_copy: Path) -> None:
@@ -283,18 +281,17 @@ def test_effects_in_one_run_only_and_in_both(finished_run: Path, finished_copy: 
         left = found.arms["left"].model_copy(update={"accepted": ()})
         store(run, found.model_copy(update={"arms": {"left": left, "right": right}}))
     result = compared(finished_run, finished_copy)
-    assert {effect.found_in for effect in result.arms["left"].effects} == {"a"}
-    twin = result.arms["right"].effects[0]
-    assert (twin.effect, twin.found_in) == (backlash.effect, "both")
-    for value in twin.parameters:
+    twins = [value for value in result.arms["right"] if value.of.startswith(f"{backlash.title} (")]
+    assert twins
+    for value in twins:
         assert value.a is not None
         assert value.difference == pytest.approx(0.5 * value.a)
-    assert result.arms["left"].verified_mm["compensated"].b_mean_mm is not None
+    assert any(value.of == TARGETS and value.b is not None for value in result.arms["left"])
     said = "\n".join(comparison_sentences(result))
-    assert "was found in a only" in said
-    assert "was found in both; sizes differ: " in said
+    assert "is in a only" in said
+    assert f"{backlash.title} (" in said
     assert f"{finished_copy}: out of date: " in said
-    assert {effect.found_in for effect in compared(finished_copy, finished_run).arms["left"].effects} == {"b"}
+    assert "is in b only" in "\n".join(comparison_sentences(compared(finished_copy, finished_run)))
 
 
 def store(run: RunFile, result: DiscoverResult) -> None:
@@ -307,8 +304,8 @@ def test_runs_without_results_are_compared_by_their_profiles(tmp_path: Path) -> 
     planned_run(tmp_path / "b").close()
     result = compared(tmp_path / "a", tmp_path / "b")
     assert result.profile == ()
-    assert result.pair is None
-    assert result.arms == {"left": ArmComparison(), "right": ArmComparison()}
+    assert result.pair == ()
+    assert result.arms == {"left": (), "right": ()}
     assert comparison_tables(result) == []
     assert f"{tmp_path / 'b'} is not calibrated" in result.notes
     assert "the profiles are the same" in comparison_sentences(result)
@@ -322,8 +319,8 @@ def test_other_arms_and_other_types_are_sentences(two_runs: tuple[Path, Path], t
     other = measured_run(tmp_path / "other", 4, profile=swapped)
     result = compared(two_runs[0], other)
     assert list(result.arms) == ["left"]
-    assert result.arms["left"].parameters == ()
-    assert "geometry" in result.arms["left"].heldout_mm
+    assert not geometry(result.arms["left"])
+    assert any(value.of == HELD_OUT for value in result.arms["left"])
     said = "\n".join(result.notes)
     assert f"arm 'right' is in {two_runs[0]} only; the arms of {other} are left, third" in said
     assert f"arm 'third' is in {other} only" in said
@@ -402,8 +399,8 @@ def test_a_name_that_stands_for_two_arms_is_refused_and_serial_numbers_keep_them
         result = compare_runs(a, b)
     said = f"arm 'left' has the serial number UR10-77 in {tmp_path / 'm0'} and UR10-78 in {tmp_path / 'other'}"
     assert any(note.startswith(said) for note in result.notes)
-    assert result.arms["left"].parameters == ()
-    assert result.arms["right"].parameters != ()
+    assert not geometry(result.arms["left"])
+    assert geometry(result.arms["right"])
 
 
 def test_runs_that_cannot_be_compared_say_why(worn: Path, tmp_path: Path) -> None:

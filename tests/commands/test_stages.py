@@ -65,7 +65,7 @@ def test_a_tolerance_of_iso_9283_that_nothing_measured_comes_next(finished_copy:
         write_page(run)
         overview = run_overview(run)
     assert overview.next_verb == "iso9283"
-    assert overview.next_step == f"cellapp iso9283 pose PROFILE --run {finished_copy}"
+    assert overview.next_step == f"cellapp iso9283 pose --run {finished_copy}"
     assert with_keys(f"next: {overview.next_step}") == f"next: {way_to('iso9283')}"
 
 

@@ -46,7 +46,11 @@ README_ROWS: tuple[tuple[str, str, str], ...] = (
         "worst of {presses} presses {worst}",
         "presses",
     ),
-    ("faults of emulated arms: the other arm has its stop after the first doubt", "{faults}: within {stop}", "links"),
+    (
+        "attacks on emulated arms that move: stop at both; readings lost, doubled or false",
+        "{attacks}: within {stop}; {wrong}",
+        "wire",
+    ),
     ("faults while measuring: readings lost, doubled or false", "{faults}: {wrong}", "campaigns"),
 )
 """What the README says: the figure, its value by the names of the program's figures, and the program."""

@@ -24,6 +24,8 @@ FOLDER = Path(__file__).parent
 ROOT = FOLDER.parents[1]
 RESULTS = FOLDER / "results"
 NO_PROGRAMS = ("__init__", "__main__", "page", "skeleton")
+PACKED = {"wire": "wire.attacks"}
+"""Programs that stand in a package of their name."""
 
 
 @dataclass(frozen=True)
@@ -92,12 +94,12 @@ class Share:
 
 def programs() -> list[str]:
     """Names of all programs."""
-    return sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in NO_PROGRAMS)
+    return sorted({path.stem for path in FOLDER.glob("*.py")} - {*NO_PROGRAMS} | PACKED.keys())
 
 
 def program(name: str) -> ModuleType:
     """The module of a program."""
-    return importlib.import_module(f"tests.evidence.{name}")
+    return importlib.import_module(f"tests.evidence.{PACKED.get(name, name)}")
 
 
 def run(name: str, arguments: Sequence[str]) -> int:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import io
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cellapp.cell.profile.files import write_new_bytes
-from cellapp.ground.chromium import find_chromium
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 
@@ -73,14 +73,16 @@ def write_pictures(
         from playwright.sync_api import sync_playwright
     except ImportError:
         raise InputError("docs: pictures of pages need Playwright; install cellapp with its extra 'dev'") from None
-    browser_path = find_chromium()
+    browser_path = shutil.which("chromium")
+    if browser_path is None:
+        raise InputError("docs: pictures of pages need a Chromium, as Debian's package chromium")
     for path in {run / picture.file: None for picture in pictures}:
         if not path.is_file():
             raise InputError(f"docs: {path} is missing; write it first")
     taken = {}
     try:
         with sync_playwright() as driver:
-            browser = driver.chromium.launch(executable_path=str(browser_path), args=["--no-sandbox", "--disable-gpu"])
+            browser = driver.chromium.launch(executable_path=browser_path, args=["--no-sandbox", "--disable-gpu"])
             for picture in pictures:
                 page = browser.new_page(
                     viewport={"width": picture.size[0], "height": picture.size[1]},

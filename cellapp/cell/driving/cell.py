@@ -26,6 +26,7 @@ from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Arm as ArmProfile
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
+from cellapp.ground.progress import Cancelled
 from cellapp.robot.kinematics.transforms import rotation_zyx
 from cellapp.robot.model.nominal import joint_rates, pose_matrix
 from drivers.arms.protocol import Arm, ArmError, JointLimits
@@ -152,7 +153,8 @@ class Cell:
     ``gate`` checks every motion; a trial that drives the same plan many times can pass one that caches its answers.
     ``tracker_unmet`` lists what kept the tracker from measuring when the cell was opened. ``pulse`` is the job's
     heartbeat. ``plant`` is the simulated cell; None in a real one. ``record_sweep`` lets an arm follow
-    joint positions and records it; None in a real cell.
+    joint positions and records it; None in a real cell. ``logs`` are called with the level and the text of what a
+    person should read later.
     """
 
     arms: Mapping[str, Arm]
@@ -167,6 +169,7 @@ class Cell:
     pulse: JobPulse = field(default_factory=JobPulse)
     plant: Plant | None = None
     record_sweep: RecordSweep | None = None
+    logs: list[Callable[[str, str], None]] = field(default_factory=list)
 
     def oldest_data_s(self) -> float:
         """Return the largest age [s] of the newest states of the arms; never block."""
@@ -204,14 +207,13 @@ def open_cell(
     control = control or JobControl()
     if plant is None and _needs_plant(profile):
         plant = build_plant(profile, watch_clearance=watch_clearance)
-    arms = {name: _driver_of(name, arm, plant) for name, arm in profile.arms.items()}
+    arms = {name: _driver_of(name, arm, plant, user=control.run) for name, arm in profile.arms.items()}
     tracker = tracker_driver(profile, plant)
     air = _air_sensor(profile, plant)
     simulated = None if _has_real_arm(profile) else plant
     together = in_threads if simulated is None else one_by_one
     with ExitStack() as stack:
-        # ignore errors of disconnecting: an earlier error is the one to report
-        stack.callback(answers_of_all, together, {name: arm.disconnect for name, arm in arms.items()})
+        stack.push(partial(_disconnect_all, arms, together))
         _connect_all(arms, together, control)
         stack.callback(tracker.disconnect)
         unmet = start_tracker(tracker, profile.tracker.driver)
@@ -247,9 +249,11 @@ def open_arms(profile: Profile, control: JobControl, *, simulation: bool) -> Ite
 
     If ``simulation``, every controller must be in its simulation mode. Raise as ``open_cell``.
     """
-    arms = {name: _driver_of(name, arm, None, simulation=simulation) for name, arm in profile.arms.items()}
+    arms = {
+        name: _driver_of(name, arm, None, simulation=simulation, user=control.run) for name, arm in profile.arms.items()
+    }
     with ExitStack() as stack:
-        stack.callback(answers_of_all, in_threads, {name: arm.disconnect for name, arm in arms.items()})
+        stack.push(partial(_disconnect_all, arms, in_threads))
         _connect_all(arms, in_threads, control)
         yield Cell(arms, UnaskedTracker(), RealClock(), watch_tracker=unwatched)
 
@@ -284,6 +288,13 @@ def _connect_all(arms: Mapping[str, Arm], together: Together, control: JobContro
         raise HardwareError(str(error)) from error
 
 
+def _disconnect_all(arms: Mapping[str, Arm], together: Together, kind: object, error: object, trace: object) -> None:
+    """Disconnect all arms. What one could not leave as it was is said after a person's stop; else ``error`` is."""
+    _, errors = answers_of_all(together, {name: arm.disconnect for name, arm in arms.items()})
+    if errors and isinstance(error, Cancelled):
+        raise HardwareError("; ".join(map(str, (error, *errors.values())))) from error
+
+
 def start_tracker(tracker: Tracker, settings: TrackerSettings) -> tuple[str, ...]:
     """Connect and prepare the tracker; return as sentences what keeps it from measuring.
 
@@ -311,8 +322,13 @@ def start_tracker(tracker: Tracker, settings: TrackerSettings) -> tuple[str, ...
 # -- drivers ----------------------------------------------------------------------------------------------------------
 
 
-def arm_context(name: str, arm: ArmProfile, plant: Plant | None = None, *, simulation: bool = False) -> ArmContext:
-    """Return what the profile specifies for an arm's driver; if ``simulation``, the controller moves no arm."""
+def arm_context(
+    name: str, arm: ArmProfile, plant: Plant | None = None, *, simulation: bool = False, user: str = ""
+) -> ArmContext:
+    """Return what the profile specifies for an arm's driver; if ``simulation``, the controller moves no arm.
+
+    ``user`` is the run for which the arm is driven.
+    """
     speed, acceleration = joint_rates(arm)
     return ArmContext(
         name=name,
@@ -323,6 +339,7 @@ def arm_context(name: str, arm: ArmProfile, plant: Plant | None = None, *, simul
         payload_center_m=np.array(arm.payload.center_of_mass),
         plant=plant,
         simulation=simulation,
+        user=user,
     )
 
 
@@ -344,9 +361,9 @@ def tracker_driver(profile: Profile, plant: Plant | None) -> Tracker:
         raise InputError(f"tracker.{error}") from error
 
 
-def _driver_of(name: str, arm: ArmProfile, plant: Plant | None, *, simulation: bool = False) -> Arm:
+def _driver_of(name: str, arm: ArmProfile, plant: Plant | None, *, simulation: bool = False, user: str = "") -> Arm:
     try:
-        return arm.driver.open(arm_context(name, arm, plant, simulation=simulation))
+        return arm.driver.open(arm_context(name, arm, plant, simulation=simulation, user=user))
     except SettingError as error:
         raise InputError(f"arms.{name}.{error}") from error
 
@@ -362,7 +379,7 @@ def _air_sensor(profile: Profile, plant: Plant | None) -> AirSensor | None:
 # -- the simulated cell -----------------------------------------------------------------------------------------------
 
 
-def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions: bool = False) -> Plant:
+def build_plant(profile: Profile, *, watch_clearance: bool = False) -> Plant:
     """Return the simulated cell that a profile describes. Raise ``InputError`` on an unknown effect or parameter."""
     settings = profile.plant
     tracker = profile.tracker
@@ -386,10 +403,11 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False, keep_motions
             repeatability=settings.repeatability,
             temperature_c=settings.temperature,
             noise=settings.noise,
+            earlier_jobs=settings.earlier_jobs,
             floor=profile.plan.floor,
             factory=None if settings.factory is None else GeometryErrors(**settings.factory.model_dump()),
         )
-        return Plant(config, watch_clearance=watch_clearance, keep_motions=keep_motions)
+        return Plant(config, watch_clearance=watch_clearance)
     except ValueError as error:
         raise InputError(f"profile {profile.name}: plant: {error}") from error
 

@@ -32,6 +32,7 @@ from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import SAME_PAYLOAD_KG, Profile
 from cellapp.ground.profile import Arm as ArmProfile
 from cellapp.ground.profile.device_plugins import plugins_of_devices
+from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.plain_dh import same_chain
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import controller_rows, published_rows
@@ -48,7 +49,7 @@ class ControllerCheck:
 
 
 def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -> ControllerCheck:
-    """Record new controllers in the run, compare the others with their record, and log the notes.
+    """Record new controllers in the run, compare the others with their record, and log the notes, as all later ones.
 
     With ``insist``, a controller whose own D-H was changed since the run began, or is not that of the profile, is only
     noted; None if the verb has no such option.
@@ -79,6 +80,7 @@ def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -
         run.write_result(
             CONTROLLERS_RESULT, STORED_CONTROLLERS.dump_json(identities | recorded, exclude_none=True).decode("utf-8")
         )
+    cell.logs.append(run.log)
     for note in notes:
         run.log("warning", note)
     if plugins_of_devices(run.profile):
@@ -311,7 +313,8 @@ def change_load(run: RunFile, load: int, stated: Mapping[str, float] | None, hun
         if hung is None or not hung(f"The next stops need another load. {words}."):
             answer = ",".join(f"{name}={one.mass:g}" for name, one in changes.items())
             raise Stopped(
-                f"the next stops need another load: {words}; then 'cellapp collect {run.folder} --resume --payload"
+                f"the next stops need another load: {words}; then 'cellapp collect {shell_word(run.folder)}"
+                " --resume --payload"
                 f" {answer}'"
             )
     if changes:

@@ -221,7 +221,8 @@ class _Checking:
         """
         conditions, point = found.conditions, found.point
         return Reading(
-            q=found.q,
+            q=point.q,
+            q_spread=point.q_spread,
             p_M=point.p_M,
             sequence=float(len(self.driven.stops)),
             approach=self.mover.approach(name).copy(),

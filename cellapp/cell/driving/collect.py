@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from types import MappingProxyType
 from typing import TypeVar
 
@@ -17,12 +18,14 @@ import numpy as np
 
 from cellapp.cell.driving.cell import Cell, open_cell, start_tracker
 from cellapp.cell.driving.cell_checks import Hung, change_load, check_controllers, other_loads, require_load
+from cellapp.cell.driving.examination import require_links
 from cellapp.cell.driving.live_model import AirTemperature, LiveModel
 from cellapp.cell.driving.measuring import References, SmrMeasurement
 from cellapp.cell.driving.motion import (
     Confirm,
     MotionRefused,
     Mover,
+    PointAtRest,
     missed_sentence,
     point_measured,
     record_sentence,
@@ -61,11 +64,14 @@ from cellapp.ground.progress import (
 )
 from drivers.arms.protocol import ArmError, ArmState
 from drivers.plant import Plant
-from drivers.trackers.protocol import Point, TargetLost, TrackerError, Unstable, WrongTarget
+from drivers.trackers.protocol import TargetLost, TrackerError, Unstable, WrongTarget
 
 MOST_MISSED_IN_A_ROW = 10
 """Consecutive stops without a reading that mean a fault of tracker or targets: all planned stops are visible."""
 
+_READING_BYTES, _STOP_BYTES, _LOG_BYTES, _SWEEP_BYTES_S = 2048, 65_536, 4_194_304, 200_000
+"""Upper limits of what a reading adds to a run file, of its write-ahead log by a stop and in all, and of what a second
+of a sweep adds."""
 _HARMLESS = ("pause", "resume", "suspend", "give up", "reference")
 """Kinds of recorded requests that need nobody's attention afterwards; all others are logged as warnings."""
 
@@ -389,11 +395,14 @@ class CollectSession:
             self._emit(point_measured(stop, name, rows[name]))
         return rows, outcomes
 
-    def _reading(self, stop: int, name: str, state: ArmState, point: Point, temperature_c: float | None) -> Reading:
+    def _reading(
+        self, stop: int, name: str, state: ArmState, point: PointAtRest, temperature_c: float | None
+    ) -> Reading:
         """Return the reading of a point just measured; its dwell time lasts until the middle of the averaging."""
         rested_s, carried = self._mover.rested_s(name), self.profile.arms[name].payload
         return Reading(
-            q=state.q,
+            q=point.q,
+            q_spread=point.q_spread,
             p_M=point.p_M,
             time_s=point.time_s - self._begin(point.time_s - point.averaging_s),
             approach=self._mover.approach(name).copy(),
@@ -516,6 +525,8 @@ def collect_run(
     work = work_again(run, again) if again is not None else remaining_work(run, resume=resume)
     if not work.stops and not (again is None and sweeps_left(run)):
         return _collected(run, "complete", [f"all {counted(work.total, 'stop was', 'stops were')} stored already"])
+    _require_space(run, work)
+    require_links(run.profile, control.check)
     before = replaced_counts(run)
     sessions = _Sessions(run, listener, control, accept_drift, confirm, opened, watch_clearance)
     for load in work.loads or (0,):
@@ -528,6 +539,16 @@ def collect_run(
         return result
     replaced = sum(replaced_counts(run).values()) - sum(before.values())
     return result.model_copy(update={"replaced": replaced, "notes": (*result.notes, *_held_out_notes(run, work))})
+
+
+def _require_space(run: RunFile, work: Work) -> None:
+    """Raise ``InputError`` unless all that remains to be collected can be written; nothing has moved."""
+    stops, sweeps = len(work.stops) + len(work.reserves), [] if work.again else [*chain(*sweeps_left(run).values())]
+    readings = stops * len(work.plan)
+    needed = min(stops * _STOP_BYTES, _LOG_BYTES) + readings * _READING_BYTES
+    needed += round(sum(sweep.period_s for sweep in sweeps) * _SWEEP_BYTES_S)
+    swept = f" and {counted(len(sweeps), 'sweep')}" if sweeps else ""
+    run.require_space(needed, f"collecting {counted(stops, 'stop')}{swept}")
 
 
 @dataclass
@@ -554,6 +575,8 @@ class _Sessions:
         bodies = cell_bodies(profile)
         if opened is None and self.plant is not None:
             opened = partial(open_cell, plant=self.plant, control=control)
+        if profile.plant is not None:
+            profile = profile.model_copy(update={"plant": profile.plant.after(len(run.sessions()))})
         with opening(profile, control, opened, watch_clearance=self.watch_clearance) as cell:
             self.plant = cell.plant
             if run.profile.loads > 1:

@@ -11,7 +11,7 @@ from cellapp.cell.profile.files import controller_file_text
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
-from cellapp.robot.kinematics.plain_dh import hayati_rows, same_chain
+from cellapp.robot.kinematics.plain_dh import hayati_rows, off_published, same_chain
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import controller_rows, published_rows
 from drivers.findings import Finding
@@ -64,8 +64,7 @@ def _table(arm: Arm, rows: Array, checksum: str) -> FactoryTable:
     off = (
         np.linalg.norm(smr_positions(start_from_nominal(chain, q, there, tool_unknown=False), q) - there, axis=1) * 1e3
     )
-    near = near - np.column_stack([published, np.zeros(len(published))])
-    near[:, [0, 3]] = np.remainder(near[:, [0, 3]] + np.pi, 2.0 * np.pi) - np.pi
+    near = off_published(rows, published)
     return FactoryTable(checksum, rows - published, near, (float(off.mean()), float(off.max())))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import platform
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -19,7 +19,7 @@ from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import ObstacleClearance, cell_bodies, cover, obstacle_clearances
 from cellapp.cell.safety.gate import CellBodies, clear_alone, predicted_smr, refuse_stop, visible
 from cellapp.ground.counting import counted
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 from drivers.arms.registry import ARMS
@@ -50,10 +50,16 @@ def examine(profile: Profile, reference_nests: Path | None = None) -> list[Findi
     return findings + placement
 
 
-def probe(profile: Profile, devices: Collection[str]) -> list[Finding]:
-    """Probe some devices; nothing moves, and nothing else is checked."""
-    with ThreadPoolExecutor(max_workers=_devices(profile), thread_name_prefix="probe") as pool:
-        return _found(profile, _start_probes(pool, profile, devices))
+def require_links(profile: Profile, look: Callable[[], None]) -> None:
+    """Measure the links to all controllers at once; ``look`` is called meanwhile and may raise.
+
+    Raise ``HardwareError`` if one is too slow for the controller's watchdog.
+    """
+    with ThreadPoolExecutor(max_workers=len(profile.arms), thread_name_prefix="link") as pool:
+        links = {name: pool.submit(arm.driver.link, arm_context(name, arm), look) for name, arm in profile.arms.items()}
+    slow = [f"arm {name}: {one.text}" for name, its in links.items() for one in its.result() if one.status == "failed"]
+    if slow:
+        raise HardwareError(f"{'; '.join(slow)}; nothing was moved")
 
 
 _Probes = Mapping[str, Future[Sequence[Finding]]]
@@ -64,17 +70,24 @@ def _devices(profile: Profile) -> int:
     return len(profile.arms) + 2
 
 
-def _start_probes(pool: Executor, profile: Profile, devices: Collection[str] | None = None) -> _Probes:
-    """Probe devices concurrently; all of them if ``devices`` is None."""
+def _start_probes(pool: Executor, profile: Profile) -> _Probes:
+    """Probe all devices concurrently."""
     air, tracker = profile.sensors.air, profile.tracker.driver
+
+    def probe_arm(name: str) -> list[Finding]:
+        arm = profile.arms[name]
+        found = [*arm.driver.probe(arm_context(name, arm), LONGEST_PROBE_S)]
+        if found and found[0].status != "failed":
+            found += arm.driver.link(arm_context(name, arm), lambda: None)
+        return found
+
     probes: dict[str, Callable[[], Sequence[Finding]]] = {
-        f"arm {name}": partial(arm.driver.probe, arm_context(name, arm), LONGEST_PROBE_S)
-        for name, arm in profile.arms.items()
+        f"arm {name}": partial(probe_arm, name) for name in profile.arms
     }
     probes["tracker"] = partial(tracker.probe, tracker_context(profile), LONGEST_PROBE_S)
     if air is not None:
         probes["sensor air"] = air.probe
-    return {name: pool.submit(probe) for name, probe in probes.items() if devices is None or name in devices}
+    return {name: pool.submit(probe) for name, probe in probes.items()}
 
 
 def _found(profile: Profile, probes: _Probes) -> list[Finding]:

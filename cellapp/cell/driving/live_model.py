@@ -11,8 +11,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from cellapp.estimation.calibration.online import NO_GEOMETRY_M, Innovation, OnlineFit, online_fit
-from cellapp.estimation.calibration.online_model import Residuals
+from cellapp.estimation.calibration.online import NO_GEOMETRY_M, Innovation, OnlineFit, Residuals, online_fit
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

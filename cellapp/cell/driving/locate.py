@@ -17,12 +17,9 @@ from cellapp.cell.driving.supervision import Opened, moving_cell
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, visible
 from cellapp.estimation.calibration.station_location import (
-    LEAST_PROBABILITY,
     ArmPoints,
-    Cause,
     StationFit,
     fit_station,
-    possible_causes,
 )
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
@@ -126,8 +123,6 @@ def _information(model: CellModel, name: str, q: Array) -> Array:
     return np.asarray(J.transpose(0, 2, 1) @ J / variance[:, None, None])
 
 
-DIAGNOSTIC_POINTS = 4
-"""Points of each arm needed to distinguish a motion of its base, or of its SMR, from one of the tracker."""
 _REPEATS = 5
 """Measurements of each point: their mean has less than half the scatter of one."""
 _RUN_UP_RAD = np.radians(2.0)
@@ -138,12 +133,11 @@ _MISSED_AT_FIRST, _MISSED_LATER = 2, 3
 
 @dataclass(frozen=True, eq=False)
 class LocatedStation:
-    """Points, best fitting station, and if it does not explain the points, other motions that might."""
+    """Points and the best fitting station."""
 
     found: tuple[FoundPoint, ...]
     points: Mapping[str, ArmPoints]
     fit: StationFit
-    causes: tuple[Cause, ...]
     notes: tuple[str, ...]
 
     @property
@@ -158,7 +152,7 @@ class LocateTask:
 
     ``model`` is in the tracker frame of its calibration; ``rough_T`` (4, 4) maps that frame into a guess of the present
     one. ``candidates`` are as in ``LocatingStops``, ``excess_m`` as in ``fit_station``; ``points`` is the total number
-    over all arms. Up to ``still_m`` [m] of drift count as no motion.
+    over all arms.
     """
 
     profile: Profile
@@ -167,7 +161,6 @@ class LocateTask:
     candidates: Mapping[str, Array]
     excess_m: Mapping[str, float]
     points: int
-    still_m: float
 
 
 def locate_station(
@@ -201,33 +194,15 @@ def locate_station(
         stops = LocatingStops(profile, model, moving.bodies, task.candidates)
         search = SmrSearch(profile, model, mover, task.rough_T, task.excess_m, _REPEATS, moving.hold)
         measuring = _Measuring(task, mover, stops, search, moving.hold, listener)
-        fit, causes = _explained(task, measuring)
+        count, left = divmod(task.points, len(task.candidates))  # the first arms take the remainder
+        measuring.measure({name: count + (k < left) for k, name in enumerate(task.candidates)})
+        fit = measuring.fit()
         mover.go_home()
     listener(Progress("locate", len(measuring.found), len(measuring.found), "done"))
-    return LocatedStation(tuple(measuring.found), measuring.search.points(), fit, causes, tuple(measuring.notes))
+    return LocatedStation(tuple(measuring.found), measuring.search.points(), fit, tuple(measuring.notes))
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _explained(task: LocateTask, measuring: _Measuring) -> tuple[StationFit, tuple[Cause, ...]]:
-    """Measure and fit; if one motion does not explain the points, measure more and look for the cause."""
-    count, left = divmod(task.points, len(task.candidates))  # the first arms take the remainder
-    measuring.measure({name: count + (k < left) for k, name in enumerate(task.candidates)})
-    fit = measuring.fit()
-    if fit.explains:
-        return fit, ()
-    measuring.notes.append(
-        f"one motion of the tracker does not explain the {counted(len(measuring.found), 'point')} (probability"
-        f" {fit.probability:.1g}, at least {LEAST_PROBABILITY:g} is asked): more were measured to see what does"
-    )
-    measuring.measure({name: DIAGNOSTIC_POINTS for name in task.candidates})
-    fit = measuring.fit()
-    if fit.explains:
-        return fit, ()
-    points, start = measuring.search.points(), fit.T_new_old
-    told = measuring.notes.append
-    return fit, possible_causes(task.model, points, start, excess_m=task.excess_m, still_m=task.still_m, told=told)
 
 
 @dataclass(eq=False)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.driving.motion import Mover, Vector
+from cellapp.cell.driving.motion import Mover, PointAtRest, Vector
 from cellapp.cell.driving.supervision import Supervisor
 from cellapp.cell.run import ReferenceRow, RunFile
 from cellapp.estimation.calibration.station_location import (
@@ -40,14 +40,13 @@ from cellapp.robot.model.nominal import pose_matrix
 from drivers.arms.protocol import ArmState
 from drivers.trackers.protocol import (
     NotReady,
-    Point,
     TargetLost,
     TrackerError,
     Unstable,
     WrongTarget,
 )
 
-Measure = Callable[[], Point]
+Measure = Callable[[], PointAtRest]
 
 _MISSED = (TargetLost, WrongTarget, Unstable)
 
@@ -62,15 +61,15 @@ class SmrMeasurement:
     tracker_ready: Callable[[], bool]
     """Callback that connects and prepares the tracker again; returns whether it is ready then."""
 
-    def at_arm(self, name: str, q: Vector) -> Point:
+    def at_arm(self, name: str, q: Vector) -> PointAtRest:
         """Measure the SMR of an arm at rest at ``q`` (N,) [rad]. Raise as ``Mover.measure``."""
         return self._precise(f"arm {name}", lambda: self.mover.measure(name, q))
 
-    def at_nest(self, name: str, expected_M: Vector) -> Point:
+    def at_nest(self, name: str, expected_M: Vector) -> PointAtRest:
         """Measure the SMR in a nest near ``expected_M`` (3,) [m]. Raise as ``Mover.measure``."""
         return self._precise(f"nest {name}", lambda: self.mover.measure_at(expected_M, f"nest {name}"))
 
-    def _precise(self, what: str, measure: Measure) -> Point:
+    def _precise(self, what: str, measure: Measure) -> PointAtRest:
         """Repeat until the standard error of the mean is small enough, or the profile's maximum is reached."""
         first = self._patient(what, measure)
         if self.repeat.precision is None:
@@ -82,7 +81,7 @@ class SmrMeasurement:
                 break
         return mean_point(points)
 
-    def _patient(self, what: str, measure: Measure) -> Point:
+    def _patient(self, what: str, measure: Measure) -> PointAtRest:
         """Measure; if the SMR is missed or the tracker is not ready, wait as the profile allows and try again."""
         while True:
             try:
@@ -96,8 +95,8 @@ class SmrMeasurement:
                     raise
                 return found
 
-    def _wait_for_target(self, what: str, error: TrackerError, measure: Measure) -> Point | None:
-        found: list[Point] = []
+    def _wait_for_target(self, what: str, error: TrackerError, measure: Measure) -> PointAtRest | None:
+        found: list[PointAtRest] = []
 
         def ready() -> bool:
             try:
@@ -109,11 +108,11 @@ class SmrMeasurement:
         return found[0] if self.supervisor.suspended("target", f"{what}: {error}", ready) else None
 
 
-def mean_point(points: list[Point]) -> Point:
+def mean_point(points: list[PointAtRest]) -> PointAtRest:
     """Return the mean of repeated measurements of a resting SMR.
 
     Its covariance is that of one measurement, because repeats do not reduce all of the tracker's errors (angles,
-    scale); ``precision_M`` is the standard error of the mean.
+    scale).
     """
     if len(points) == 1:
         return points[0]
@@ -124,9 +123,10 @@ def mean_point(points: list[Point]) -> Point:
         p_M=positions.mean(axis=0),
         time_s=0.5 * (first.time_s + last.time_s),
         averaging_s=last.time_s - first.time_s + 0.5 * (first.averaging_s + last.averaging_s),
-        precision_M=positions.std(axis=0, ddof=1) / np.sqrt(len(points)),
         quality=tuple(dict.fromkeys(warning for point in points for warning in point.quality)),
         quaternion_M=_mean_quaternion([point.quaternion_M for point in points]),
+        q=first.q + np.mean([point.q - first.q for point in points], axis=0),
+        q_spread=max(point.q_spread for point in points),
     )
 
 
@@ -138,7 +138,7 @@ def _mean_quaternion(measured: Sequence[Vector | None]) -> Vector | None:
     return quaternions_of(mean_rotation(rotations_of(quaternions)))
 
 
-def _deviation_of_mean(points: list[Point]) -> float:
+def _deviation_of_mean(points: list[PointAtRest]) -> float:
     """Return the largest standard error of the mean over the coordinates [m]."""
     positions = np.array([point.p_M for point in points])
     return float((positions.std(axis=0, ddof=1) / np.sqrt(len(points))).max())
@@ -225,14 +225,14 @@ class References:
             self.run.add_reference(row)
         return ReferenceReport(drift_mm, self.run.profile.collection.reference.drift * 1e3)
 
-    def _points(self, states: Mapping[str, Vector]) -> dict[str, Point]:
+    def _points(self, states: Mapping[str, Vector]) -> dict[str, PointAtRest]:
         """Measure the arms at ``states`` and the nests; record those that cannot be measured."""
-        measure: dict[str, Callable[[], Point]] = {
+        measure: dict[str, Measure] = {
             f"arm {name}": partial(self.measurement.at_arm, name, q) for name, q in states.items()
         }
         for name, expected_M in nests_in_M(self.run.profile).items():
             measure[f"nest {name}"] = partial(self.measurement.at_nest, name, expected_M)
-        points: dict[str, Point] = {}
+        points: dict[str, PointAtRest] = {}
         for name, at_reference in measure.items():
             try:
                 points[name] = at_reference()
@@ -323,19 +323,23 @@ none is mistaken for another."""
 
 @dataclass(frozen=True, eq=False)
 class FoundPoint:
-    """Measured point with its arm and the joint positions (N,) [rad] of its controller.
+    """Measured point with its arm.
 
     ``found_off_m`` is its distance from the prediction [m]. ``point`` is the mean of the measurements, whose positions
     are ``repeats_M`` (k, 3) [m]. ``others`` are the joint positions of the other arms at that time, name -> (N,) [rad].
     """
 
     arm: str
-    q: Vector
-    point: Point
+    point: PointAtRest
     repeats_M: Array
     conditions: MeasurementConditions
     found_off_m: float
     others: Mapping[str, Vector] = field(default_factory=dict)
+
+    @property
+    def q(self) -> Vector:
+        """Joint positions (N,) of the arm [rad]."""
+        return self.point.q
 
 
 @dataclass(eq=False)
@@ -395,18 +399,19 @@ class SmrSearch:
         # predict the SMR of the arm with the station so far, (3,) [m]
         own = ArmPoints(state.q[None], np.zeros((1, 3)), np.zeros((1, 3, 3)), conditions, _only(others))
         expected = np.asarray(predicted_points(relocated(self.model, self.T_new_old), {name: own})[name][0])
-        reach_m, problem = self._reach_m(expected), ""
+        reach_m, problem, at = self._reach_m(expected), "", (name, state.q)
         for offset in lattice(reach_m):
             self.checkpoint()
             try:
-                point = self.mover.measure_at(expected + offset, f"arm {name}", reach_m + _LATTICE_M, tries=1)
-                points = [point, *(self.mover.measure_at(point.p_M, f"arm {name}") for _ in range(self.repeats - 1))]
+                point = self.mover.measure_at(expected + offset, f"arm {name}", reach_m + _LATTICE_M, 1, at)
+                again = (self.mover.measure_at(point.p_M, f"arm {name}", at=at) for _ in range(self.repeats - 1))
+                points = [point, *again]
             except (TargetLost, WrongTarget, Unstable) as error:
                 problem = problem or str(error)
                 continue
             off_m = float(np.linalg.norm(point.p_M - expected))
             repeats_M = np.array([one.p_M for one in points])
-            return FoundPoint(name, state.q, mean_point(points), repeats_M, conditions, off_m, others)
+            return FoundPoint(name, mean_point(points), repeats_M, conditions, off_m, others)
         return f"arm {name}: no SMR within {reach_m * 1e3:.0f} mm of its prediction: {problem}"
 
     def _conditions(self, name: str, state: ArmState) -> MeasurementConditions:

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +34,20 @@ from cellapp.cell.safety.gate import (
 from cellapp.estimation.readings import Reading
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Detail, JobState, MotionBegun, MotionEnded, PointMeasured, SweepLive
+from cellapp.ground.progress import (
+    CancelToken,
+    Detail,
+    JobState,
+    LogReport,
+    MotionBegun,
+    MotionEnded,
+    PointMeasured,
+    SweepLive,
+)
 from cellapp.robot.model.nominal import joint_rates
 from drivers.arms.path_checks import driven
 from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, MotionStopped, PathFollower
+from drivers.arms.recording import JointRecord, SettlingArm, recording
 from drivers.trackers.protocol import Halted, NotReady, Point, TargetLost, TrackerError, Unstable, WrongTarget
 
 _STATES: dict[str, JobState | None] = {
@@ -119,6 +131,8 @@ _AT_TARGET_RAD = 1e-3
 """Tolerance for having arrived [rad]: well above a joint's repeatability, well below any planned step."""
 _MEASURING_TRIES = 2
 """Tries of a measurement: if somebody crossed the beam, it is usually free at the second try."""
+_TIMES_MOVED = 3
+"""Consecutive measurements during which an arm moves that are a fault of the arm."""
 
 
 Confirm = Callable[[Mapping[str, Vector], Mapping[str, Vector]], bool]
@@ -141,6 +155,33 @@ def _last_signs(q: Vector, before: NDArray[np.int8]) -> NDArray[np.int8]:
     last = len(q) - 1 - np.argmax(moved[::-1], axis=0)
     signs = np.sign(away[last, np.arange(q.shape[1])])
     return np.where(moved.any(axis=0), signs, before).astype(np.int8)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointAtRest(Point):
+    """A point with the joints of its arm while it was measured.
+
+    Attributes
+    ----------
+    q : array, shape (N,)
+        Mean joint positions during the averaging [rad]; empty for a nest.
+    q_spread : float
+        Largest range of a joint from before the request of the measurement until after its result [rad].
+    """
+
+    q: Vector
+    q_spread: float
+
+    @classmethod
+    def of(cls, point: Point, joints: JointRecord | None, now_s: float) -> Self:
+        """Add the joints of the arm, recorded until ``now_s`` on the cell's clock [s]; None for a nest."""
+        if joints is None:
+            return cls(**vars(point), q=np.empty(0), q_spread=0.0)
+        time_s = joints.time_s - joints.time_s[-1] + now_s
+        rows = joints.q[np.abs(time_s - point.time_s) <= 0.5 * point.averaging_s]
+        rows = rows if len(rows) else joints.q
+        mean = rows[0] + (rows - rows[0]).mean(axis=0)  # exact if all are equal
+        return cls(**vars(point), q=mean, q_spread=float(np.ptp(joints.q, axis=0).max()))
 
 
 class MotionRefused(CellappError):
@@ -488,8 +529,8 @@ class Mover:
         self._reaction.check()
         cancel.check()
 
-    def measure(self, name: str, q: Vector) -> Point:
-        """Measure the SMR of an arm at rest at ``q`` (N,) [rad]; try twice.
+    def measure(self, name: str, q: Vector) -> PointAtRest:
+        """Measure the SMR of an arm that came to rest at ``q`` (N,) [rad]; try twice.
 
         Raises
         ------
@@ -498,40 +539,89 @@ class Mover:
         NotReady
             If the tracker is not ready to measure.
         CellStopped
-            If the tracker itself fails, or the cell was stopped in the meantime.
+            If the tracker itself fails, the arm moves at each of three tries, or the cell was stopped in the meantime.
         """
-        return self.measure_at(predicted_smr(self._bodies, name, q[None])[0], f"arm {name}")
+        return self.measure_at(predicted_smr(self._bodies, name, q[None])[0], f"arm {name}", at=(name, q))
 
     def measure_at(
-        self, expected_M: Vector, what: str, within_m: float | None = None, tries: int = _MEASURING_TRIES
-    ) -> Point:
+        self,
+        expected_M: Vector,
+        what: str,
+        within_m: float = WRONG_TARGET_M,
+        tries: int = _MEASURING_TRIES,
+        at: tuple[str, Vector] | None = None,
+    ) -> PointAtRest:
         """Measure the SMR of ``what``, expected at ``expected_M`` (3,) [m]; reject points beyond ``within_m`` [m].
 
-        ``within_m`` is ``WRONG_TARGET_M`` if None. Raise as ``measure``.
+        ``at`` is its arm and where that came to rest (N,) [rad]; None for a nest. A point is also rejected if a joint
+        left the arm's settling window about that, from before the request until after the result. Raise as ``measure``.
         """
-        within_m = WRONG_TARGET_M if within_m is None else within_m
-        problem: TrackerError = TargetLost("not tried")
-        for _ in range(tries):
+        times_moved = 0
+        while True:
             self._reaction.check()
-            try:
-                with self._cell.pulse.waiting(self._cell.tracker.data_age_s):
-                    point = self._cell.tracker.measure(expected_M, self._profile.tracker.averaging)
-            except (TargetLost, WrongTarget, Unstable) as error:
-                problem = error
-                continue
-            except NotReady:
-                raise
-            except TrackerError as error:
-                if isinstance(error, Halted):
-                    self._reaction.check()
-                raise self.stop_cell(StopCause("tracker", str(error))) from error
+            found, joints = self._tried(expected_M, what, within_m, None if at is None else at[0])
             self._reaction.check()  # the arms may have moved while they braked
-            off = float(np.linalg.norm(point.p_M - expected_M))
-            if off <= within_m:
-                return point
-            problem = WrongTarget(f"{what}: the tracker locked an SMR {off * 1e3:.0f} mm from where this one should be")
-        self._reaction.check()
-        raise problem
+            if at is not None and joints is not None and (moved := self._moved(*at, joints)):
+                times_moved += 1
+                if times_moved == _TIMES_MOVED:
+                    text = f"{moved}, {times_moved} times in a row; find out what moves it, then continue"
+                    raise self.stop_cell(StopCause("fault", text, at[0]))
+                self._log(f"{moved}: rejected, measured again ({times_moved} of {_TIMES_MOVED - 1})")
+            elif isinstance(found, Point):
+                return PointAtRest.of(found, joints, self._cell.clock.now_s())
+            elif tries <= 1:
+                raise found
+            else:
+                tries -= 1
+
+    def _moved(self, name: str, q: Vector, joints: JointRecord) -> str:
+        """Return how far an arm that rested at ``q`` (N,) [rad] moved, in words; empty within its settling window."""
+        arm, off = self._cell.arms[name], np.abs(joints.q - q).max(axis=0)
+        window = arm.settle_window if isinstance(arm, SettlingArm) else MOVED_RAD
+        if off.max() <= window:
+            return ""
+        joint, most, allowed = int(np.argmax(off)) + 1, np.degrees(off.max()), np.degrees(window)
+        return (
+            f"arm {name}: joint {joint} was {most:.3f} deg from its rest while it was measured, {allowed:.3f} allowed"
+        )
+
+    def _tried(
+        self, expected_M: Vector, what: str, within_m: float, name: str | None
+    ) -> tuple[Point | TrackerError, JointRecord | None]:
+        """Measure once; return the point, or why there is none, and the joints of arm ``name`` meanwhile."""
+        if name is None:
+            return self._point(expected_M, what, within_m), None
+        try:
+            end = recording(self._cell.arms[name])
+            try:
+                found = self._point(expected_M, what, within_m)
+            finally:
+                joints = end()
+        except ArmError as error:
+            raise self.stop_cell(cause_of(name, error)) from error
+        return found, joints
+
+    def _point(self, expected_M: Vector, what: str, within_m: float) -> Point | TrackerError:
+        try:
+            with self._cell.pulse.waiting(self._cell.tracker.data_age_s):
+                point = self._cell.tracker.measure(expected_M, self._profile.tracker.averaging)
+        except (TargetLost, WrongTarget, Unstable) as error:
+            return error
+        except NotReady:
+            raise
+        except TrackerError as error:
+            if isinstance(error, Halted):
+                self._reaction.check()
+            raise self.stop_cell(StopCause("tracker", str(error))) from error
+        off = float(np.linalg.norm(point.p_M - expected_M))
+        if off <= within_m:
+            return point
+        return WrongTarget(f"{what}: the tracker locked an SMR {off * 1e3:.0f} mm from where this one should be")
+
+    def _log(self, text: str) -> None:
+        self._emit(LogReport("warning", text))
+        for log in self._cell.logs:
+            log("warning", text)
 
     def stop_cell(self, cause: StopCause) -> CellStopped:
         """Stop the cell; return the exception for its first cause, which may be an earlier one.

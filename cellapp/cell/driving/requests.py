@@ -16,10 +16,11 @@ import os
 import secrets
 import socketserver
 import threading
+import time
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.unseen_arms import note_halt
@@ -35,12 +36,15 @@ from cellapp.ground.asking import (
     Verb,
     address_of_job,
     exchange,
+    taken,
     this_computer,
 )
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Listener, Progress, StateChange, ignore
+from cellapp.ground.shell import shell_word
 
+_LOCK_AGAIN_S, _LOCK_TRIES = 0.001, 50
 _POLL_S = 0.05
 """Period [s] in which the server checks whether the job has ended."""
 _MOST_WORDS = 300
@@ -66,7 +70,9 @@ def taking_requests(
     Raises
     ------
     InputError
-        If another job runs there, or the folder cannot be written.
+        If another job runs there or may run there, or the folder cannot be written.
+    HardwareError
+        If another job runs there and does not answer.
     """
     _refuse_second(folder)
     token = secrets.token_urlsafe(32)
@@ -80,23 +86,30 @@ def taking_requests(
         thread.start()
         stack.callback(thread.join)
         stack.callback(server.shutdown)
-        stack.callback(_withdraw, folder, token)
-        _publish(folder, JobAddress(this_computer(), os.getpid(), server.server_address[1], token))
+        stack.enter_context(
+            _published(folder / JOB_FILE, JobAddress(this_computer(), os.getpid(), server.server_address[1], token))
+        )
         yield listen
 
 
 def _refuse_second(folder: Path) -> None:
-    """Raise ``InputError`` if another job runs in a folder, or may run there on another computer."""
-    address = address_of_job(folder)
-    if address is None:
-        return
-    if not address.is_here:
+    """Raise if another job runs in a folder, or may run there; remove the file that a killed job left."""
+    path, address = folder / JOB_FILE, address_of_job(folder)
+    if address is not None and not address.is_here:
         raise InputError(
             f"{folder}: a job on computer '{address.computer}' uses this run; wait for its end. If it has ended, delete"
-            f" {folder / JOB_FILE}"
+            f" {path}"
         )
-    if exchange(folder, address, LOOK, PATIENCE_S) is not None:
-        raise InputError(f"{folder}: another job runs here; 'cellapp stop {folder}' stops it")
+    if address is not None and exchange(folder, address, LOOK, PATIENCE_S) is not None:
+        raise _another(folder)
+    with contextlib.suppress(FileNotFoundError), path.open("rb") as left:
+        if not _locked(left):
+            raise _another(folder)
+        _remove(path, left)
+
+
+def _another(folder: Path) -> InputError:
+    return InputError(f"{folder}: another job runs here; 'cellapp stop {shell_word(folder)}' stops it")
 
 
 class _Server(socketserver.ThreadingTCPServer):
@@ -180,24 +193,52 @@ def _refusal(control: JobControl, verb: Verb) -> str:
     return "the job is neither paused nor stopped" if verb == "resume" and before == "none" else ""
 
 
-def _publish(folder: Path, address: JobAddress) -> None:
-    path = folder / JOB_FILE
-    partial = path.with_name(f"{JOB_FILE}.part")
+@contextlib.contextmanager
+def _published(path: Path, address: JobAddress) -> Iterator[None]:
+    """Tell in a new file, which is locked as long as this context is open, where the job listens."""
     try:
-        partial.unlink(missing_ok=True)
-        handle = os.open(partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            json.dump(address._asdict(), file)
-        os.replace(partial, path)
+        handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o600)
+    except FileExistsError:  # a job that began meanwhile
+        raise _another(path.parent) from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}); check the folder's rights") from error
+        raise _unwritable(path, error) from error
+    with os.fdopen(handle, "w+b", buffering=0) as file:
+        try:
+            if not (_locked(file) and _is_at(path, file)):  # a job that begins now may take it for a killed one's
+                raise _another(path.parent)
+            try:
+                file.write(json.dumps(address._asdict()).encode())
+            except OSError as error:
+                raise _unwritable(path, error) from error
+            yield
+        finally:
+            _remove(path, file)
 
 
-def _withdraw(folder: Path, token: str) -> None:
-    address = address_of_job(folder)
-    if address is not None and address.token == token:
-        with contextlib.suppress(OSError):  # a file left behind is harmless: nobody answers at its port
-            (folder / JOB_FILE).unlink()
+def _unwritable(path: Path, error: OSError) -> InputError:
+    return InputError(f"{path}: cannot be written ({error.strerror}); check the folder's rights and the disk's space")
+
+
+def _locked(file: IO[bytes]) -> bool:
+    """Lock a job file for the job; return False if another one holds it. Who only looks holds it for an instant."""
+    for _ in range(_LOCK_TRIES):
+        if taken(file, alone=True):
+            return True
+        time.sleep(_LOCK_AGAIN_S)
+    return False
+
+
+def _is_at(path: Path, file: IO[bytes]) -> bool:
+    with contextlib.suppress(OSError):
+        return os.path.samestat(os.fstat(file.fileno()), os.stat(path))
+    return False
+
+
+def _remove(path: Path, file: IO[bytes]) -> None:
+    """Remove a job file whose lock is held, unless another one has its name: that is not ours."""
+    if _is_at(path, file):
+        with contextlib.suppress(OSError):  # one left behind is harmless: nobody holds it
+            path.unlink()
 
 
 @contextlib.contextmanager
@@ -206,6 +247,7 @@ def running_job(run: RunFile, control: JobControl, name: str, listener: Listener
 
     Yield the listener to report to. Raise as ``taking_requests``.
     """
+    control.run = run.folder.resolve().name
     recording = control.recording(partial(note_halt, run))
     with recording, taking_requests(run.folder, control, name, listener) as heard:
         yield heard

@@ -132,7 +132,7 @@ def _personal(verb: str, control: JobControl) -> StopCause:
 
 
 def _watch_out(unseen: dict[str, str]) -> list[str]:
-    return [f"NOT SEEN AT REST: {reason}" for reason in unseen.values()]
+    return [f"NOT SEEN AT REST: {'; '.join(unseen.values())}"] if unseen else []
 
 
 def hold_while_paused(cell: Cell, control: JobControl, reaction: StopReaction) -> None:

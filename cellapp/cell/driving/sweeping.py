@@ -34,7 +34,7 @@ from cellapp.cell.driving.motion import WRONG_TARGET_M, Mover, sweep_sentence
 from cellapp.cell.driving.reaction import StopCause, StopReaction, cause_of
 from cellapp.cell.planning.sweeps import PlannedSweep, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.columns import POINT, TRIGGER, pulse_column, stems
+from cellapp.cell.run.columns import POINT, stems
 from cellapp.cell.run.recordings import recording_states, store_recording
 from cellapp.cell.run.recordings_csv import Key, RecordedStreams, checked_recording
 from cellapp.cell.run.stream_csv import StreamTable
@@ -262,8 +262,6 @@ _REST_S = 0.5
 """Recorded rest before and after the motion [s]."""
 _STARTS_S = 1.0
 """Time to full speed [s] of a motion that continues in the middle of its path."""
-_PULSES = 3
-"""Number of pulses of the hardware trigger at either end of a recording."""
 _FIRST_POINT_S = 1.0
 _MOST_PARTS = 20
 _SHORTEST_S = 0.5
@@ -408,11 +406,11 @@ class SweepDriver:
             later_s = self._later_s(arms)
             expected_M = predicted_smr(self.bodies, name, own.q[:1])[0]
             streaming.start_track(expected_M, self.interval_s, beam.lost, received)
-            self._rest(own.arm)
+            self._rest()
             self._require_own(name, beam, expected_M)
             live.begin(own.arm, self.cell.clock, own.s_s, own.arm.path_period_s)
             reached = self._follow(legs, live.look)
-            self._rest(own.arm)
+            self._rest()
             records = {}
             for one in [*recorded]:
                 records[one] = recorded.pop(one).end_recording()
@@ -434,11 +432,9 @@ class SweepDriver:
         first_s = next(iter(states.values()))
         return {name: first_s - its_s for name, its_s in states.items()}
 
-    def _rest(self, arm: RecordingArm) -> None:
-        """Rest while recording, with the pulses of the hardware trigger if there is one."""
-        for _ in range(_PULSES):
-            self.cell.clock.wait(_REST_S / _PULSES, self.control.wait)
-            arm.pulse()
+    def _rest(self) -> None:
+        """Rest while recording."""
+        self.cell.clock.wait(_REST_S, self.control.wait)
         self.control.check()
         self.reaction.check()
 
@@ -589,11 +585,6 @@ class Sweeps:
             return False
         state = recorded.state.model_copy(update={"part_of": sweep.name, "reached_s": part.reached_s})
         store_recording(self._run, replace(recorded, state=state))
-        if len(part.joints.triggers_s) and not len(part.track.triggers_s):
-            self._note(
-                f"{name} of arm {sweep.arm}: the controller gave {counted(len(part.joints.triggers_s), 'pulse')}, the"
-                " tracker stamped none; look at the wiring of its trigger input"
-            )
         missing = part.track.missing(self._driver.interval_s)
         if part.joints.missing or missing:
             self._note(
@@ -651,8 +642,4 @@ def _columns(part: SweepPart) -> tuple[dict[str, Array], dict[str, Array]]:
         joint_temperature=joints.temperature_c,
         other_q=part.beside,
     )
-    points = _point_columns(track.device_time_s, track.p_M, track.sigma_m)
-    for its, stamps_s in ((samples, joints.triggers_s), (points, track.triggers_s)):
-        if len(stamps_s) and len(its["time_s"]) > len(stamps_s):
-            its[TRIGGER] = pulse_column(its["time_s"], stamps_s)
-    return samples, points
+    return samples, _point_columns(track.device_time_s, track.p_M, track.sigma_m)

@@ -236,7 +236,7 @@ class TargetVisit:
                 continue
             rest[name] = Measured(
                 sent=sent[name],
-                q=states[name].q,
+                q=point.q,
                 approach=mover.approach(name).astype(np.float64),
                 wanted_M=wanted_M,
                 predicted_M=predict_at_rest(self.model, mover, name, states[name], point),

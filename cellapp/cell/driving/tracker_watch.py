@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.trackers.protocol import (
-    Inclination,
     NotReady,
     Packet,
     Point,
@@ -25,7 +24,6 @@ from drivers.trackers.protocol import (
     TrackerError,
     TrackerIdentity,
     TrackerLinkLost,
-    TwoFace,
     no_packet,
 )
 
@@ -108,14 +106,6 @@ class TrackerMonitor:
     def measure(self, expected_M: NDArray[np.float64], averaging_s: float) -> Point:
         """Call the tracker's ``measure``."""
         return self._alone(self._tracker.measure, expected_M, averaging_s)
-
-    def measure_two_face(self, expected_M: NDArray[np.float64], averaging_s: float) -> TwoFace:
-        """Call the tracker's ``measure_two_face``."""
-        return self._alone(self._tracker.measure_two_face, expected_M, averaging_s)
-
-    def inclination(self) -> Inclination | None:
-        """Call the tracker's ``inclination``."""
-        return self._alone(self._tracker.inclination)
 
     def halt(self) -> None:
         """End the running measurement at once; may be called from any thread."""
@@ -280,13 +270,6 @@ class UnaskedTracker:
     def measure(self, expected_M: NDArray[np.float64], averaging_s: float) -> NoReturn:
         """Raise ``NotReady``."""
         self._refuse()
-
-    def measure_two_face(self, expected_M: NDArray[np.float64], averaging_s: float) -> NoReturn:
-        """Raise ``NotReady``."""
-        self._refuse()
-
-    def inclination(self) -> None:
-        """Return None: the inclination is unknown."""
 
     def halt(self) -> None:
         """Do nothing."""

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from cellapp.cell.driving.motion import Mover
+from cellapp.cell.driving.motion import Mover, PointAtRest
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.records import ArmVerification, MeasuredPair, MeasuredTarget, MeasuredTurn
 from cellapp.cell.targets.targets import target_record
@@ -288,7 +288,7 @@ def _point(p_M: Array | None) -> tuple[float, float, float] | None:
     return xyz_of(p_M)
 
 
-def predict_at_rest(model: CellModel, mover: Mover, name: str, state: ArmState, point: Point) -> Array:
+def predict_at_rest(model: CellModel, mover: Mover, name: str, state: ArmState, point: PointAtRest) -> Array:
     """Predict the SMR position of an arm (3,) [m] with the calibrated model at the joint positions that it reached.
 
     The conditions are those of this stop: approach, step, rest, payload, temperatures, position of the other arm. The
@@ -313,7 +313,7 @@ def predict_at_rest(model: CellModel, mover: Mover, name: str, state: ArmState, 
         other_moment_M=moment,
         other_q=other_q,
     )
-    return np.asarray(model.arms[name].predict(state.q[None], conditions=conditions)[0])
+    return np.asarray(model.arms[name].predict(point.q[None], conditions=conditions)[0])
 
 
 def distance_error_m(first: Measured, second: Measured) -> float:

@@ -32,6 +32,7 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
+from cellapp.ground.shell import shell_word
 from drivers.arms.protocol import ArmError, ArmState
 
 
@@ -143,7 +144,8 @@ def work_again(run: RunFile, stops: Collection[int]) -> Work:
         raise InputError(f"{run.path}: there is no stop {unknown[0] + 1}; there are 1 to {work.planned}")
     if untried := [stop for stop in sorted(stops) if stop not in tried]:
         raise InputError(
-            f"{run.path}: stop {untried[0] + 1} was not measured yet; 'cellapp collect {run.folder} --resume' measures"
+            f"{run.path}: stop {untried[0] + 1} was not measured yet; 'cellapp collect {shell_word(run.folder)}"
+            " --resume' measures"
             " what is left"
         )
     return replace(work, stops=tuple(sorted(stops)), reserves=(), stored=0, again=True)

@@ -143,4 +143,4 @@ def parameters(export: ArmExport, sentences: Sequence[str]) -> str:
     return hashed([*sentences, *_PARAMETERS_CHAIN, frame]) + text.getvalue()
 
 
-PARAMETERS = ExportFormat("parameters", "parameters and standard errors (CSV)", ".csv", parameters)
+PARAMETERS = ExportFormat("parameters", "parameters and standard errors (CSV)", ".csv", parameters, lists_effects=True)

@@ -38,6 +38,8 @@ class ExportFormat:
         Function that returns the chain represented by the file's numbers, from the identified chain.
     smr : callable
         Function that returns the SMR centre (3,) [m] in the last frame of the file.
+    lists_effects : bool
+        Whether the file lists the values of effects, though no chain computes them.
     """
 
     name: str
@@ -46,6 +48,7 @@ class ExportFormat:
     text: Text
     held: Callable[[Geometry], Geometry] = lambda geometry: geometry
     smr: Callable[[ArmExport], Array] = lambda export: export.geometry.tool
+    lists_effects: bool = False
 
 
 @dataclass(frozen=True)

@@ -96,13 +96,16 @@ def form_line(form: Form, *, simulated: bool) -> str:
     return f"{form.what[0].upper()}{form.what[1:]}, by {writer}{', of a simulated cell' if simulated else ''}."
 
 
-def lost_sentences(lost: Mapping[str, PositionLoss], together: PositionLoss | None) -> list[str]:
+def lost_sentences(
+    lost: Mapping[str, PositionLoss], together: PositionLoss | None, *, listed: bool = False
+) -> list[str]:
     """Return sentences about what a file cannot represent."""
     if together is None:
         return ["The model of this arm is geometry alone: this file holds all of it."]
     turned = "" if together.rms_mrad is None else " and the flange's rotation"
     lines = [
-        f"This file does not hold these parts of the model. How far the SMR{turned} is off without them,",
+        f"{'The chain computes without' if listed else 'This file does not hold'} these parts of the model. How"
+        f" far the SMR{turned} is off without them,",
         f"at {POSES} random configurations within the joint ranges of the readings:",
     ]
     rows = [*lost.items()] if len(lost) == 1 else [*lost.items(), (_TOGETHER, together)]

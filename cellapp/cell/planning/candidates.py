@@ -103,11 +103,11 @@ def draw_pool(
     if cell.field is None:
         raise InputError(f"plan: arm {name}: the cell has no tracker that could see its SMR; give tracker.pose")
     cancel, ranges = cancel or CancelToken(), joint_ranges(cell, profile, name)
-    found: list[Usable] = []
+    found: list[CandidatePool] = []
     drawn = number = 0
     most = max(_MOST_DRAWS, count * _MOST_DRAWS_PER_CANDIDATE)
     while number < count and drawn < most:
-        asked: list[Usable] = []
+        asked: list[CandidatePool] = []
         while drawn < most and sum(len(batch.q) for batch in asked) < min(count - number, _ASKED_AT_ONCE):
             cancel.check()
             draws = draw_joints(cell.arms[name], cell.field.T_C_M, ranges, rng)
@@ -256,38 +256,13 @@ GATE = "gate"
 """Name under which configurations are counted that all named constraints admit but the safety gate refuses."""
 
 
-@dataclass(frozen=True, eq=False)
-class Usable:
-    """Of the configurations of a draw, n that the tracker sees and at which the arm is clear.
-
-    Attributes
-    ----------
-    drawn : int
-        Configurations of the draw.
-    q : array, shape (n, N)
-        Joint positions [rad].
-    smr_M : array, shape (n, 3)
-        SMR centres in the tracker frame M [m].
-    incidence : array, shape (n,)
-        [rad]
-    rejected : mapping
-        Constraint -> how many it excluded; each configuration counts for the first that does, in the order given.
-    """
-
-    drawn: int
-    q: Array
-    smr_M: Array
-    incidence: Array
-    rejected: Mapping[str, int]
-
-
 def usable(
     cell: CellBodies,
     field: TrackerField,
     name: str,
     draws: JointDraws,
     keep: Callable[[Array], NDArray[np.bool_]] | None = None,
-) -> Usable:
+) -> CandidatePool:
     """Select the usable configurations among ``draws``; ``keep`` decides by incidence (n,) [rad] what to keep."""
     rejected: dict[str, int] = {}
     seen = np.ones(draws.sight.distance.shape, dtype=bool)
@@ -296,7 +271,7 @@ def usable(
         seen &= holds
         left = int(np.count_nonzero(seen))
         rejected[constraint], count = count - left, left
-    q, smr_M = draws.q(seen), draws.sight.smr_M[:, seen].T
+    q = draws.q(seen)
     incidence = np.arccos(np.minimum(draws.sight.cosine[seen], 1.0))
     rows = np.arange(len(q))
     if keep is not None:
@@ -307,23 +282,21 @@ def usable(
         clear = margin(placed) > 0.0  # not for NaN
         rejected[constraint] = len(rows) - int(np.count_nonzero(clear))
         rows, placed = rows[clear], placed.take(clear)
-    return Usable(seen.size, q[rows], smr_M[rows], incidence[rows], rejected)
+    return CandidatePool(q[rows], incidence[rows], seen.size, rejected)
 
 
-def together(batches: Sequence[Usable]) -> Usable:
+def together(batches: Sequence[CandidatePool]) -> CandidatePool:
     """Merge the configurations of several draws into one."""
-    q, smr_M, incidence = (
-        np.concatenate([getattr(batch, part) for batch in batches]) for part in ("q", "smr_M", "incidence")
-    )
+    q, incidence = (np.concatenate([getattr(batch, part) for batch in batches]) for part in ("q", "incidence"))
     rejected = {constraint: sum(batch.rejected[constraint] for batch in batches) for constraint in batches[0].rejected}
-    return Usable(sum(batch.drawn for batch in batches), q, smr_M, incidence, rejected)
+    return CandidatePool(q, incidence, sum(batch.drawn for batch in batches), rejected)
 
 
-def admitted_by_gate(cell: CellBodies, name: str, found: Usable) -> Usable:
+def admitted_by_gate(cell: CellBodies, name: str, found: CandidatePool) -> CandidatePool:
     """Select the configurations that the safety gate, too, finds visible and clear: its answer is final."""
     admitted = visible(cell, name, found.q) & clear_alone(cell, place(cell.arms[name], found.q))
     rejected = {**found.rejected, GATE: len(admitted) - int(np.count_nonzero(admitted))}
-    return Usable(found.drawn, found.q[admitted], found.smr_M[admitted], found.incidence[admitted], rejected)
+    return CandidatePool(found.q[admitted], found.incidence[admitted], found.drawn, rejected)
 
 
 def body_margins(cell: CellBodies, field: TrackerField, name: str) -> Mapping[str, Callable[[Placed], Array]]:

@@ -211,26 +211,6 @@ class PlanDesignResult(Result, schema="cellapp-plan-design"):
         return max(chosen, key=lambda one: abs(one.correlation), default=None)
 
 
-FEW_CONFIGURATIONS = 100
-"""Least denominator of a share: of fewer configurations it would mislead, as one seen of three is no third."""
-
-
-class SeenCell(Record):
-    """A cube of the workspace of one arm, its centre in the cell frame C [m].
-
-    ``reachable`` configurations bring the SMR there; ``seen`` of them the tracker can measure, and the arm is clear.
-    """
-
-    centre_C: tuple[float, float, float]
-    reachable: int
-    seen: int
-
-    @property
-    def share(self) -> float:
-        """Share of the configurations that are seen."""
-        return self.seen / max(self.reachable, FEW_CONFIGURATIONS)
-
-
 class ConstraintShare(Record):
     """Share of configurations that a constraint excludes ``alone``, and that could be measured ``without`` it.
 
@@ -242,43 +222,3 @@ class ConstraintShare(Record):
     without: float
     extent: str
     advice: str
-
-
-class ViewChange(Record):
-    """A change to the cell, and the share of configurations that could then be measured."""
-
-    change: str
-    seen: float
-
-
-class ArmView(Record):
-    """What the tracker sees of one arm's workspace; ``lost``: constraint -> share of configurations that it excludes.
-
-    The constraints are applied in this order: a configuration counts for the first that excludes it.
-    ``constraints``: each of them by itself, that first without which most could be measured. ``changes``: the best
-    first.
-    """
-
-    drawn: int
-    seen: int
-    small_incidence: int
-    """Of those seen, configurations whose incidence is within the range of full accuracy."""
-    facing_at_random: float
-    """Share of all directions in space that are within the SMR's acceptance angle."""
-    lost: Mapping[str, float]
-    constraints: tuple[ConstraintShare, ...]
-    changes: tuple[ViewChange, ...]
-    edge_m: float
-    cells: tuple[SeenCell, ...]
-
-    @property
-    def share(self) -> float:
-        """Share of configurations that the tracker can measure."""
-        return self.seen / max(self.drawn, 1)
-
-
-class ViewResult(Result, schema="cellapp-view"):
-    """``plan PROFILE --view``: what the tracker sees of each arm's workspace, before anything is planned."""
-
-    profile: str
-    arms: Mapping[str, ArmView]

@@ -1,8 +1,7 @@
 """Paths that the gate accepts where it refuses the straight motion; of those found, the shortest in time.
 
 Candidates, in this order: one arm after the other; through positions of an arm, in which each joint is at its start,
-its end or its home position, or on the arm's roadmap; through home; a random tree in the joint space of all arms. The
-gate has accepted every motion of a path.
+its end or its home position, or on the arm's roadmap; through home. The gate has accepted every motion of a path.
 
 Fastest order and pairing of the stops of several arms, block by block, by simulated annealing.
 
@@ -50,10 +49,6 @@ _ASKED_TOGETHER = 8
 """Number of these that the gate is asked about at once."""
 _MOST_ORDERED = 4
 """Largest number of arms of which all orders are tried."""
-_TREE_NODES = 300
-"""Nodes after which a random tree is given up: less than a second."""
-_TREE_STEP = 0.6
-"""Longest motion of a joint along an edge of the tree [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +87,7 @@ class TransitPlanner:
             found = self._first_free(here, there, between)
             if found is not None:
                 return found
-        tree = random_tree_path(self._cell, here, there, self._rng)
-        return refuse_motion(self._cell, here, there) if tree is None else self._way(here, tree, there)
+        return refuse_motion(self._cell, here, there)
 
     def _first_free(
         self, here: Configuration, there: Configuration, between: Iterable[Sequence[Configuration]]
@@ -175,97 +169,6 @@ class TransitPlanner:
                 yield [*first, home, *second]
         for name in there:
             yield [{**here, name: home[name]}, {**there, name: home[name]}]
-
-
-def random_tree_path(
-    cell: CellBodies, here: Configuration, there: Configuration, rng: np.random.Generator
-) -> list[Configuration] | None:
-    """Connect two configurations of all arms by random trees grown from both.
-
-    Return the configurations between them; None if no path is found. Source: RRT-Connect, Kuffner, LaValle, ICRA 2000.
-    """
-    space = _JointSpace(cell, tuple(there))
-    trees = _Tree(space.vector(here)), _Tree(space.vector(there))
-    low, high = space.limits
-    low, high = np.maximum(low, trees[1].nodes[0] - 2.0 * np.pi), np.minimum(high, trees[1].nodes[0] + 2.0 * np.pi)
-    for number in range(_TREE_NODES):
-        grows, meets = trees[number % 2], trees[1 - number % 2]
-        new = grows.extend(space, rng.uniform(low, high))
-        reached = None if new is None else meets.connect(space, grows.nodes[new])
-        if new is not None and reached is not None:
-            path = [*grows.path(new)[::-1], *meets.path(reached)[1:]]
-            return [space.configuration(q) for q in _shortened(space, path[:: 1 if number % 2 == 0 else -1])[1:-1]]
-    return None
-
-
-@dataclass(frozen=True, eq=False)
-class _JointSpace:
-    """The joint space of all arms: their joint positions as one vector."""
-
-    cell: CellBodies
-    names: tuple[str, ...]
-
-    @property
-    def limits(self) -> tuple[Array, Array]:
-        """Lowest and highest position of all joints [rad]."""
-        low, high = np.concatenate([self.cell.arms[name].limits for name in self.names]).T
-        return low, high
-
-    def vector(self, q: Configuration) -> Array:
-        """Concatenate the joint positions of all arms."""
-        return np.concatenate([q[name] for name in self.names])
-
-    def configuration(self, q: Array) -> dict[str, Array]:
-        """Split a vector into the positions of each arm, the inverse of ``vector``."""
-        ends = np.cumsum([self.cell.arms[name].geometry.joints for name in self.names])[:-1]
-        return dict(zip(self.names, np.split(q, ends), strict=True))
-
-    def is_free(self, here: Array, there: Array) -> bool:
-        """Return whether the gate accepts the straight motion."""
-        return not refuse_motion(self.cell, self.configuration(here), self.configuration(there))
-
-
-class _Tree:
-    """Nodes and their parents; the first is the root."""
-
-    def __init__(self, root: Array) -> None:
-        self.nodes, self._parents = [root], [-1]
-
-    def extend(self, space: _JointSpace, towards: Array) -> int | None:
-        """Add a node one step from the nearest one and return its index; None if the gate refuses the motion."""
-        nearest = int(np.argmin(np.abs(np.array(self.nodes) - towards).max(axis=1)))
-        way = towards - self.nodes[nearest]
-        longest = float(np.abs(way).max())
-        new = towards if longest <= _TREE_STEP else self.nodes[nearest] + way * (_TREE_STEP / longest)
-        if not space.is_free(self.nodes[nearest], new):
-            return None
-        self.nodes.append(new)
-        self._parents.append(nearest)
-        return len(self.nodes) - 1
-
-    def connect(self, space: _JointSpace, target: Array) -> int | None:
-        """Grow the tree step by step to ``target`` and return the index of its node; None if the way is blocked."""
-        while (new := self.extend(space, target)) is not None:
-            if self.nodes[new] is target:
-                return new
-        return None
-
-    def path(self, node: int) -> list[Array]:
-        """Return the nodes from ``node`` to the root."""
-        found = []
-        while node >= 0:
-            found.append(self.nodes[node])
-            node = self._parents[node]
-        return found
-
-
-def _shortened(space: _JointSpace, path: list[Array]) -> list[Array]:
-    """Remove the nodes that a straight motion can skip."""
-    kept, here = [path[0]], 0
-    while here < len(path) - 1:
-        here = next(k for k in range(len(path) - 1, here, -1) if k == here + 1 or space.is_free(path[here], path[k]))
-        kept.append(path[here])
-    return kept
 
 
 # ---------------------------------------------------------------------------------------------------------------------

@@ -29,6 +29,7 @@ from cellapp.ground.plain_data import plain_data
 from cellapp.ground.profile.device_plugins import ARM_TYPES
 from cellapp.ground.profile.schema import VERSION, ArmType, Profile
 from cellapp.ground.removed import without_removed_keys
+from cellapp.ground.starters import starters_folder
 
 _MOST_LEVELS = 50
 """Limit of nesting: a profile has about eight levels; an alias that contains itself gives more."""
@@ -106,9 +107,19 @@ def checked_profile(document: Document, folders: Sequence[Path]) -> Profile:
     _read_arm_types(document, folders)
     _locate_meshes(document, folders)
     try:
-        return Profile.model_validate(document.data)
+        profile = Profile.model_validate(document.data)
     except ValidationError as error:
         raise InputError(validation_message(error, document)) from None
+    _require_own_factories(profile, document.places)
+    return profile
+
+
+def _require_own_factories(profile: Profile, places: Mapping[KeyPath, Place]) -> None:
+    """Raise ``InputError`` if an arm's factory calibration is that of another type."""
+    if any(arm.factory is not None for arm in profile.arms.values()):
+        from cellapp.cell.profile.factory import require_own_factories  # numerics; other profiles load without
+
+        require_own_factories(profile, places, own_arm_types)
 
 
 def with_sections(profile: Profile, path: Path, names: Sequence[str]) -> Profile:
@@ -184,6 +195,12 @@ def arm_type_of_text(text: str, path: Path) -> ArmType:
         raise InputError(validation_message(error, document)) from None
 
 
+def own_arm_types() -> dict[str, ArmType]:
+    """Return the arm types of this program, by their short names."""
+    paths = sorted((starters_folder() / "arms").glob("*.yaml"))
+    return {path.stem: arm_type_of_text(_read_text(path), path) for path in paths}
+
+
 def _locate_meshes(document: Document, folders: Sequence[Path]) -> None:
     """Replace the paths of mesh files by absolute ones, in the first of ``folders`` that has the file.
 
@@ -217,7 +234,7 @@ def profile_from_json(text: str) -> Profile:
     """Return the profile that ``profile_to_json`` wrote, removed keys ignored. Raise ``InputError`` for other text."""
     try:
         content, _ = without_removed_keys(json.loads(text))
-        return Profile.model_validate_json(json.dumps(content))
+        profile = Profile.model_validate_json(json.dumps(content))
     except (ValueError, RecursionError) as error:
         if not isinstance(error, ValidationError):
             raise InputError(f"stored profile: text: not JSON ({error})") from None
@@ -225,6 +242,8 @@ def profile_from_json(text: str) -> Profile:
         where = ".".join(str(key) for key in first["loc"])
         hint = "; if a plug-in has that kind, install it" if first["type"] == "union_tag_invalid" else ""
         raise InputError(f"stored profile: {where or 'text'}: {plain(first['msg'])}{hint}") from None
+    _require_own_factories(profile, {})
+    return profile
 
 
 def _check_version(document: Document) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+from cellapp.estimation.uncertainty.records import CommonUncertainty
 from cellapp.ground.results import Record, Result
 
 Six = tuple[float, float, float, float, float, float]
@@ -128,8 +129,13 @@ class CorrectedTarget(Record):
     uncertainty_mm, uncertainty_mrad : float or None
         Standard uncertainties of a coordinate of the TCP and of the flange's orientation there, by the model; None
         where it states none.
+    own_mm, own_mrad : float or None
+        The same without what is common to all targets (``CommonUncertainty``).
+    significant : bool or None
+        False where the target is left as taught, as the correction is not significant against its own uncertainty.
     nearest_to : str
-        What selected among the solutions of a pose: ``qnear``, a line, or ``home``; empty for joint positions.
+        What selected among the solutions of a pose: ``qnear``, a line, or ``home``; ``readings`` or ``reach`` if it is
+        the only one in their ranges or within reach; empty for joint positions.
     reason : str
         Why it is not corrected; empty if it is.
     """
@@ -144,6 +150,9 @@ class CorrectedTarget(Record):
     q_new: Numbers | None = None
     uncertainty_mm: float | None = None
     uncertainty_mrad: float | None = None
+    own_mm: float | None = None
+    own_mrad: float | None = None
+    significant: bool | None = None
     nearest_to: str = ""
     reason: str = ""
 
@@ -167,6 +176,7 @@ class CorrectResult(Result, schema="cellapp-correct"):
     left: tuple[LeftLine, ...]
     assumptions: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    common: tuple[CommonUncertainty, ...] = ()
 
     @property
     def refused(self) -> tuple[tuple[int, str, str], ...]:

@@ -25,6 +25,8 @@ from xml.parsers import expat
 
 import numpy as np
 
+from cellapp.cell.profile.factory import fitting_types
+from cellapp.cell.profile.loader import own_arm_types
 from cellapp.cell.programs.records import LeftMotion, Place, ProgramTarget, ReadProgram, Six
 from cellapp.cell.programs.urscript import (
     SIX,
@@ -44,7 +46,7 @@ from cellapp.cell.programs.urscript import (
     parts_of,
 )
 from cellapp.ground.errors import InputError
-from cellapp.robot.kinematics.plain_dh import same_chain
+from cellapp.robot.kinematics.plain_dh import of_one_type, same_chain
 from cellapp.robot.kinematics.transforms import Array
 
 _MOTIONS = {
@@ -137,6 +139,41 @@ class _Reader:
         self._names = Counter(
             word.text for statement in program.statements for word in statement.tokens if word.kind == "name"
         )
+        self._motions: dict[str, tuple[tuple[int, str], ...]] = dict(_MOTIONS)
+        self._moves: dict[str, Statement] = {}
+        while self._find_wrapper():
+            pass
+
+    def _find_wrapper(self) -> bool:
+        """Find a function that moves to one of its parameters, and uses that for nothing else; False if none is left.
+
+        A call of it is a motion to what it is given; ``_moves`` has the motion inside.
+        """
+        called = {call.function for statement in self._program.statements for call in _calls(statement)}
+        for function, parameters in self._program.parameters.items():
+            if function in self._motions or function not in called or "" in parameters:
+                continue
+            inside = [one for one in self._program.statements if function in one.path]
+            for place, name in enumerate(parameters):
+                moves = [
+                    self._moves.get(call.function, one)
+                    for one in inside
+                    for call in _calls(one)
+                    for argument in self._arguments(call)
+                    if isinstance(argument, Name) and argument.name == name and call.function != "movec"
+                ]
+                if moves and len(moves) == sum(word.text == name for one in inside for word in one.tokens):
+                    self._motions[function], self._moves[function] = ((place, name),), moves[0]
+                    return True
+        return False
+
+    def _arguments(self, call: Call) -> list[Expression | None]:
+        return [call.argument(index, name) for index, name in self._motions.get(call.function, ())]
+
+    def _is_wrapped(self, statement: Statement, call: Call) -> bool:
+        """Return whether a motion goes to the parameter of its function: then the calls of that are the motions."""
+        own = self._motions.get(statement.function, ())
+        return any(isinstance(one, Name) and own and one.name == own[0][1] for one in self._arguments(call))
 
     def motions(self) -> tuple[list[ProgramTarget], list[LeftMotion]]:
         """Return all motions, in the order of the text."""
@@ -150,7 +187,7 @@ class _Reader:
                     left.append(LeftMotion(statement.line, call.function, _OTHER_TARGETS[call.function]))
                 elif call.function in _NO_TARGETS:
                     left.append(LeftMotion(statement.line, call.function, "it has no target", refused=False))
-                elif call.function in _MOTIONS:
+                elif call.function in self._motions and not self._is_wrapped(statement, call):
                     try:
                         targets += self._targets(statement, call)
                     except Unresolved as reason:
@@ -160,11 +197,11 @@ class _Reader:
     def _targets(self, statement: Statement, call: Call) -> list[ProgramTarget]:
         found: list[ProgramTarget] = []
         goals: list[_Goal] = []
-        for index, name in _MOTIONS[call.function]:
+        for index, name in self._motions[call.function]:
             argument = call.argument(index, name)
             if argument is None:
                 raise Unresolved(f"its argument '{name}' is missing")
-            goal = self._goal(argument)
+            goal = self._goal(argument, statement.path)
             goals.append(goal)
             found.append(self._target(statement, call.function, goal))
         if call.function == "movec" and found[0].kind == found[1].kind == "pose":
@@ -181,50 +218,50 @@ class _Reader:
             command=command,
             kind="pose" if pose else "joints",
             numbers=six(goal.value.numbers),
-            tcp=(goal.tcp or self._tcp_at(statement)) if pose else None,
+            tcp=(goal.tcp or self._tcp_at(self._moves.get(command, statement))) if pose else None,
             near=goal.near,
             function=statement.function,
             place=_place(goal.use),
             as_joints=goal.solved and bool(goal.variables) and goal.use is not goal.stands,
         )
 
-    def _goal(self, expression: Expression, within: tuple[str, ...] = ()) -> _Goal:
+    def _goal(self, expression: Expression, path: tuple[str, ...], within: tuple[str, ...] = ()) -> _Goal:
         """Resolve an expression as a target; ``within`` are the variables whose definitions led to it."""
         if isinstance(expression, Name):
             check_chain(expression.name, within)
-            inner = self._goal(self._constants.definition(expression.name), (*within, expression.name))
+            inner = self._goal(*self._constants.definition(expression.name, path), (*within, expression.name))
             return replace(inner, use=expression, variables=(expression.name, *inner.variables))
         if isinstance(expression, Call) and expression.function == "get_inverse_kin":
-            return self._solved(expression, within)
-        return _Goal(self._constants.value(expression), expression, expression)
+            return self._solved(expression, path, within)
+        return _Goal(self._constants.value(expression, path), expression, expression)
 
-    def _solved(self, call: Call, within: tuple[str, ...]) -> _Goal:
+    def _solved(self, call: Call, path: tuple[str, ...], within: tuple[str, ...]) -> _Goal:
         argument = call.argument(0, "x")
         if argument is None:
             raise Unresolved("get_inverse_kin has no pose")
-        inner = self._goal(argument, within)
+        inner = self._goal(argument, path, within)
         if not inner.value.pose:
             raise Unresolved("get_inverse_kin is given joint positions instead of a pose")
         tcp = call.argument(4, "tcp")
         return replace(
             inner,
-            near=self._near(call.argument(1, "qnear")),
-            tcp=None if tcp is None else self._pose(tcp),
+            near=self._near(call.argument(1, "qnear"), path),
+            tcp=None if tcp is None else self._pose(tcp, path),
             # at the motion, a variable inside the call is replaced by a pose, but the whole call by joint positions
             solved=bool(within),
         )
 
-    def _near(self, expression: Expression | None) -> Six | None:
+    def _near(self, expression: Expression | None, path: tuple[str, ...]) -> Six | None:
         if expression is None:
             return None
         try:
-            numbers = self._constants.value(expression).numbers
+            numbers = self._constants.value(expression, path).numbers
         except Unresolved:
             return None
         return six(numbers) if len(numbers) == SIX else None
 
-    def _pose(self, expression: Expression) -> Six:
-        value = self._constants.value(expression)
+    def _pose(self, expression: Expression, path: tuple[str, ...]) -> Six:
+        value = self._constants.value(expression, path)
         if not value.pose or len(value.numbers) != SIX:
             raise Unresolved("the TCP is no pose")
         return six(value.numbers)
@@ -241,7 +278,7 @@ class _Reader:
             if self._given is None:
                 raise Unresolved(_NO_TCP)
             return self._given
-        poses = [(where, self._set_tcp(call)) for where, call in self._tcps]
+        poses = [(where, self._set_tcp(call, where.path)) for where, call in self._tcps]
         if len({pose for _, pose in poses}) == 1:
             return poses[0][1]
         if any(where.depth > 0 or where.function != statement.function for where, _ in poses):
@@ -251,11 +288,11 @@ class _Reader:
             raise Unresolved(_OPEN_TCP)
         return above[-1]
 
-    def _set_tcp(self, call: Call) -> Six:
+    def _set_tcp(self, call: Call, path: tuple[str, ...]) -> Six:
         argument = call.argument(0, "pose")
         try:
             if argument is not None:
-                return self._pose(argument)
+                return self._pose(argument, path)
             raise Unresolved("set_tcp has no pose")
         except Unresolved as reason:
             raise Unresolved(f"the TCP is not known: {reason}") from None
@@ -267,7 +304,7 @@ class _Reader:
             for call in _calls(statement):
                 if call.function in ("set_payload", "set_target_payload") and (mass := call.argument(0, "m")):
                     try:
-                        masses.add(self._constants.value(mass).numbers)
+                        masses.add(self._constants.value(mass, statement.path).numbers)
                     except Unresolved:
                         return None
         return masses.pop()[0] if len(masses) == 1 else None
@@ -410,6 +447,8 @@ class _XmlReader:
         self._move: list[str] = []
         self._script: list[str] | None = None
         self._script_line = 0
+        self._types: dict[bytes, str] = {}
+        self._of_program: dict[str, str] = {}
 
     def start(self, tag: str, values: Mapping[str, str], index: int, line: int) -> None:
         """Handle the start of an element at byte ``index``."""
@@ -421,8 +460,11 @@ class _XmlReader:
             self._waypoint = _Waypoint(values.get("name", "?"), values.get("type", ""), line)
         elif tag in ("cachedContents", "script"):
             self._script, self._script_line = [], line
+        elif tag == "kinematics":
+            self._of_program = {}
         elif waypoint is None:
-            return
+            if tag in ("deltaTheta", "a", "d", "alpha"):
+                self._of_program.setdefault(tag, values.get("value", ""))
         elif tag == "JointAngles" and "angles" in values:
             waypoint.angles, waypoint.span = values["angles"], self._attribute(index, "angles")
         elif tag == "position" and "joints" in values:
@@ -468,6 +510,8 @@ class _XmlReader:
             reason = "the waypoint has no six joint positions"
         elif waypoint.own_pose:
             reason = "an older form of file, with a pose of its own; save it by PolyScope 5"
+        elif other := self._other_type(waypoint):
+            reason = f"it was taught on an arm of another type: its rows are those of {other}"
         elif not self._is_the_controllers(waypoint):
             expected = "another one than that in arms.*.factory of the profile,"
             if np.array_equal(self._table, self._published):
@@ -501,10 +545,25 @@ class _XmlReader:
         """Return whether a waypoint's chain, if stated, is that of the controller."""
         if not waypoint.chain or waypoint.status in ("NOT_INITIALIZED", "NOT_LINEARIZED"):
             return True
-        columns = [_numbers(waypoint.chain.get(name, "")) for name in ("deltaTheta", "d", "a", "alpha")]
+        rows = self._rows(waypoint)
+        return rows is not None and same_chain(rows, self._table, self._published)
+
+    def _rows(self, waypoint: _Waypoint) -> Array | None:
+        """Return the rows (6, 4) of a waypoint's chain, else of the program's; None if one is not stated."""
+        chain = waypoint.chain or self._of_program
+        columns = [_numbers(chain.get(name, "")) for name in ("deltaTheta", "d", "a", "alpha")]
         if any(len(column) != len(self._table) for column in columns) or not np.isfinite(columns).all():
-            return False
-        return same_chain(np.array(columns).T, self._table, self._published)
+            return None
+        return np.array(columns).T
+
+    def _other_type(self, waypoint: _Waypoint) -> str:
+        """Return the types of arms that a waypoint was taught on if they are others than this one; else empty."""
+        rows = self._rows(waypoint)
+        if rows is None or of_one_type(rows, self._published):
+            return ""
+        if rows.tobytes() not in self._types:  # a program has the same rows at each waypoint
+            self._types[rows.tobytes()] = fitting_types(rows, 0.0, own_arm_types())
+        return self._types[rows.tobytes()]
 
 
 def _numbers(text: str) -> list[float]:

@@ -7,17 +7,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, Place, ProgramTarget, ReadProgram
+from cellapp.cell.programs.records import (
+    CorrectedTarget,
+    CorrectResult,
+    Place,
+    ProgramTarget,
+    ReadProgram,
+)
 from cellapp.cell.programs.script_targets import six
 from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
 from cellapp.cell.targets.invert import Inverted
+from cellapp.estimation.uncertainty.common import beyond, divided
+from cellapp.estimation.uncertainty.records import CommonUncertainty
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.effects.law import DriverVariable
@@ -44,8 +54,8 @@ class Workplace:
     arm : ArmModel
     limits : array, shape (N, 2)
         Joint limits [rad].
-    home : array, shape (N,)
-        Assumed position of the arm at the beginning [rad].
+    home : array, shape (N,), or None
+        Assumed position of the arm at the beginning [rad]; None if the profile has none.
     measured : array, shape (m, N)
         Joint positions of the readings [rad].
     seed : int
@@ -57,7 +67,7 @@ class Workplace:
 
     arm: ArmModel
     limits: Array
-    home: Array
+    home: Array | None
     measured: Array
     seed: int
     payload_kg: float | None
@@ -84,9 +94,7 @@ def solve_targets(place: Workplace, targets: Sequence[ProgramTarget]) -> list[Co
     arm = moved_by(place.arm)
     solved = aim(arm, arm.nominal.T_M_B() @ meant[found], q_old, conditions)
     told = flange_of(chain, solved.q)
-    angles = orientation_spread(place.arm, solved.q)
     tcps = [np.eye(4) if (tcp := targets[k].tcp) is None else pose_matrix(tcp) for k in found]
-    spreads = _spreads(place, solved.q, np.array(tcps)[:, :3, 3])
     results = list(refused)
     for row, k in enumerate(found):
         residual = max(solved.residual_m[row], solved.residual_rad[row])
@@ -99,10 +107,53 @@ def solve_targets(place: Workplace, targets: Sequence[ProgramTarget]) -> list[Co
             meant=meant[k] @ tcps[row],
             told=told[row] @ tcps[row],
             nearest_to=chosen[k][1],
-            spread_mm=None if spreads is None else float(spreads[row]) * 1e3,
-            spread_mrad=None if angles is None else float(angles[row]) * 1e3,
         )
     return results
+
+
+def judged(
+    place: Workplace, targets: Sequence[ProgramTarget], corrected: Sequence[CorrectedTarget], *, every: bool
+) -> tuple[list[CorrectedTarget], list[CommonUncertainty]]:
+    """Return the corrections with their uncertainties, and what is common to the targets of each TCP.
+
+    A correction that is not significant against the target's own uncertainty is left as taught, unless ``every``; all
+    are, if neither an own part nor what is common is significant. Else what is common moves all targets together.
+    """
+    found, common = list(corrected), list[CommonUncertainty]()
+    any_significant = every
+    solved = [(targets[k].tcp, k) for k, one in enumerate(corrected) if one.q_new is not None]
+    for tcp, rows in grouped(solved).items():
+        q = np.array([corrected[k].q_new for k in rows])
+        point = np.zeros(3) if tcp is None else np.array(tcp[:3])
+        parts = divided(
+            place.arm, q, point, place.conditions(len(q)), place.measured, partial(_corrections, place, point)
+        )
+        if parts is None:
+            return found, common
+        common.append(parts.record(tcp))
+        any_significant |= parts.common_significant or parts.own_significant
+        for row, k in enumerate(rows):
+            own = {
+                "uncertainty_mm": float(parts.whole_m[row]) * 1e3,
+                "uncertainty_mrad": float(parts.whole_rad[row]) * 1e3,
+                "own_mm": float(parts.own_m[row]) * 1e3,
+                "own_mrad": float(parts.own_rad[row]) * 1e3,
+            }
+            found[k] = corrected[k].model_copy(update=own)
+    for _, k in () if every else solved:
+        one = found[k]
+        sizes = (one.correction_mm, one.correction_mrad, one.own_mm, one.own_mrad)
+        if not (any_significant and beyond(*(np.array(size, dtype=np.float64) for size in sizes))):
+            found[k] = one.model_copy(update={"new": one.old, "significant": False})
+    return found, common
+
+
+def _corrections(place: Workplace, point: Array, q: Array, conditions: MeasurementConditions) -> tuple[Array, Array]:
+    """Return by how much a plain controller at ``q`` (n, N) is told other than where the arm is: shift and rotation."""
+    told = place.arm.nominal.T_M_B() @ flange_of(controller_chain(place.arm), q)
+    true = true_flange(moved_by(place.arm), q, conditions)
+    turns = rotation_vectors(told[:, :3, :3] @ true[:, :3, :3].transpose(0, 2, 1))
+    return told[:, :3, 3] - true[:, :3, 3] + (told[:, :3, :3] - true[:, :3, :3]) @ point, turns
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -119,37 +170,57 @@ def _meant(
     poses = [k for k, target in enumerate(targets) if target.kind == "pose"]
     for k in poses:
         meant[k] = _wanted_tcp(targets[k]) @ invert(pose_matrix(targets[k].tcp or (0.0,) * 6))
-    near = np.array([targets[k].near or place.home.tolist() for k in poses]).reshape(-1, len(place.home))
+    middle = np.mean([place.measured.min(axis=0), place.measured.max(axis=0)], axis=0)
+    start = middle if place.home is None else place.home
+    near = np.array([targets[k].near or start.tolist() for k in poses]).reshape(-1, len(start))
     solutions = dict(zip(poses, branches(chain, meant[poses], place.limits, near, place.seed), strict=True))
     chosen: list[tuple[Array | None, str]] = []
-    last, function, line = place.home, None, 0
+    last, function, line = start, None, 0
     for k, target in enumerate(targets):
         if target.function != function:
-            last, function, line = place.home, target.function, 0
+            last, function, line = start, target.function, 0
         if target.kind == "joints":
             q: Array | None = np.array(target.numbers)
             meant[k] = flange_of(chain, np.array([target.numbers]))[0]
             why = ""
+        elif target.near is None and not line:
+            q, why = _first_posture(place, solutions[k], middle)
         else:
-            why = "qnear" if target.near is not None else f"line {line}" if line else "home"
             to = last if target.near is None else np.array(target.near)
             q = nearest(solutions[k], place.limits, to)
-        chosen.append((q, why if q is not None else "out of reach, or only beyond a joint's limits"))
+            why = "qnear" if target.near is not None else f"line {line}"
+        chosen.append(
+            (q, why if q is not None or len(solutions[k]) else "out of reach, or only beyond a joint's limits")
+        )
         if q is not None:
             last, line = q, target.line
     return meant, chosen
 
 
-def _spreads(place: Workplace, q: Array, tcps: Array) -> Array | None:
-    """Return the standard deviation (n,) [m] of a coordinate of the TCPs (n, 3) at ``q`` (n, N); None if unknown."""
-    spreads = np.zeros(len(q))
-    for tcp in np.unique(tcps, axis=0):
-        same = np.all(tcps == tcp, axis=1)
-        found = position_spread(place.arm, q[same], tcp, place.conditions(int(same.sum())))
-        if found is None:
-            return None
-        spreads[same] = found
-    return spreads
+def _first_posture(place: Workplace, solutions: Array, middle: Array) -> tuple[Array | None, str]:
+    """Choose among solutions (k, N) [rad] of a target before which the program does not say where the arm is.
+
+    The controller takes the one nearest to where the arm stands: at home, where the profile has it. Else it must be the
+    only one within the ranges of the readings, or the only one. Return it and why, or None and why not.
+    """
+    turned = [q for one in solutions if (q := nearest(one[None], place.limits, middle)) is not None]
+    within = [q for q in turned if not outside(q, place.measured)]
+    if place.home is not None:
+        at_home = nearest(solutions, place.limits, place.home)
+        if at_home is not None and (len(within) != 1 or not outside(at_home, place.measured)):
+            return at_home, "home"
+    possible = within or turned
+    if len(possible) == 1:
+        return possible[0], "readings" if within else "reach"
+    where = "" if within else ", each outside the calibrated range"
+    words = ", ".join(map(posture_text, possible))
+    reason = f"{len(possible)} postures reach it{where}, {words} deg: say which by qnear or arms.*.home of the profile"
+    return None, reason
+
+
+def posture_text(q: Array | Sequence[float]) -> str:
+    """Return joint positions (N,) [rad] in degrees."""
+    return f"({', '.join(f'{angle + 0.0:.0f}' for angle in np.degrees(q).round())})"
 
 
 def _wanted_tcp(target: ProgramTarget) -> Array:
@@ -200,8 +271,6 @@ def _corrected(
     meant: Array,
     told: Array,
     nearest_to: str,
-    spread_mm: float | None,
-    spread_mrad: float | None,
 ) -> CorrectedTarget:
     shift = float(np.linalg.norm(told[:3, 3] - meant[:3, 3]))
     turn = float(np.linalg.norm(rotation_vectors((meant[:3, :3].T @ told[:3, :3])[None])[0]))
@@ -221,8 +290,6 @@ def _corrected(
         correction_mm=shift * 1e3,
         correction_mrad=turn * 1e3,
         q_new=six(q_new.tolist()),
-        uncertainty_mm=spread_mm,
-        uncertainty_mrad=spread_mrad,
         nearest_to=nearest_to,
     )
 
@@ -331,36 +398,6 @@ def nearest(solutions: Array, limits: Array, to: Array) -> Array | None:
     if len(turned) == 0:
         return None
     return np.asarray(turned[np.argmin(np.sum((turned - to) ** 2, axis=1))])
-
-
-def position_spread(arm: ArmModel, q: Array, tcp: Array, conditions: MeasurementConditions) -> Array | None:
-    """Return the standard deviation (n,) [m] of a coordinate of the point ``tcp`` (3,) on the flange; None if unknown.
-
-    The uncertainty of the SMR's offset does not affect it and is left out of the posterior draws.
-    """
-    if arm.posterior is None:
-        return None
-    of_tool = np.array(arm.posterior.columns) >= 6 + 5 * arm.geometry.joints
-    draws = np.where(of_tool, 0.0, arm.posterior.geometry)
-    return replace(_with_tool(arm, tcp), posterior=replace(arm.posterior, geometry=draws)).uncertainty(q, conditions)
-
-
-def orientation_spread(arm: ArmModel, q: Array) -> Array | None:
-    """Return the standard deviation (n,) [rad] of the flange's orientation from posterior draws; None without draws.
-
-    It is the root mean square of the angle between drawn and identified orientation, from geometry only.
-    """
-    if arm.posterior is None:
-        return None
-    columns = list(arm.posterior.columns)
-    own = flange_poses(arm.geometry, q)[0].transpose(0, 2, 1)
-    vector, squares = arm.geometry.vector(), np.zeros(len(q))
-    for draw in arm.posterior.geometry:
-        drawn = vector.copy()
-        drawn[columns] += draw
-        rotations = flange_poses(arm.geometry.with_vector(drawn), q)[0]
-        squares += np.sum(rotation_vectors(rotations @ own) ** 2, axis=1)
-    return np.asarray(np.sqrt(squares / len(arm.posterior.geometry)))
 
 
 def outside(q: Array, measured: Array) -> list[int]:
@@ -499,10 +536,11 @@ _UNKNOWN = {
     DriverVariable.DWELL: "after a long rest",
 }
 
+_ONLY = {"readings": "the only one within the ranges of the readings", "reach": "the only one that reaches it"}
+
 SIZES = (
-    "moves and turns: by how much the pose of the TCP is corrected; sigma: standard uncertainty of a coordinate of the"
-    " corrected TCP by the calibrated model, so that a corrected target is within 2 sigma in each coordinate with 95 %"
-    " probability"
+    "moves and turns: by how much the pose of the TCP is corrected; sigma: the target's own standard uncertainty of a"
+    " coordinate of the TCP by the calibrated model, relative to the other targets; what is common to all stands below"
 )
 """Explanation of the numbers of the table."""
 
@@ -542,14 +580,34 @@ def correct_lines(result: CorrectResult) -> list[str]:
     """Return what was written, what was assumed and what was refused, as lines."""
     done = sum(not one.reason for one in result.targets)
     refused = result.refused
-    lines = [SIZES, f"arm {result.arm}: {counted(done, 'target')} corrected, {len(refused)} not"]
+    kept = sum(one.significant is False for one in result.targets)
+    lines = [SIZES, f"arm {result.arm}: {counted(done - kept, 'target')} corrected, {len(refused)} not"]
+    if kept:
+        lines.append(
+            f"{counted(kept, 'target is', 'targets are')} left as taught: the correction is not significant against the"
+            " target's own sigma (--insignificant corrects them too)"
+        )
+    lines += map(_common_words, result.common)
     lines += [f"  assumed {line}" for line in result.assumptions]
+    lines += [
+        f"{result.program}:{one.line}: {one.command}: posture {posture_text(one.q_new)} deg,"
+        f" {_ONLY.get(one.nearest_to) or f'nearest to {one.nearest_to}'}"
+        for one in result.targets
+        if one.q_new is not None and one.kind == "pose"
+    ]
     lines += [f"{result.program}:{line}: {command}: {reason}" for line, command, reason in refused]
     lines += [
         f"{result.program}:{one.line}: {one.command}: left, {one.reason}" for one in result.left if not one.refused
     ]
     lines += result.notes
     return [*lines, "nothing was written" if result.out is None else f"written to {result.out}"]
+
+
+def _common_words(one: CommonUncertainty) -> str:
+    """State what is common to the targets of a TCP, and what would determine it."""
+    tcp = "of the flange" if one.tcp is None else f"of TCP p[{', '.join(f'{value:g}' for value in one.tcp)}]"
+    against = f"what the corrections have in common is {'' if one.significant else 'not '}significant against it"
+    return f"sigma common to all targets {tcp}: {one.sentence}; {against}"
 
 
 def refusal(result: CorrectResult) -> str:

@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -236,8 +237,8 @@ class Statement:
     Attributes
     ----------
     line : int
-    function : str
-        Innermost function or thread that contains it; empty outside of all.
+    path : tuple of str
+        Functions and threads that contain it, the innermost last.
     depth : int
         Number of blocks (if, while, ...) around it within that function.
     assigned : str
@@ -248,20 +249,25 @@ class Statement:
     """
 
     line: int
-    function: str
+    path: tuple[str, ...]
     depth: int
     assigned: str
     expression: Expression | None
     tokens: tuple[Token, ...]
 
+    @property
+    def function(self) -> str:
+        """Innermost function or thread; empty outside of all."""
+        return self.path[-1] if self.path else ""
+
 
 @dataclass(frozen=True)
 class Program:
-    """Program: its text, its statements, and the names of the parameters of its functions."""
+    """Program: its text, statements, and the parameters of its functions; of one that is defined twice, all and ""."""
 
     text: str
     statements: tuple[Statement, ...]
-    parameters: frozenset[str]
+    parameters: Mapping[str, tuple[str, ...]]
 
 
 def parse_program(text: str, where: str) -> Program:
@@ -273,11 +279,11 @@ def parse_program(text: str, where: str) -> Program:
         If its blocks do not match; the message has ``where`` and the line.
     """
     statements: list[Statement] = []
-    parameters: set[str] = set()
+    parameters: dict[str, tuple[str, ...]] = {}
     stack: list[tuple[str, str, int]] = []  # kind of block, function, line
     for words in _pieces(text):
         first = words[0]
-        function = next((name for kind, name, _ in reversed(stack) if kind in _FUNCTIONS), "")
+        path = tuple(name for kind, name, _ in stack if kind in _FUNCTIONS)
         inner = [kind for kind, _, _ in stack]
         depth = next((k for k, kind in enumerate(reversed(inner)) if kind in _FUNCTIONS), len(inner))
         if first.text == "end" and len(words) == 1:
@@ -287,15 +293,16 @@ def parse_program(text: str, where: str) -> Program:
         elif first.text in _FUNCTIONS and first.kind == "name":
             name = words[1].text if len(words) > 1 else ""
             stack.append((first.text, name, first.line))
-            parameters.update(word.text for word in words[2:] if word.kind == "name")
+            own = [word.text for sign, word in pairwise(words[2:]) if sign.text in "(," and word.kind == "name"]
+            parameters[name] = (*parameters[name], *own, "") if name in parameters else tuple(own)
         else:
-            statements.append(_statement(words, function, depth))
+            statements.append(_statement(words, path, depth))
             if first.text in _BLOCKS and words[-1].text == ":":
-                stack.append((first.text, function, first.line))
+                stack.append((first.text, "", first.line))
     if stack:
         kind, _, line = stack[-1]
         raise InputError(f"{where}:{line}: '{kind}' has no 'end'; nothing was written")
-    return Program(text, tuple(statements), frozenset(parameters))
+    return Program(text, tuple(statements), parameters)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -326,7 +333,7 @@ def _cut(words: Sequence[Token]) -> int:
     return next((k for k, word in enumerate(words) if word.text == "end" and k > 0), len(words))
 
 
-def _statement(words: Sequence[Token], function: str, depth: int) -> Statement:
+def _statement(words: Sequence[Token], path: tuple[str, ...], depth: int) -> Statement:
     rest, assigned = list(words), ""
     if rest[0].text in (*_BLOCKS, *_BRANCHES):
         rest = rest[1:-1] if rest[-1].text == ":" else rest[1:]
@@ -338,13 +345,15 @@ def _statement(words: Sequence[Token], function: str, depth: int) -> Statement:
         expression = parse_expression(rest)
     except Unreadable:
         expression = None
-    return Statement(words[0].line, function, depth, assigned, expression, tuple(words))
+    return Statement(words[0].line, path, depth, assigned, expression, tuple(words))
 
 
 # -- Evaluate expressions that have the same value whenever the program runs ------------------------------------------
 #
-# A variable is constant if the whole program assigns it once, to such an expression, and no function has a parameter of
-# its name. Functions: ``pose_trans``, ``pose_inv``, ``pose_add``, ``d2r``, ``r2d`` (URScript Manual, module urmath).
+# A variable is constant if it is assigned once, to such an expression, and is no parameter. Functions that do not
+# contain each other may have variables of the same name: without ``global``, and with none outside of functions, each
+# has its own (URScript Manual, "Scoping rules"). Functions: ``pose_trans``, ``pose_inv``, ``pose_add``, ``d2r``,
+# ``r2d`` (module urmath).
 
 
 SIX = 6
@@ -385,11 +394,17 @@ class Constants:
         self._parameters = program.parameters
         self._assigned = grouped((name, one) for one in program.statements for name in _assigned_names(one))
 
-    def definition(self, name: str) -> Expression:
-        """Return the only expression that a variable is assigned. Raise ``Unresolved``."""
-        if name in self._parameters:
+    def definition(self, name: str, path: tuple[str, ...]) -> tuple[Expression, tuple[str, ...]]:
+        """Return the only expression that a variable in a function (``path``) is assigned, and the function where.
+
+        Raise ``Unresolved``.
+        """
+        if any(name in self._parameters.get(function, ()) for function in path):
             raise Unresolved(f"'{name}' is a parameter of a function")
         found = self._assigned.get(name, [])
+        own = [one for one in found if one.path == path]
+        if len(own) == 1 and not any(_shared(one, path) for one in found):
+            found = own
         if not found:
             raise Unresolved(f"'{name}' is not assigned in this program")
         if len(found) > 1:
@@ -397,28 +412,28 @@ class Constants:
             raise Unresolved(f"'{name}' is assigned {len(found)} times (lines {lines})")
         if found[0].assigned != name or found[0].expression is None:
             raise Unresolved(f"what line {found[0].line} does to '{name}' cannot be read")
-        return found[0].expression
+        return found[0].expression, found[0].path
 
-    def value(self, expression: Expression, within: tuple[str, ...] = ()) -> Value:
-        """Return the value of an expression. Raise ``Unresolved``."""
+    def value(self, expression: Expression, path: tuple[str, ...], within: tuple[str, ...] = ()) -> Value:
+        """Return the value of an expression in a function. Raise ``Unresolved``."""
         match expression:
             case Number(value=value):
                 return Value((value,))
             case Name(name=name):
                 check_chain(name, within)
-                return self.value(self.definition(name), (*within, name))
+                return self.value(*self.definition(name, path), (*within, name))
             case Items(items=items, pose=pose):
-                return Value(tuple(self._number(item, within) for item in items), pose)
+                return Value(tuple(self._number(item, path, within) for item in items), pose)
             case Operation(sign=sign, operands=operands):
-                return _operation(sign, [self.value(operand, within) for operand in operands])
+                return _operation(sign, [self.value(operand, path, within) for operand in operands])
             case Call(function=function, arguments=arguments, named=named) if not named:
-                return _call(function, [self.value(argument, within) for argument in arguments])
+                return _call(function, [self.value(argument, path, within) for argument in arguments])
             case Call(function=function):
                 raise Unresolved(f"{function}(...) {_RUNNING}")
         raise Unresolved(f"it {_RUNNING}")
 
-    def _number(self, expression: Expression, within: tuple[str, ...]) -> float:
-        numbers = self.value(expression, within).numbers
+    def _number(self, expression: Expression, path: tuple[str, ...], within: tuple[str, ...]) -> float:
+        numbers = self.value(expression, path, within).numbers
         if len(numbers) != 1:
             raise Unresolved("a list stands where a number is expected")
         return numbers[0]
@@ -433,6 +448,14 @@ def check_chain(name: str, within: Sequence[str]) -> None:
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _shared(statement: Statement, path: tuple[str, ...]) -> bool:
+    """Return whether a variable that a statement assigns may be the same one in the function ``path``."""
+    if statement.path == path:
+        return statement.tokens[0].text == "global"
+    nested = min(len(statement.path), len(path))
+    return statement.tokens[0].text == "global" or statement.path[:nested] == path[:nested]
 
 
 def _assigned_names(statement: Statement) -> list[str]:

@@ -447,8 +447,6 @@ Columns = Mapping[str, NDArray[np.float64]]
 
 TEXTS = ("recording", "arm", "split")
 POINT = ("x_m", "y_m", "z_m")
-TRIGGER = "trigger_s"
-"""Timestamp of a pulse from the controller to the tracker, by the device's own clock, in the row nearest to it."""
 OPTIONAL_OF_JOINTS = ("qd", "joint_temperature")
 BESIDE = "other_q"
 """Joint positions of the other arm of the cell, if it moved meanwhile."""
@@ -484,11 +482,10 @@ class Implausible:
 def stems(kind: Kind, joints: int, others: int = 0) -> dict[str, tuple[str, ...]]:
     """Return quantity -> its columns; the first two of a kind are required. ``others``: joints of the other arm."""
     if kind == "points":
-        points = {"time_s": ("time_s",), "p_M": POINT, "sigma_m": ("sigma_m",), "quaternion": QUATERNION}
-        return {**points, "trigger": (TRIGGER,)}
+        return {"time_s": ("time_s",), "p_M": POINT, "sigma_m": ("sigma_m",), "quaternion": QUATERNION}
     per_joint = {stem: tuple(f"{stem}{j}" for j in range(1, joints + 1)) for stem in ("q", *OPTIONAL_OF_JOINTS)}
     beside = tuple(f"{BESIDE}{j}" for j in range(1, others + 1))
-    return {"time_s": ("time_s",), **per_joint, BESIDE: beside, "trigger": (TRIGGER,)}
+    return {"time_s": ("time_s",), **per_joint, BESIDE: beside}
 
 
 def state_of(time_s: NDArray[np.float64], lost: int = 0) -> StreamState:
@@ -592,7 +589,6 @@ def joint_stream(columns: Columns, joints: int) -> JointStream:
     return JointStream(
         time_s=columns["time_s"],
         q=_matrix(columns, names["q"]),
-        triggers_s=_pulses(columns),
         other_q=_matrix(columns, tuple(beside)) if beside else None,
         **optional,
     )
@@ -609,23 +605,7 @@ def point_stream(columns: Columns, splits: tuple[str, ...] | None) -> PointStrea
         sigma_m=columns.get("sigma_m"),
         quaternion=_matrix(columns, QUATERNION) if QUATERNION[0] in columns else None,
         held_out=held_out,
-        triggers_s=_pulses(columns),
     )
-
-
-def _pulses(columns: Columns) -> NDArray[np.float64]:
-    """Return the timestamps of pulses (k,) in a stream; none without a trigger."""
-    stamps = columns.get(TRIGGER, np.empty(0))
-    return stamps[np.isfinite(stamps)]
-
-
-def pulse_column(time_s: NDArray[np.float64], pulses_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a column with each pulse's timestamp (k,) in its nearest free row of ``time_s`` (n,), else NaN."""
-    column = np.full(len(time_s), np.nan)
-    for pulse in pulses_s.tolist():
-        free = np.flatnonzero(np.isnan(column))
-        column[free[np.argmin(np.abs(time_s[free] - pulse))]] = pulse
-    return column
 
 
 def _matrix(columns: Columns, names: tuple[str, ...]) -> NDArray[np.float64]:

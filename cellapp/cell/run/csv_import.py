@@ -34,6 +34,8 @@ from cellapp.cell.run.stations import (
     tie_sentences,
     twice_at_a_stop,
 )
+from cellapp.estimation.calibration.quantities import repeats_words
+from cellapp.estimation.calibration.registration import factory_doubt
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, OF_SOCKETS
 from cellapp.estimation.readings.readings import Readings, one_pose_a_stop, smr_names
 from cellapp.ground.errors import InputError
@@ -176,6 +178,9 @@ def readings_of_table(
     readings, orders, notes = _read(table, joint_counts, in_order, joint_limits(profile))
     readings, made = _one_a_stop(table, readings, smr)
     notes += made
+    said = {arm: repeats_words(its.q, its.p_M) for arm, its in readings.items() if its.station is None}
+    doubts = {arm: factory_doubt(profile.arms[arm], its) for arm, its in readings.items()}
+    notes += [f"{table.path}: arm '{arm}': {words}" for its in (said, doubts) for arm, words in its.items() if words]
     missing = [name for name in profile.arms if name not in readings and name not in recorded]
     if missing:
         raise InputError(

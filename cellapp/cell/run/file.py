@@ -13,7 +13,10 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import sqlite3
+import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -257,6 +260,9 @@ def _extras_from_cells(cells: Sequence[str | None]) -> dict[str, tuple[str, ...]
     rows = [{} if cell is None else json.loads(cell) for cell in cells]
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: tuple(str(row.get(name, "")) for row in rows) for name in names}
+
+
+_BLOCK = bytes(65536)
 
 
 class RunFile:
@@ -590,6 +596,25 @@ class RunFile:
             return [] if schema_version(connection) < 3 else select_stages(connection)
 
     # -- collecting --------------------------------------------------------------------------------------------------
+
+    def require_space(self, needed_bytes: int, what: str) -> None:
+        """Check that the disk takes what ``what`` needs, with a synced file that goes. Raise ``InputError``."""
+        try:
+            with tempfile.TemporaryFile(dir=self.folder) as probe:
+                if sys.platform == "linux":
+                    os.posix_fallocate(probe.fileno(), 0, needed_bytes)
+                else:
+                    for _ in range(-(-needed_bytes // len(_BLOCK))):
+                        probe.write(_BLOCK)
+                probe.write(_BLOCK)
+                probe.flush()
+                os.fsync(probe.fileno())
+        except OSError as error:
+            raise InputError(
+                f"{self.folder}: {what} needs {needed_bytes / 1e6:.1f} MB there, which cannot be written"
+                f" ({error.strerror}; {shutil.disk_usage(self.folder).free / 1e6:.1f} MB are free); make room, then try"
+                " again"
+            ) from error
 
     def begin_session(self, again: str = "") -> int:
         """Record that collecting begins, or measuring the stops ``again`` once more; return the session's number."""

@@ -24,7 +24,6 @@ from cellapp.cell.run.columns import (
     POINT,
     QUATERNION,
     TEXTS,
-    TRIGGER,
     Implausible,
     Kind,
     Understood,
@@ -258,7 +257,7 @@ def checked_recording(
         joints=state_of(joints.columns["time_s"]),
         points=state_of(seen.columns["time_s"], int(lost.sum())),
         optional=tuple(stem for stem in (*OPTIONAL_OF_JOINTS, BESIDE) if f"{stem}1" in joints.columns)
-        + tuple(name for name in ("sigma_m", "quat_w", "split", TRIGGER) if name in seen.columns),
+        + tuple(name for name in ("sigma_m", "quat_w", "split") if name in seen.columns),
         unknown=tuple(name for name in columns if name not in known),
     )
     return RecordedStreams(state, joints, seen)

@@ -28,6 +28,7 @@ from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
+from cellapp.ground.shell import shell_word
 from cellapp.robot.plugins import program_of
 
 
@@ -108,13 +109,13 @@ def select_stages(connection: sqlite3.Connection) -> list[StageRow]:
 
 
 APPLICATION_ID = 0x43656C6C
-SCHEMA_VERSION = 10
+SCHEMA_VERSION = 11
 """Version of the schema. New in each version: 2: each joint's last step and the dwell time of a reading. 3: results of
 verbs in the table ``stage``. 4: sessions of collecting, outcomes of stops that were not measured, reference
 measurements. 5: place of a reading in the order of measurement. 6: recordings of motion. 7: names of points in place of
 measured positions. 8: orientation, torques, currents, centre of the payload, nest and station of a reading, and several
 readings of an arm at a stop. 9: readings that were replaced when their stop was measured again, and which sessions did
-that. 10: covariance of a rotation; torques and currents are no longer read."""
+that. 10: covariance of a rotation; torques and currents are no longer read. 11: range of its joints."""
 FORMER_COLUMNS = {"tau_nm": "tau", "current_a": "current"}
 """Quantities per joint in files of schemas 8 and 9 -> the stem of their columns in a CSV file. They are kept, and given
 as the unknown columns of an imported file are."""
@@ -302,7 +303,8 @@ def make_empty_folder(folder: Path) -> list[Path]:
             names = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith(UNFINISHED))
         if FILE_NAME in names:
             raise InputError(
-                f"{folder} already holds a run ({FILE_NAME}): 'cellapp show {folder}' says what comes next in it;"
+                f"{folder} already holds a run ({FILE_NAME}): 'cellapp show {shell_word(folder)}' says what"
+                " comes next in it;"
                 " for another run choose a new folder"
             )
         if names:

@@ -41,71 +41,82 @@ STRIDE = 8
 """Stride of the coarse samples, which are checked first; a multiple of 2 * ``EVERY``."""
 
 
-@dataclass(frozen=True, eq=False)
-class SampledPath:
-    """Evenly spaced samples of one arm's path; no point of a body is farther than ``deviation`` [m] from its nearest.
+Bools = NDArray[np.bool_]
+Numbers = NDArray[np.intp]
 
-    Most of a path is far from everything. Therefore every ``STRIDE``-th sample is checked first. Bodies are placed at
-    the samples around it only where a body, displaced as far as possible, could come too near.
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """Paths of one arm from ``start`` to ``target`` (n, N) [rad], each as ``count`` (n,) evenly spaced samples.
+
+    No point of a body is farther than ``deviation`` from where it is at the nearest sample. Most of a path is far from
+    everything. Therefore every ``STRIDE``-th sample is checked first. Bodies are placed at the samples around it only
+    where a body, displaced as far as possible, could come too near.
     """
 
     arm: ArmBodies
     start: Array
     target: Array
-    count: int
+    count: Numbers
+
+    @classmethod
+    def of(cls, arm: ArmBodies, start: Array, target: Array, spacing: float) -> Paths:
+        """Sample paths so that no point of a body moves more than ``spacing`` [m] in ``EVERY`` steps."""
+        longest = np.abs(target - start) @ arm.levers
+        count = np.asarray(EVERY * np.maximum(1, np.ceil(longest / spacing)) + 1, dtype=np.intp)
+        return cls(arm, start, target, count)
+
+    def take(self, rows: Numbers) -> Paths:
+        """Select some of the paths, in their order, with those of their bodies that are placed already."""
+        if len(rows) == len(self.count):
+            return self
+        some = Paths(self.arm, self.start[rows], self.target[rows], self.count[rows])
+        if "coarse_bodies" in vars(self):
+            kept = np.zeros(len(self.count), dtype=np.bool_)
+            kept[rows] = True
+            vars(some)["coarse_bodies"] = self.coarse_bodies.take(np.flatnonzero(kept[self.coarse[0]]))
+        return some
 
     @cached_property
     def half_step(self) -> Array:
-        """Largest motion of each joint from any point of the path to the nearest sample, shape (N,) [rad]."""
-        return np.asarray(np.abs(self.target - self.start) * (0.5 / (self.count - 1)))
+        """Largest motion of each joint from any point to the nearest sample, for each path (n, N) [rad]."""
+        return np.asarray(np.abs(self.target - self.start) * (0.5 / (self.count - 1))[:, None])
 
     @cached_property
-    def deviation(self) -> float:
-        """Largest displacement of any point of a body relative to its place at the nearest sample [m]."""
-        return float(self.half_step @ self.arm.levers)
+    def deviation(self) -> Array:
+        """Largest displacement of any point of a body from its place at the nearest sample, for each path (n,) [m]."""
+        return np.asarray(self.half_step @ self.arm.levers)
 
     @cached_property
-    def deviations(self) -> Array:
-        """``deviation`` of each body, shape (m,) [m]."""
-        return np.asarray(self.arm.body_levers @ self.half_step)
-
-    @property
-    def spread(self) -> float:
-        """Largest displacement of a point of a body at a sample relative to the nearest coarse sample [m]."""
-        return STRIDE * self.deviation
-
-    @cached_property
-    def coarse(self) -> np.ndarray:
-        """Indices of every ``STRIDE``-th sample and of the last one."""
-        return np.append(np.arange(0, self.count - 1, STRIDE), self.count - 1)
+    def coarse(self) -> tuple[Numbers, Numbers]:
+        """Path and index of every ``STRIDE``-th sample and of the last one of all paths, (r,) each."""
+        number = -(-(self.count - 1) // STRIDE) + 1
+        path = np.repeat(np.arange(len(number)), number)
+        place_in_path = np.arange(len(path)) - np.repeat(np.cumsum(number) - number, number)
+        return path, np.minimum(STRIDE * place_in_path, self.count[path] - 1)
 
     @cached_property
     def coarse_bodies(self) -> Placed:
         """The bodies at the coarse samples."""
-        return self.placed(self.coarse)
+        return self.placed(*self.coarse)
 
-    def placed(self, samples: np.ndarray) -> Placed:
-        """Place the bodies at some of the samples."""
-        share = np.where(samples == self.count - 1, 1.0, samples * (1.0 / (self.count - 1)))
-        return place(self.arm, self.start + share[:, None] * (self.target - self.start))
+    def placed(self, path: Numbers, sample: Numbers) -> Placed:
+        """Place the bodies at some samples of some paths."""
+        last = self.count[path] - 1
+        share = np.where(sample == last, 1.0, sample * (1.0 / last))
+        return place(self.arm, self.start[path] + share[:, None] * (self.target[path] - self.start[path]))
 
-    def around(self, doubtful: np.ndarray, every: int = 1) -> np.ndarray:
-        """Return, of every ``every``-th sample, those nearest to the ``doubtful`` ones (bool) of the coarse samples."""
-        near = self.coarse[doubtful][:, None] + np.arange(-(STRIDE // 2), STRIDE // 2 + 1)
-        chosen = np.zeros(self.count, dtype=bool)
-        chosen[np.clip(near, 0, self.count - 1)] = True
-        return np.flatnonzero(chosen[::every]) * every
-
-
-def sample_path(arm: ArmBodies, start: Array, target: Array, spacing: float) -> SampledPath:
-    """Sample a path so that no point of a body moves more than ``spacing`` [m] in ``EVERY`` steps."""
-    return SampledPath(arm, start, target, int(sample_counts(arm, start[None], target[None], spacing)[0]))
-
-
-def sample_counts(arm: ArmBodies, start: Array, target: Array, spacing: float) -> NDArray[np.intp]:
-    """Return the number of samples (n,) of n such paths."""
-    longest = np.abs(target - start) @ arm.levers
-    return np.asarray(EVERY * np.maximum(1, np.ceil(longest / spacing)) + 1, dtype=np.intp)
+    def around(self, doubtful: Bools, every: int = 1) -> tuple[Numbers, Numbers]:
+        """Return path and index of every ``every``-th sample nearest to the ``doubtful`` (r,) coarse samples."""
+        path, sample = (part[doubtful] for part in self.coarse)
+        if not len(path):
+            return path, sample
+        near = np.clip(sample[:, None] + np.arange(-(STRIDE // 2), STRIDE // 2 + 1), 0, self.count[path, None] - 1)
+        longest = int(self.count.max())
+        both = np.unique(path[:, None] * longest + near)
+        path, sample = both // longest, both % longest
+        chosen = sample % every == 0
+        return path[chosen], sample[chosen]
 
 
 # -- Distances between two arms, at rest and on paths with any relative speed -----------------------------------------
@@ -138,30 +149,39 @@ def gap_at_rest(first: Placed, second: Placed, within: float) -> Array:
     return gaps
 
 
-def gap_on_paths(first: SampledPath, second: SampledPath, clearance: float) -> tuple[float, float]:
-    """Compute the distance of two arms at any relative speed on their paths, and the allowance for samples [m].
+def gap_on_paths(first: Paths, second: Paths, clearance: float) -> tuple[float, float]:
+    """Compute the distance of two arms at any relative speed on one path of each, and the allowance for samples [m].
 
     The distance is infinite if all pairs of samples keep ``clearance`` plus the allowance; else it is that of a pair
     that does not.
     """
-    allowance = EVERY * (first.deviation + second.deviation)
+    both = float(first.deviation[0] + second.deviation[0])
+    allowance = EVERY * both
     needed = clearance + allowance
-    rows_first, rows_second = _within_reach(
-        first.coarse_bodies, second.coarse_bodies, needed + first.spread + second.spread
-    )
+    rows_first, rows_second = _within_reach(first.coarse_bodies, second.coarse_bodies, needed + STRIDE * both)
     if not (rows_first.any() and rows_second.any()):
         return np.inf, allowance
     gap = _first_gap_below(
-        first.placed(first.around(np.any(rows_first, axis=1), EVERY)),
-        second.placed(second.around(np.any(rows_second, axis=1), EVERY)),
+        first.placed(*first.around(np.any(rows_first, axis=1), EVERY)),
+        second.placed(*second.around(np.any(rows_second, axis=1), EVERY)),
         needed,
     )
     return gap, allowance
 
 
-def may_meet(
-    first: Placed, of_first: NDArray[np.intp], second: Placed, of_second: NDArray[np.intp], within: Array
-) -> NDArray[np.bool_]:
+def stay_apart(first: Paths, second: Paths, clearance: float) -> Bools:
+    """Return whether two arms keep the clearance on each pair of n paths, at any relative speed, (n,)."""
+    needed = clearance + (EVERY + STRIDE) * (first.deviation + second.deviation)
+    near = _may_meet(first.coarse_bodies, first.coarse[0], second.coarse_bodies, second.coarse[0], needed)
+    apart = ~near
+    for row in np.flatnonzero(near).tolist():
+        one = np.array([row])
+        gap, allowance = gap_on_paths(first.take(one), second.take(one), clearance)
+        apart[row] = gap >= clearance + allowance
+    return apart
+
+
+def _may_meet(first: Placed, of_first: Numbers, second: Placed, of_second: Numbers, within: Array) -> Bools:
     """Return whether two arms, along the line between their bases, come within (n,) [m] on each of n paths, (n,).
 
     ``of_first`` and ``of_second`` are the paths, in order, to which the bodies of each arm belong. NaN counts as near.
@@ -319,13 +339,13 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
     missing = [name for name in cell.arms if name not in q_from or name not in q_to]
     if missing:
         return f"arm {missing[0]}: its position or target is not given"
-    paths: dict[str, SampledPath] = {}
+    paths: dict[str, Paths] = {}
     for name, arm in cell.arms.items():
         start, target = np.asarray(q_from[name], dtype=np.float64), np.asarray(q_to[name], dtype=np.float64)
         refusal = _refuse_values(arm, start, target)
         if not refusal:
-            paths[name] = sample_path(arm, start, target, sample_spacing(cell))
-            refusal = _refuse_alone(cell, paths[name])
+            paths[name] = Paths.of(arm, start[None], target[None], sample_spacing(cell))
+            _, refusal = alone_free(cell, paths[name])
         if refusal:
             return f"arm {name}: {refusal}"
     asked = cell.clearance + cell.apart
@@ -486,36 +506,51 @@ def _refuse_values(arm: ArmBodies, start: Array, target: Array) -> str:
     return f"joint {j + 1} at {math.degrees(target[j]):.1f} deg is outside its limits {low:.1f} to {high:.1f} deg"
 
 
-def _refuse_alone(cell: CellBodies, path: SampledPath) -> str:
-    """Return why one arm must not follow its path, without regard to other arms; empty if it may.
+def alone_free(cell: CellBodies, paths: Paths) -> tuple[Numbers, str]:
+    """Return the indices of the paths on which an arm is clear of floor, ceiling, obstacles and itself, without regard
+    to other arms, and why the first of the others is refused.
 
     The comparisons are negated so that a NaN refuses.
     """
-    return _refuse_heights(cell, path) or _refuse_obstacles(cell, path) or _refuse_itself(cell, path)
+    free, first = np.arange(len(paths.count)), ""
+    obstacles = (_obstacles_free,) if cell.obstacles else ()
+    for condition in (_heights_free, *obstacles, _itself_free):
+        if len(free):
+            kept, refusal = condition(cell, paths.take(free))
+            free, first = free[kept], first or refusal
+    return free, first
 
 
-def _refuse_heights(cell: CellBodies, path: SampledPath) -> str:
-    needed = cell.clearance + path.deviation
-    bodies = path.coarse_bodies
+def _heights_free(cell: CellBodies, paths: Paths) -> tuple[Bools, str]:
+    needed, bodies = cell.clearance + paths.deviation, paths.coarse_bodies
     heights = np.minimum(floor_clearance(bodies, cell.floor), ceiling_clearance(bodies, cell.ceiling))
-    doubtful = ~(heights >= needed + path.spread)
-    if doubtful.any():
-        bodies = path.placed(path.around(doubtful))
+    path, sample = paths.around(~(heights >= (needed + STRIDE * paths.deviation)[paths.coarse[0]]))
+    free, refusal = np.ones(len(needed), dtype=np.bool_), ""
+    if len(path):
+        bodies = paths.placed(path, sample)
         for gaps, what in (
             (floor_clearance(bodies, cell.floor), "the floor"),
             (ceiling_clearance(bodies, cell.ceiling), "the ceiling"),
         ):
-            if not gaps.min() >= needed:
-                return _too_near("comes", float(gaps.min()), path.deviation, cell.clearance, what)
-    return ""
+            low = path[~(gaps >= needed[path])]
+            free[low] = False
+            if len(low) and not refusal:
+                gap, hidden = float(gaps[path == low[0]].min()), float(paths.deviation[low[0]])
+                refusal = _too_near("comes", gap, hidden, cell.clearance, what)
+    return free, refusal
 
 
-def _refuse_obstacles(cell: CellBodies, path: SampledPath) -> str:
-    if not cell.obstacles:
-        return ""
+def _obstacles_free(cell: CellBodies, paths: Paths) -> tuple[Bools, str]:
+    refusals = [_refuse_obstacles(cell, paths.take(np.array([row]))) for row in range(len(paths.count))]
+    return np.array([not one for one in refusals], dtype=np.bool_), next(filter(None, refusals), "")
+
+
+def _refuse_obstacles(cell: CellBodies, path: Paths) -> str:
+    """Return why an arm must not follow one path because of obstacles; empty if it may."""
     bodies, clearances = path.coarse_bodies, cell.obstacle_clearances[path.arm]
+    deviations = path.arm.body_levers @ path.half_step[0]
     low, high = box_about(bodies.start, bodies.end, bodies.radius)
-    spread = (STRIDE + 1) * path.deviations  # from any point of the path to the nearest coarse sample
+    spread = (STRIDE + 1) * deviations  # from any point of the path to the nearest coarse sample
     doubtful, near = np.zeros(len(bodies.smr), dtype=bool), []
     for obstacle, asked in zip(cell.obstacles, clearances, strict=True):
         needed = asked + spread
@@ -528,42 +563,43 @@ def _refuse_obstacles(cell: CellBodies, path: SampledPath) -> str:
             near.append((obstacle, asked))
     if not near:
         return ""
-    bodies = path.placed(path.around(doubtful))
+    bodies = path.placed(*path.around(doubtful))
     for obstacle, asked in near:
-        needed = asked + path.deviations
+        needed = asked + deviations
         gaps = obstacle.gaps(bodies.start, bodies.end, bodies.radius, needed)
         if not (gaps >= needed).all():
             k = int(np.argmin(np.min(gaps - needed, axis=0)))
-            gap, hidden = float(gaps[:, k].min()), float(path.deviations[k])
+            gap, hidden = float(gaps[:, k].min()), float(deviations[k])
             words = _too_near("comes", gap, hidden, float(asked[k]), f"obstacle '{obstacle.name}'")
             return _carried(path.arm, k) + words
     return ""
 
 
-def keeps_obstacles(cell: CellBodies, path: SampledPath) -> bool:
-    """Return whether an arm keeps its clearance from all obstacles on a path."""
-    return not _refuse_obstacles(cell, path)
-
-
-def _refuse_itself(cell: CellBodies, path: SampledPath) -> str:
-    i, k = path.arm.own_pairs
-    if len(i) == 0:
-        return ""
-    needed = max(cell.self_clearance, path.deviation)
+def _itself_free(cell: CellBodies, paths: Paths) -> tuple[Bools, str]:
+    i, k = paths.arm.own_pairs
+    free = np.ones(len(paths.count), dtype=np.bool_)
+    if not len(i):
+        return free, ""
+    needed = np.maximum(cell.self_clearance, paths.deviation)
     # seen from one body of a pair, the other is moved only by the joints between them
-    spread = path.arm.pair_levers @ path.half_step * STRIDE
-    doubtful = ~(pair_gaps(path.coarse_bodies, i, k, needed + spread) >= needed + spread)
-    pairs = np.any(doubtful, axis=0)
-    if not pairs.any():
-        return ""
-    bodies = path.placed(path.around(np.any(doubtful, axis=1)))
-    gaps = pair_gaps(bodies, i[pairs], k[pairs], needed).min(axis=0)
-    if gaps.min() >= needed:
-        return ""
-    worst = int(np.argmin(gaps))
-    carried = _carried(path.arm, max(int(i[pairs][worst]), int(k[pairs][worst])))
+    spread = paths.half_step @ paths.arm.pair_levers.T * STRIDE  # (n, p)
+    enough = (needed[:, None] + spread)[paths.coarse[0]]
+    doubtful = ~(pair_gaps(paths.coarse_bodies, i, k, enough) >= enough)
+    path, sample = paths.around(np.any(doubtful, axis=1))
+    if not len(path):
+        return free, ""
+    asked, pairs = needed[path, None], np.any(doubtful, axis=0)
+    gaps = pair_gaps(paths.placed(path, sample), i[pairs], k[pairs], asked)
+    low = path[~np.all(gaps >= asked, axis=1)]
+    free[low] = False
+    if not len(low):
+        return free, ""
+    of_pairs = gaps[path == low[0]].min(axis=0)
+    worst = int(np.argmin(of_pairs))
+    carried = _carried(paths.arm, max(int(i[pairs][worst]), int(k[pairs][worst])))
     what = "the arm itself" if carried else "itself"
-    return carried + _too_near("comes", float(gaps[worst]), path.deviation, cell.self_clearance, what)
+    hidden = float(paths.deviation[low[0]])
+    return free, carried + _too_near("comes", float(of_pairs[worst]), hidden, cell.self_clearance, what)
 
 
 def _carried(arm: ArmBodies, body: int) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from cellapp.estimation.uncertainty.records import ToleranceVerdict, UncertaintyParts
+from cellapp.estimation.uncertainty.records import CommonUncertainty, ToleranceVerdict, UncertaintyParts
 from cellapp.ground.results import DecisionRule, ErrorSummary, Record, Result
 
 _MOST_NAMED = 5
@@ -137,10 +137,14 @@ class TargetCommand(TargetRecord):
 
 
 class CompensateResult(Result, schema="cellapp-compensate"):
-    """``compensate``: a command for each target; ``notes`` say where the model that was used is out of date."""
+    """``compensate``: a command for each target; ``notes`` say where the model that was used is out of date.
+
+    ``common`` is what the uncertainties of the targets of each arm have in common, where the model states some.
+    """
 
     targets: tuple[TargetCommand, ...]
     notes: tuple[str, ...] = ()
+    common: Mapping[str, CommonUncertainty] = {}
 
 
 Point = tuple[float, float, float]

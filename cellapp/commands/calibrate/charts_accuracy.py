@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,6 @@ from cellapp.commands.view.charts import (
     drawable_mm,
     enumerated,
     error_counts,
-    levelling_rotation,
     mm,
     noise_limit,
     series,
@@ -42,13 +40,6 @@ from cellapp.robot.model import ArmModel
 
 _BINS_A_ROOT = 2.0
 """Bins of a histogram per square root of the number of errors: 100 errors of four stages fill 20 bins."""
-_PARTS = 8
-"""Most parts of a joint's range that are compared in words: of 100 held-out configurations each has a dozen."""
-_FEW = 5
-"""Fewest configurations of a part: the mean of fewer says nothing."""
-_UNEVEN = 1.3
-"""Ratio of a part's mean error to the mean of all from which the part is named: means of a dozen errors from one
-distribution differ by less."""
 _METHOD_STYLES: Mapping[Method, int] = {"method_1": 1, "method_2": 4, "proposed": 2, "effects": 3}
 """Styles of the methods of the pair: each has the style of the stage that it builds on."""
 _CURVE = 30
@@ -195,74 +186,6 @@ def certainty_chart(name: str, predicted_mm: Array, errors_mm: Array, noise_mm: 
     )
     title = f"Arm {name}: position error against predicted uncertainty"
     return Chart(title, x, Axis("position error", "mm", logarithmic=True), drawn, message, by_stage=True)
-
-
-# -- residuals over the joints and in space ---------------------------------------------------------------------------
-
-
-def residual_joint_chart(name: str, held_out: HeldOutArm, joint: int) -> Chart:
-    """Show the held-out position errors of every stage over the angle of one joint (from 1)."""
-    angle = np.degrees(held_out.readings.q[:, joint - 1])
-    errors = held_out.errors_mm
-    drawn = tuple(
-        series(stage, angle, drawable_mm(values), "points", style=STAGE_STYLES[stage])
-        for stage, values in errors.items()
-    )
-    message = _NO_HELD_OUT
-    if errors and len(angle):
-        stage, values = list(errors.items())[-1]
-        message = f"{STAGE_WORDS[stage].capitalize()}: {along_joint(angle, values)}"
-    x, y = Axis(f"joint {joint}", "deg"), Axis("position error", "mm", logarithmic=True)
-    return Chart(f"Arm {name}: error over joint {joint}", x, y, drawn, message, by_stage=True)
-
-
-def along_joint(angle: Array, errors_mm: Array) -> str:
-    """Say where along the angles (n,) [deg] of a joint the mean error (n,) [mm] is largest, as the end of a sentence.
-
-    The parts compared have the same number of configurations.
-    """
-    parts = np.array_split(np.argsort(angle), max(min(_PARTS, len(angle) // _FEW), 1))
-    mean = float(np.mean(errors_mm))
-    worst = max(parts, key=lambda rows: float(np.mean(errors_mm[rows])))
-    largest = float(np.mean(errors_mm[worst]))
-    if largest < _UNEVEN * mean:
-        return f"mean error {mm(mean)}, about the same along the whole range."
-    low, high = angle[worst].min(), angle[worst].max()
-    return f"mean error {mm(mean)}, largest from {low:.0f}° to {high:.0f}° ({mm(largest)})."
-
-
-def residual_space_chart(
-    name: str, held_out: HeldOutArm, stage: str, view: Literal["above", "side"] = "above"
-) -> Chart:
-    """Show held-out position errors of one stage at the SMR's position, in the tracker frame with its z axis up.
-
-    Three classes of size are drawn: the smaller half, up to the 90th percentile, and the largest tenth.
-    """
-    up = 1 if view == "above" else 2
-    title = f"Arm {name}: error in space, {STAGE_WORDS[stage]}, from {'above' if view == 'above' else 'the side'}"
-    axes = Axis("x", "m"), Axis("xyz"[up], "m")
-    errors = held_out.errors_mm.get(stage)
-    if errors is None or len(errors) == 0:
-        return Chart(title, *axes, (), _NO_HELD_OUT)
-    position = held_out.readings.p_M @ levelling_rotation(held_out.calibrated.up_M).T
-    half, most = np.quantile(errors, (0.5, 0.9))
-    classes = (
-        (f"up to {mm(half)}", errors <= half, "·", 0),
-        (f"up to {mm(most)}", (errors > half) & (errors <= most), "○", 1),
-        ("larger", errors > most, "●", 5),
-    )
-    drawn = tuple(
-        series(words, position[rows, 0], position[rows, up], "points", style=style, mark=mark)
-        for words, rows, mark, style in classes
-        if rows.any()
-    )
-    worst = int(np.argmax(errors))
-    x, y, z = position[worst]
-    message = (
-        f"Nine of ten errors are below {mm(most)}; the largest, {mm(errors[worst])}, is at x = {x:.2f},"
-        f" y = {y:.2f}, z = {z:.2f} m."
-    )
-    return Chart(title, *axes, drawn, message, equal=True)
 
 
 # -- Charts of the rotation that the model's effects add to each joint, over its angle, with bands of the posterior ---

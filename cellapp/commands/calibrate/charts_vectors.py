@@ -29,15 +29,14 @@ def vector_charts(name: str, held_out: HeldOutArm) -> Iterator[Chart]:
     shown = readings.take(evenly_spread(len(readings), _MOST_ARROWS))
     residual_M = shown.p_M - smr_positions(geometry, shown.q)
     T_B_M = invert(geometry.T_M_B())
-    stops = shown.configuration.tolist()
     title = f"Arm {name}: residuals of the geometry in"
-    yield vector_chart(f"{title} the tracker frame, from above", stops, shown.p_M, residual_M, 1)
+    yield vector_chart(f"{title} the tracker frame, from above", shown.p_M, residual_M, 1)
     points_B, residual_B = apply(T_B_M, shown.p_M), residual_M @ T_B_M[:3, :3].T
-    yield vector_chart(f"{title} its base frame, from above", stops, points_B, residual_B, 1)
-    yield vector_chart(f"{title} its base frame, from the side", stops, points_B, residual_B, 2)
+    yield vector_chart(f"{title} its base frame, from above", points_B, residual_B, 1)
+    yield vector_chart(f"{title} its base frame, from the side", points_B, residual_B, 2)
 
 
-def vector_chart(title: str, stops: list[int], points: Array, vectors: Array, up: int) -> Chart:
+def vector_chart(title: str, points: Array, vectors: Array, up: int) -> Chart:
     """Show vectors (n, 3) [m] at points (n, 3) [m], with x to the right and axis ``up`` (1 or 2) upwards, enlarged."""
     length_mm = scale_length_mm(vectors)
     reach = float(np.max(np.ptp(points, axis=0))) or 1.0
@@ -45,13 +44,11 @@ def vector_chart(title: str, stops: list[int], points: Array, vectors: Array, up
     flat, steps = points[:, (0, up)], vectors[:, (0, up)] * enlarged
     ends = np.vstack([flat, flat + steps])
     corner = np.array([[ends[:, 0].min(), ends[:, 1].max() + 0.1 * reach]])
-    lengths = np.linalg.norm(vectors, axis=1) * 1e3
-    hints = [f"stop {stop}: {mm(length)}" for stop, length in zip(stops, lengths.tolist(), strict=True)]
     arrows, key = _arrows(flat, steps, _HEAD * reach), np.array([[_ARROW * reach, 0.0]])
     scale = _arrows(corner, key, _HEAD * reach)
     drawn = (
         series("measured minus computed position", arrows[:, 0], arrows[:, 1], style=STAGE_STYLES["geometry"]),
-        series("measured position", flat[:, 0], flat[:, 1], "points", style=STAGE_STYLES["nominal"], hints=hints),
+        series("measured position", flat[:, 0], flat[:, 1], "points", style=STAGE_STYLES["nominal"]),
         series(f"scale: {length_mm:g} mm", scale[:, 0], scale[:, 1], style=_OTHER_STYLE, mark="→"),
     )
     x, y = Axis("x", "m"), Axis("xyz"[up], "m")

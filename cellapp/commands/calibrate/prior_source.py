@@ -17,6 +17,7 @@ from cellapp.estimation.prior.belief import Belief
 from cellapp.estimation.prior.calibrate import Earlier, believed
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, ModelStage
+from cellapp.ground.shell import shell_word
 from cellapp.ground.times import day_of
 from cellapp.robot.model.nominal import nominal_arm
 
@@ -166,8 +167,9 @@ def earlier_of_calibration(run: RunFile) -> dict[str, Earlier]:
     changed = [name for name, record in records.items() if name not in found or found[name].digest != record.sha256]
     if changed:
         raise InputError(
-            f"{run.path}: the earlier calibration {folder} has changed since; run 'cellapp calibrate {run.folder}"
-            f" --prior {folder}' again"
+            f"{run.path}: the earlier calibration {folder} has changed since; run 'cellapp calibrate"
+            f" {shell_word(run.folder)}"
+            f" --prior {shell_word(folder)}' again"
         )
     return {name: found[name] for name in records}
 

@@ -25,6 +25,7 @@ from cellapp.ground.network_kind import NetworkKind
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, LOCATE, VERIFY
+from cellapp.ground.shell import shell_word
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.model import CellModel
 
@@ -137,11 +138,12 @@ def note_later_stages(run: RunFile, stages: RunStages) -> list[str]:
     elif discovered is not None:
         kept = "keeps its effects" if stages.in_force is discovered else "holds the new calibration without effects"
         notes.append(
-            f"the discovery is out of date ({reason}): {CALIBRATION_FILE} {kept}; run 'cellapp discover {run.folder}'"
+            f"the discovery is out of date ({reason}): {CALIBRATION_FILE} {kept}; run 'cellapp discover"
+            f" {shell_word(run.folder)}'"
         )
     if LOCATE in stages.out_of_date:
         reason = stages.out_of_date[LOCATE]
-        notes.append(f"the tracker's station is out of date ({reason}); run 'cellapp locate {run.folder}'")
+        notes.append(f"the tracker's station is out of date ({reason}); run 'cellapp locate {shell_word(run.folder)}'")
     if VERIFY in stages.out_of_date:
         notes.append(f"the verification is out of date ({stages.out_of_date[VERIFY]})")
     if CHECK in stages.out_of_date:

@@ -16,7 +16,6 @@ from cellapp.estimation.calibration.records import (
     CalibrateResult,
     ClockResult,
     PartDrift,
-    TriggerResult,
 )
 from cellapp.ground.counting import counted
 from cellapp.ground.results import METHODS, STAGES, ErrorSummary
@@ -347,8 +346,6 @@ def motion_sentences(result: CalibrateResult) -> list[str]:
                     f"arm {name}: recording '{recording}': the {device}'s clock steps by {by:+.4g} s at {at:.4f} s"
                     for at, by in steps
                 ]
-            if clock.trigger is not None:
-                said.append(f"arm {name}: recording '{recording}': {_trigger(clock.trigger)}")
         if arm.motion is not None:
             said += [f"arm {name}: not determined: {sentence}" for sentence in arm.motion.undetermined]
     return said
@@ -358,14 +355,6 @@ def _clock(clock: ClockResult) -> tuple[Cell, ...]:
     steps = len(clock.steps_of_joints) + len(clock.steps_of_points)
     errors = clock.offset_standard_error_s * 1e3, clock.rate_standard_error_ppm
     return clock.offset_s, errors[0], clock.rate_ppm, errors[1], steps
-
-
-def _trigger(found: TriggerResult) -> str:
-    text = (
-        f"by {found.pulses} pulses of the trigger the offset is {found.offset_s:.6f} s with a standard error of"
-        f" {found.standard_error_s * 1e3:.2f} ms; that of the motion is {found.difference_s * 1e3:+.2f} ms from it"
-    )
-    return text if found.agrees else f"{text}: they do not agree; look at the wiring and at driver.trigger_output"
 
 
 def _in_motion(moved: dict[str, ArmCalibrationResult]) -> list[Table]:

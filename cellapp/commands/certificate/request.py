@@ -39,13 +39,6 @@ class CertificateRequest(Request):
             suffixes=(".yaml", ".yml"),
         ),
     ] = None
-    pdf: Annotated[
-        bool,
-        Asked(
-            "Print it to certificate.pdf, too, through an installed Chromium.",
-            label="print to certificate.pdf, too (needs Chromium)",
-        ),
-    ] = False
     strict: Annotated[bool, Asked("Exit code 1 unless all is verified, holds and conforms.")] = False
 
 

@@ -32,15 +32,14 @@ from cellapp.commands.stages import (
     read_stages,
 )
 from cellapp.estimation.uncertainty.budget import measured_conditions
-from cellapp.ground.chromium import find_chromium, print_pdf
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import CERTIFICATE, ISO9283, VERIFY, StageName
+from cellapp.ground.results import CALIBRATE, CERTIFICATE, ISO9283, VERIFY, StageName
+from cellapp.ground.shell import shell_word
 from cellapp.robot.plugins import program_of
 
 PAGE_FILE = "certificate.html"
-PRINT_FILE = "certificate.pdf"
 SUMS_FILE = "SHA256SUMS"
 DATA_FOLDER = "certified"
 """Folder of the files that a certificate rests on, beside it. Later results of the run do not change them."""
@@ -74,7 +73,6 @@ def run(request: CertificateRequest, work: Work) -> CertificateResult:
             out=request.out,
             number=request.number,
             data=request.data,
-            pdf=request.pdf,
             outputs=work.outputs,
         )
 
@@ -86,7 +84,6 @@ def certificate_run(
     out: Path | None = None,
     number: str | None = None,
     data: Path | None = None,
-    pdf: bool = False,
     now: datetime | None = None,
     outputs: Outputs = NEW_ONLY,
 ) -> CertificateResult:
@@ -102,8 +99,6 @@ def certificate_run(
         Of the certificate; by default made of profile, day and data.
     data : path, optional
         YAML with the profile's sections ``tolerances`` and ``traceability``; its keys override the profile's.
-    pdf : bool
-        Also print the page to a PDF, with an installed Chromium.
     outputs : Outputs
         Which files in a folder ``out`` may be replaced; none by default. In the run's folder those without a signature
         beside their sums may be.
@@ -111,19 +106,23 @@ def certificate_run(
     Raises
     ------
     InputError
-        If the run is read-only, ``number`` or ``data`` is not valid, the folder holds a signed certificate, nothing
-        here can print, or the files cannot be written. Nothing is stored then.
+        If the run is read-only or nothing was measured, ``number`` or ``data`` is not valid, the folder holds a signed
+        certificate, or the files cannot be written. Nothing is stored then.
     """
     if not run.writable:
         raise InputError(f"{run.path} is open for reading only; open it for writing")
     allowed = RENEWED if out is None else outputs
     folder = out or run.folder
     allowed.check_file(folder / SUMS_FILE)
-    if pdf:
-        find_chromium()
-    shown = (CERTIFICATE_FILE, PAGE_FILE, *([PRINT_FILE] if pdf else []))
+    shown = (CERTIFICATE_FILE, PAGE_FILE)
     profile = run.profile if data is None else with_sections(run.profile, data, DATA_SECTIONS)
     stages = read_stages(run)
+    if not any(name in stages.current for name in (CALIBRATE, *CERTIFIED_STAGES)):
+        raise InputError(
+            f"{run.folder}: nothing here was measured that a certificate could state: no calibration"
+            f" ('cellapp calibrate {shell_word(run.folder)}'), no verified targets ('cellapp push'), no test"
+            " ('cellapp iso9283')"
+        )
     basis = certified_basis(run, stages)
     with tempfile.TemporaryDirectory(prefix="cellapp-certificate-") as temporary:
         made = Path(temporary)
@@ -137,8 +136,6 @@ def certificate_run(
         result = certificate_of(_input(run, profile, basis, stages, asked))
         RENEWED.write_text(made / CERTIFICATE_FILE, result.to_json(indent=1) + "\n")
         RENEWED.write_text(made / PAGE_FILE, page(result))
-        if pdf:
-            print_pdf(made / PAGE_FILE, made / PRINT_FILE)
         sums = {**{name: _sum(made / name) for name in shown}, **asked.rests_on}
         RENEWED.write_text(made / SUMS_FILE, "".join(f"{digest}  {name}\n" for name, digest in sums.items()))
         written = (*certified, *asked.files)

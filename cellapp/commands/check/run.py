@@ -45,6 +45,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant
 from cellapp.ground.progress import Listener, ignore, with_eta
 from cellapp.ground.results import CHECK, LOCATE
+from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.transforms import Array, invert, rows_of, xyz_of
 from cellapp.robot.model import ArmModel, CellModel
 
@@ -175,7 +176,7 @@ def _with_plant(profile: Profile, plant: Plant | None) -> Profile:
     unknown = [name for name in plant.effects if name not in profile.arms]
     if unknown:
         raise InputError(f"check: --simulated-plant: plant.effects: unknown arm {', '.join(unknown)}")
-    placed = plant.model_copy(update={"tracker_pose": plant.tracker_pose or own.tracker_pose})
+    placed = plant.model_copy(update={"tracker_pose": plant.tracker_pose or own.tracker_pose}).after(own.earlier_jobs)
     return profile.model_copy(update={"plant": placed})
 
 
@@ -251,19 +252,19 @@ def _next_step(verdict: CheckVerdict, folder: Path) -> str:
     """Say what to do next, as a sentence with commands; empty if nothing."""
     again = (
         "measure the cell anew ('cellapp plan PROFILE --run NEW', 'cellapp collect NEW') and calibrate it with this run"
-        f" as prior: 'cellapp calibrate NEW --prior {folder}'"
+        f" as prior: 'cellapp calibrate NEW --prior {shell_word(folder)}'"
     )
     match verdict:
         case "valid":
             return ""
         case "tracker moved":
-            return f"cellapp locate {folder}"
+            return f"cellapp locate {shell_word(folder)}"
         case "base moved":
             return f"put the base back, or {again}"
         case "smr moved":
             return f"put the SMR back, or {again}"
         case "cannot say":
-            return f"mend what the notes say, then check again: 'cellapp check {folder}'"
+            return f"mend what the notes say, then check again: 'cellapp check {shell_word(folder)}'"
         case _:
             return again
 

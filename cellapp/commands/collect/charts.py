@@ -213,11 +213,7 @@ def residual_drift_chart(name: str, time_s: Array, residuals_M: Array) -> Chart:
     sizes = np.array([len(rows) for rows in blocks])
     scatter = np.array([residuals_M[rows].std(axis=0, ddof=1) for rows in blocks]) * 1e3
     band = _TWO_SIDED * scatter / np.sqrt(sizes)[:, None]
-    hints = [counted(size, "stop") for size in sizes.tolist()]
-    drawn = tuple(
-        series(f"along {axis}", middle, mean[:, k], band=band[:, k], style=k, hints=hints)
-        for k, axis in enumerate("xyz")
-    )
+    drawn = tuple(series(f"along {axis}", middle, mean[:, k], band=band[:, k], style=k) for k, axis in enumerate("xyz"))
     return Chart(title, x, y, drawn, _message(name, mean, band), (Limit("no residual", 0.0),))
 
 

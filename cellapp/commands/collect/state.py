@@ -30,7 +30,7 @@ from cellapp.cell.run.measured_again import (
 from cellapp.cell.run.recordings import read_stream, recording_states
 from cellapp.cell.run.records import MissingReading
 from cellapp.commands.run_results import StageResults
-from cellapp.estimation.calibration.online_model import Residuals
+from cellapp.estimation.calibration.online import Residuals
 from cellapp.estimation.calibration.records import ArmCalibrationResult
 from cellapp.estimation.readings import Readings
 from cellapp.ground.results import CALIBRATE

@@ -1,33 +1,31 @@
-"""Differences of two runs: profile, parameters, held-out errors, effects, inter-base transform, verification."""
+"""Differences of two runs: profile, and of each arm and of the pair every value with what it differs by."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import zip_longest
-from typing import Literal
 
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.profile.messages import KeyPath, dotted
 from cellapp.cell.run.arm_identity import arm_identities
 from cellapp.cell.run.file import RunFile
-from cellapp.cell.targets.records import ArmVerification
 from cellapp.commands.compare.request import CompareRequest
 from cellapp.commands.record import Request, View, Work
 from cellapp.commands.report.result import RunResults, read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import comparable_arms
-from cellapp.commands.view.table import Cell, Column, Table, number_column
-from cellapp.commands.view.words import METHOD_WORDS, display_unit, geometry_unit, place_words
+from cellapp.commands.view.table import Table, table_of, with_rows
+from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS, display_unit, geometry_unit, place_words
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.estimation.discovery.records import AcceptedEffect, Place
-from cellapp.estimation.monitoring.moved import CalibratedArm, Difference, differences
+from cellapp.estimation.discovery.records import AcceptedEffect
+from cellapp.estimation.monitoring.moved import Difference, differences
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import BEST_METHODS, METHODS, STAGES, ErrorSummary, Estimate, Method, Record, Result, Stage
+from cellapp.ground.results import BEST_METHODS, METHODS, STAGES, Estimate, Record, Result
 
 
 class ProfileDifference(Record):
@@ -39,17 +37,18 @@ class ProfileDifference(Record):
 
 
 class ValueComparison(Record):
-    """A parameter of two runs with standard errors, all in ``unit``; None where a run does not have it.
+    """A value of two runs, as a parameter or a mean error, all in ``unit``; None where a run does not have it.
 
-    ``difference`` is b less a, ``standard_uncertainty`` that of the difference, ``z`` one over the other.
+    ``difference`` is b less a, ``standard_uncertainty`` that of the difference, ``z`` one over the other; both None
+    where the value has no standard error. ``of`` says what the value belongs to: "geometry", "held-out errors" or an
+    effect with its place.
     """
 
+    of: str
     name: str
     unit: str
     a: float | None
     b: float | None
-    a_standard_error: float | None
-    b_standard_error: float | None
     difference: float | None
     standard_uncertainty: float | None
     z: float | None
@@ -62,66 +61,17 @@ class ValueComparison(Record):
 
 MOST_Z = 3.0
 """Difference in standard uncertainties from which it counts: 0.3 % of normal differences are larger."""
+GEOMETRY, HELD_OUT, TARGETS, TRANSFORM = "geometry", "held-out errors", "verified targets", "inter-base transform"
 
 
-class ErrorComparison(Record):
-    """Mean and rms error of two runs [mm]; None where a run does not have it."""
-
-    a_mean_mm: float | None
-    b_mean_mm: float | None
-    a_rms_mm: float | None
-    b_rms_mm: float | None
-
-
-class EffectComparison(Record):
-    """An effect in one run or in both: where it acts, None in a run without it, and its sizes."""
-
-    effect: str
-    title: str
-    a_where: Place | None
-    b_where: Place | None
-    parameters: tuple[ValueComparison, ...]
-
-    @property
-    def found_in(self) -> Literal["a", "b", "both"]:
-        """Which of the runs has the effect."""
-        if self.a_where is not None and self.b_where is not None:
-            return "both"
-        return "b" if self.a_where is None else "a"
-
-
-class ArmComparison(Record):
-    """One arm of two runs: parameters of the geometry, held-out errors by stage, effects, verification.
-
-    ``verified_mm`` has the distances from the targets with nominal and with compensated commands.
-    """
-
-    parameters: tuple[ValueComparison, ...] = ()
-    heldout_mm: Mapping[Stage, ErrorComparison] = {}
-    effects: tuple[EffectComparison, ...] = ()
-    verified_mm: Mapping[Literal["nominal", "compensated"], ErrorComparison] = {}
-
-
-class PairComparison(Record):
-    """The inter-base transform of ``method`` in two runs, and the pair's held-out cooperative errors by method.
-
-    ``distance_mm`` is the distance between the two origins of the second base in the frame of the first.
-    """
-
-    method: Method | None
-    parameters: tuple[ValueComparison, ...] = ()
-    distance_mm: float | None = None
-    cooperative_mm: Mapping[Method, ErrorComparison] = {}
-
-
-class RunComparison(Result, schema="cellapp-comparison"):
+class RunComparison(Result, schema="cellapp-comparison", version=2):
     """``compare``: where two runs differ; ``notes`` say what cannot be compared, and what is out of date."""
 
     a: str
     b: str
     profile: tuple[ProfileDifference, ...]
-    arms: Mapping[str, ArmComparison]
-    pair: PairComparison | None
+    arms: Mapping[str, tuple[ValueComparison, ...]]
+    pair: tuple[ValueComparison, ...]
     notes: tuple[str, ...]
 
 
@@ -153,22 +103,24 @@ def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
     models = comparable_arms(a, stages[0]), comparable_arms(b, stages[1])
     common = [name for name in a.profile.arms if name in b.profile.arms]
     others = dict(_other_serials(a, b, common))
-    notes = [*_other_arms(a, b), *_other_types(a, b, common), *others.values(), *_missing(first), *_missing(second)]
+    arms = {}
+    for name in common:
+        same = name not in others and _same_type(a, b, name) and all(name in model for model in models)
+        moved = differences(models[0][name], models[1][name]) if same else []
+        arms[name] = (*map(_moved, moved), *_of_arm(name, first, second))
     return RunComparison(
         a=str(a.folder),
         b=str(b.folder),
         profile=tuple(_profile_differences(a.profile, b.profile)),
-        arms={
-            name: _arm(
-                name,
-                first,
-                second,
-                _moved(name, *models) if name not in others and _same_type(a, b, name) else (),
-            )
-            for name in common
-        },
-        pair=_pair(first.calibrate, second.calibrate),
-        notes=tuple(notes),
+        arms=arms,
+        pair=tuple(_of_pair(first.calibrate, second.calibrate)),
+        notes=(
+            *_other_arms(a, b),
+            *_other_types(a, b, common),
+            *others.values(),
+            *_missing(first),
+            *_missing(second),
+        ),
     )
 
 
@@ -250,159 +202,89 @@ def _walk(at: KeyPath, value: object) -> Iterator[tuple[KeyPath, object]]:
         yield at, value
 
 
-# -- arms -------------------------------------------------------------------------------------------------------------
+# -- values -----------------------------------------------------------------------------------------------------------
 
 
-def _moved(name: str, a: Mapping[str, CalibratedArm], b: Mapping[str, CalibratedArm]) -> tuple[ValueComparison, ...]:
-    """Compare the geometry of one arm, of the models in force; empty if a run has none with a covariance."""
-    return tuple(map(_of_difference, differences(a[name], b[name]))) if name in a and name in b else ()
-
-
-def _of_difference(one: Difference) -> ValueComparison:
+def _moved(one: Difference) -> ValueComparison:
+    z = one.difference / one.standard_uncertainty if one.standard_uncertainty > 0.0 else None
+    uncertainty, values = one.standard_uncertainty, {"a": one.first.value, "b": one.later.value}
     return ValueComparison(
+        of=GEOMETRY,
         name=one.name,
         unit=one.unit,
-        a=one.first.value,
-        b=one.later.value,
-        a_standard_error=one.first.standard_error,
-        b_standard_error=one.later.standard_error,
         difference=one.difference,
-        standard_uncertainty=one.standard_uncertainty,
-        z=one.difference / one.standard_uncertainty if one.standard_uncertainty > 0.0 else None,
+        standard_uncertainty=uncertainty,
+        z=z,
+        **values,
     )
 
 
-def _arm(name: str, a: RunResults, b: RunResults, parameters: tuple[ValueComparison, ...]) -> ArmComparison:
-    first, second = (None if run.calibrate is None else run.calibrate.arms.get(name) for run in (a, b))
-    found = [None if run.discover is None else run.discover.arms.get(name) for run in (a, b)]
+def _of_arm(name: str, a: RunResults, b: RunResults) -> Iterator[ValueComparison]:
+    """Yield mean errors at held-out stops and at targets, and the sizes of the effects."""
+    calibrated = [None if run.calibrate is None else run.calibrate.arms.get(name) for run in (a, b)]
+    errors = [{} if arm is None else arm.validate_ for arm in calibrated]
+    for stage in STAGES:
+        if any(stage in own for own in errors):
+            means = [own[stage].position_mm.mean if stage in own else None for own in errors]
+            yield _error(HELD_OUT, STAGE_WORDS[stage], *means)
     verified = [None if run.verify is None else run.verify.arms.get(name) for run in (a, b)]
-    errors = [{} if arm is None else arm.validate_ for arm in (first, second)]
-    return ArmComparison(
-        parameters=parameters,
-        heldout_mm={
-            stage: _errors(*(own[stage].position_mm if stage in own else None for own in errors))
-            for stage in STAGES
-            if any(stage in own for own in errors)
-        },
-        effects=_effects(*(() if arm is None else arm.accepted for arm in found)),
-        verified_mm=_verified(*verified),
-    )
+    if any(verified):
+        yield _error(TARGETS, "uncompensated", *(None if one is None else one.nominal_mm.mean for one in verified))
+        yield _error(TARGETS, "compensated", *(None if one is None else one.compensated_mm.mean for one in verified))
+    found = [None if run.discover is None else run.discover.arms.get(name) for run in (a, b)]
+    yield from _effects(*(() if arm is None else arm.accepted for arm in found))
 
 
-def _verified(
-    a: ArmVerification | None, b: ArmVerification | None
-) -> dict[Literal["nominal", "compensated"], ErrorComparison]:
-    if a is None and b is None:
-        return {}
-    return {
-        "nominal": _errors(None if a is None else a.nominal_mm, None if b is None else b.nominal_mm),
-        "compensated": _errors(None if a is None else a.compensated_mm, None if b is None else b.compensated_mm),
-    }
-
-
-def _errors(a: ErrorSummary | None, b: ErrorSummary | None) -> ErrorComparison:
-    return ErrorComparison(
-        a_mean_mm=None if a is None else a.mean,
-        b_mean_mm=None if b is None else b.mean,
-        a_rms_mm=None if a is None else a.rms,
-        b_rms_mm=None if b is None else b.rms,
-    )
-
-
-def _values(a: Mapping[str, Estimate], b: Mapping[str, Estimate]) -> tuple[ValueComparison, ...]:
-    return tuple(_value(name, a.get(name), b.get(name)) for name in dict.fromkeys([*a, *b]))
-
-
-def _value(name: str, a: Estimate | None, b: Estimate | None) -> ValueComparison:
-    difference = combined = None
-    if a is not None and b is not None and a.unit == b.unit:
-        difference = b.value - a.value
-        if a.unit == "rad":
-            difference = math.remainder(difference, math.tau)  # angles near half a turn may differ in sign
-        if a.standard_error is not None and b.standard_error is not None:
-            combined = math.hypot(a.standard_error, b.standard_error)
-    return ValueComparison(
-        name=name,
-        unit=" or ".join(dict.fromkeys(estimate.unit for estimate in (a, b) if estimate is not None)),
-        a=None if a is None else a.value,
-        b=None if b is None else b.value,
-        a_standard_error=None if a is None else a.standard_error,
-        b_standard_error=None if b is None else b.standard_error,
-        difference=difference,
-        standard_uncertainty=combined,
-        z=difference / combined if difference is not None and combined else None,
-    )
-
-
-# -- effects ----------------------------------------------------------------------------------------------------------
-
-
-def _effects(a: Sequence[AcceptedEffect], b: Sequence[AcceptedEffect]) -> tuple[EffectComparison, ...]:
-    """Pair the effects of two runs by name, and effects of the same name by place, then by order."""
-    compared = []
-    for slug in dict.fromkeys(effect.effect for effect in (*a, *b)):
-        first = [effect for effect in a if effect.effect == slug]
-        second = [effect for effect in b if effect.effect == slug]
-        for effect in first.copy():
-            twin = next((other for other in second if other.where == effect.where), None)
-            if twin is not None:
-                compared.append(_effect(effect, twin))
-                first.remove(effect)
-                second.remove(twin)
-        compared += [_effect(one, other) for one, other in zip_longest(first, second)]
-    return tuple(compared)
-
-
-def _effect(a: AcceptedEffect | None, b: AcceptedEffect | None) -> EffectComparison:
-    known = a or b
-    assert known is not None
-    return EffectComparison(
-        effect=known.effect,
-        title=known.title,
-        a_where=None if a is None else a.where,
-        b_where=None if b is None else b.where,
-        parameters=_values(a.parameters if a else {}, b.parameters if b else {}),
-    )
-
-
-# -- pair -------------------------------------------------------------------------------------------------------------
-
-
-def _pair(a: CalibrateResult | None, b: CalibrateResult | None) -> PairComparison | None:
-    """Compare the pair's results; None if neither run has a pair."""
+def _of_pair(a: CalibrateResult | None, b: CalibrateResult | None) -> Iterator[ValueComparison]:
     first, second = ({} if run is None else run.pair for run in (a, b))
-    if not first and not second:
-        return None
     method = next((method for method in BEST_METHODS if method in first and method in second), None)
-    parameters = () if method is None else _values(first[method].identified, second[method].identified)
-    return PairComparison(
-        method=method,
-        parameters=parameters,
-        distance_mm=_distance_mm(parameters),
-        cooperative_mm={
-            method: _errors(*(own[method].cooperative_mm if method in own else None for own in (first, second)))
-            for method in METHODS
-            if method in first or method in second
-        },
-    )
+    if method is not None:
+        yield from _values(TRANSFORM, first[method].identified, second[method].identified)
+    for method in METHODS:
+        if method in first or method in second:
+            means = [own[method].cooperative_mm.mean if method in own else None for own in (first, second)]
+            yield _error(HELD_OUT, METHOD_WORDS[method], *means)
 
 
-def _distance_mm(parameters: Sequence[ValueComparison]) -> float | None:
-    """Return the length [mm] of the difference of the transforms' translations x, y, z [m]."""
-    differences = {value.name: value.difference for value in parameters}
-    lengths = [differences.get(axis) for axis in ("x", "y", "z")]
-    known = [length for length in lengths if length is not None]
-    return math.hypot(*known) * 1e3 if len(known) == 3 else None
+def _effects(a: Sequence[AcceptedEffect], b: Sequence[AcceptedEffect]) -> Iterator[ValueComparison]:
+    """Pair the effects of two runs by name, and effects of the same name by place, then by order."""
+    for slug in dict.fromkeys(effect.effect for effect in (*a, *b)):
+        first, second = ([effect for effect in own if effect.effect == slug] for own in (a, b))
+        pairs = [(one, other) for one in first for other in second if one.where == other.where]
+        paired = [id(effect) for pair in pairs for effect in pair]
+        left = ([effect for effect in own if id(effect) not in paired] for own in (first, second))
+        for one, other in (*pairs, *zip_longest(*left)):
+            known = [effect for effect in (one, other) if effect is not None]
+            places = " / ".join(dict.fromkeys(place_words(effect.where) for effect in known))
+            sizes = ({} if effect is None else effect.parameters for effect in (one, other))
+            yield from _values(f"{known[0].title} ({places})", *sizes)
 
 
-_MM = ".4f"
-_MISSING = "-"
-ShownIn = Callable[[str], tuple[float, str]]
-"""Stored unit -> factor and display unit."""
-_ERRORS = (
-    *(number_column(f"{run}, {measure}", _MM) for measure in ("mean", "rms") for run in ("a", "b")),
-    number_column("change of mean", "+.1%"),
-)
+def _error(of: str, name: str, a: float | None, b: float | None) -> ValueComparison:
+    change = None if a is None or b is None else b - a
+    return ValueComparison(of=of, name=name, unit="mm", a=a, b=b, difference=change, standard_uncertainty=None, z=None)
+
+
+def _values(of: str, a: Mapping[str, Estimate], b: Mapping[str, Estimate]) -> Iterator[ValueComparison]:
+    for name in dict.fromkeys([*a, *b]):
+        one, other = a.get(name), b.get(name)
+        difference = combined = None
+        if one is not None and other is not None and one.unit == other.unit:
+            difference = other.value - one.value
+            if one.unit == "rad":
+                difference = math.remainder(difference, math.tau)  # angles near half a turn may differ in sign
+            if one.standard_error is not None and other.standard_error is not None:
+                combined = math.hypot(one.standard_error, other.standard_error)
+        yield ValueComparison(
+            of=of,
+            name=name,
+            unit=" or ".join(dict.fromkeys(estimate.unit for estimate in (one, other) if estimate is not None)),
+            a=None if one is None else one.value,
+            b=None if other is None else other.value,
+            difference=difference,
+            standard_uncertainty=combined,
+            z=difference / combined if difference is not None and combined else None,
+        )
 
 
 def view(result: RunComparison, request: Request | None = None) -> View:
@@ -411,111 +293,48 @@ def view(result: RunComparison, request: Request | None = None) -> View:
 
 
 def comparison_tables(result: RunComparison) -> list[Table]:
-    """Show differences of the profile; each arm's held-out errors, parameters, effects, targets; then the pair."""
-    tables = []
-    if result.profile:
-        rows = tuple((entry.key, entry.a or _MISSING, entry.b or _MISSING) for entry in result.profile)
-        tables.append(Table("Profile: what differs", (Column("key"), Column("a"), Column("b")), rows))
-    for name, arm in result.arms.items():
-        tables += _arm_tables(name, arm)
-    if result.pair is not None:
-        by_method = [(METHOD_WORDS[key], errors) for key, errors in result.pair.cooperative_mm.items()]
-        tables += _error_tables("Pair: held-out cooperative errors [mm]", "method", by_method)
-        method = "" if result.pair.method is None else f", {METHOD_WORDS[result.pair.method]}"
-        tables += _value_tables(f"Pair: inter-base transform{method}", result.pair.parameters, geometry_unit)
-    return tables
+    """Show differences of the profile, then the values of each arm and of the pair."""
+    profile = table_of("Profile: what differs", result.profile, ("key", "key"), ("a", "a"), ("b", "b"))
+    arms = [_value_table(f"Arm {name}", values) for name, values in result.arms.items()]
+    return with_rows(profile, *arms, _value_table("Pair", result.pair))
 
 
 def comparison_sentences(result: RunComparison) -> list[str]:
-    """Name folders a and b, state the differences in a sentence per subject, and what cannot be compared."""
-    sentences = [f"a: {result.a}", f"b: {result.b}"]
-    if not result.profile:
-        sentences.append("the profiles are the same")
-    for name, arm in result.arms.items():
-        sentences += _differing(f"arm {name}", arm.parameters)
-        sentences += [_found_words(name, effect) for effect in arm.effects]
-    if result.pair is not None:
-        sentences += _differing("inter-base transform", result.pair.parameters)
-        if result.pair.distance_mm is not None:
-            sentences.append(
-                f"inter-base transform: the origin of the second base differs by {result.pair.distance_mm:.3f} mm"
-            )
-    if any(value.z is not None for arm in result.arms.values() for value in arm.parameters):
-        sentences.append("z: difference in standard uncertainties u; readings of both runs count as independent")
+    """Name folders a and b, state which values differ, and what cannot be compared."""
+    sentences = [f"a: {result.a}", f"b: {result.b}", *([] if result.profile else ["the profiles are the same"])]
+    subjects = {**{f"arm {name}": values for name, values in result.arms.items()}, "pair": result.pair}
+    for subject, values in subjects.items():
+        judged = [value for value in values if value.z is not None]
+        differing = [f"{value.of}: {value.name}" for value in judged if value.differs]
+        if judged:
+            words = f"{len(differing)} of {counted(len(judged), 'value differs', 'values differ')} by more than"
+            names = f": {', '.join(differing)}" if differing else ""
+            sentences.append(f"{subject}: {words} {MOST_Z:g} standard uncertainties{names}")
+        for run in "ab":
+            own = dict.fromkeys(value.of for value in values if getattr(value, run) is not None)
+            both = {value.of for value in values if getattr(value, "ba"["ab".index(run)]) is not None}
+            sentences += [f"{subject}: {of} is in {run} only" for of in own if of not in both]
     return [*sentences, *result.notes]
 
 
-def _arm_tables(name: str, arm: ArmComparison) -> list[Table]:
-    tables = [
-        *_error_tables(f"Arm {name}: held-out position errors [mm]", "stage", arm.heldout_mm.items()),
-        *_value_tables(f"Arm {name}: identified parameters", arm.parameters, geometry_unit),
+def _value_table(title: str, values: Sequence[ValueComparison]) -> Table:
+    shown = [
+        (value, *(geometry_unit if value.of in (GEOMETRY, TRANSFORM) else display_unit)(value.unit)) for value in values
     ]
-    for effect in arm.effects:
-        tables += _value_tables(f"Arm {name}: {effect.title}", effect.parameters, display_unit)
-    return tables + _error_tables(f"Arm {name}: distances from targets [mm]", "command", arm.verified_mm.items())
 
+    def scaled(name: str) -> Callable[[tuple[ValueComparison, float, str]], float | None]:
+        return lambda row: None if (number := getattr(row[0], name)) is None else row[1] * number
 
-def _error_tables(title: str, subject: str, errors: Iterable[tuple[str, ErrorComparison]]) -> list[Table]:
-    rows = tuple(
-        (name, entry.a_mean_mm, entry.b_mean_mm, entry.a_rms_mm, entry.b_rms_mm, _change(entry))
-        for name, entry in errors
+    return table_of(
+        title,
+        shown,
+        ("of", lambda row: row[0].of),
+        ("value", lambda row: row[0].name),
+        ("b - a", scaled("difference"), "+.4f"),
+        ("u(b - a)", scaled("standard_uncertainty"), ".4f"),
+        ("z", lambda row: row[0].z, "+.1f"),
+        ("differs", lambda row: "yes" if row[0].differs else ""),
+        ("unit", lambda row: row[2]),
+        ("a", scaled("a"), ".4f"),
+        ("b", scaled("b"), ".4f"),
     )
-    return [Table(title, (Column(subject), *_ERRORS), rows)] if rows else []
-
-
-def _change(entry: ErrorComparison) -> float | None:
-    """Return the relative change of the mean error from a to b; None if it is not known."""
-    if entry.a_mean_mm is None or entry.b_mean_mm is None or entry.a_mean_mm == 0.0:
-        return None
-    return entry.b_mean_mm / entry.a_mean_mm - 1.0
-
-
-def _value_tables(title: str, values: Sequence[ValueComparison], shown_in: ShownIn) -> list[Table]:
-    if not values:
-        return []
-    columns = (
-        Column("parameter"),
-        number_column("b - a", "+.4f"),
-        number_column("u(b - a)", ".4f"),
-        number_column("z", "+.1f"),
-        Column("differs"),
-        Column("unit"),
-        number_column("a", ".4f"),
-        number_column("b", ".4f"),
-    )
-    return [Table(title, columns, tuple(_value_row(value, *shown_in(value.unit)) for value in values))]
-
-
-def _value_row(value: ValueComparison, factor: float, unit: str) -> tuple[Cell, ...]:
-    difference, uncertainty, a, b = (
-        None if number is None else number * factor
-        for number in (value.difference, value.standard_uncertainty, value.a, value.b)
-    )
-    return (value.name, difference, uncertainty, value.z, "yes" if value.differs else "", unit, a, b)
-
-
-def _differing(subject: str, values: Sequence[ValueComparison]) -> Iterator[str]:
-    judged = [value for value in values if value.z is not None]
-    differing = [value.name for value in judged if value.differs]
-    if differing:
-        yield (
-            f"{subject}: {len(differing)} of {counted(len(judged), 'parameter differs', 'parameters differ')} by"
-            f" more than {MOST_Z:g} standard uncertainties: {', '.join(differing)}"
-        )
-    elif judged:
-        yield f"{subject}: no parameter differs by more than {MOST_Z:g} standard uncertainties"
-
-
-def _found_words(name: str, effect: EffectComparison) -> str:
-    where = [place_words(place) for place in (effect.a_where, effect.b_where) if place is not None]
-    if effect.found_in != "both":
-        return f"arm {name}: {effect.title} ({where[0]}) was found in {effect.found_in} only"
-    places = where[0] if where[0] == where[1] else f"{where[0]} in a, {where[1]} in b"
-    return f"arm {name}: {effect.title} ({places}) was found in both; {_size_words(effect.parameters)}"
-
-
-def _size_words(values: Sequence[ValueComparison]) -> str:
-    differing = [f"{value.name} (z = {value.z:+.1f})" for value in values if value.differs]
-    if differing:
-        return f"sizes differ: {', '.join(differing)}"
-    return "sizes agree" if any(value.z is not None for value in values) else "sizes cannot be compared"

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from cellapp.cell.exports.command_table import path_csv, path_script
 from cellapp.cell.exports.out_files import files_of_arms
 from cellapp.cell.profile.files import write_new
@@ -21,13 +23,17 @@ from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force, stale_notes
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.uncertainty.common import divided
+from cellapp.estimation.uncertainty.records import CommonUncertainty
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Progress, ignore
 from cellapp.ground.results import COMPENSATE, PATH
-from cellapp.robot.model import CellModel
+from cellapp.ground.shell import shell_word
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.model import ArmModel, CellModel
 
 _PERIOD_S = 0.008
 """Time between two joint positions along a path [s]: a period of the slower UR controllers, four of the others."""
@@ -41,7 +47,8 @@ def run(request: CompensateRequest, work: Work) -> CompensateResult | PathResult
             return compensate_paths(opened, paths, request.out, work.listener, work.control, work.outputs)
         if request.out is not None:
             raise InputError(
-                f"compensate: --out is for path files; 'cellapp export {request.folder} --as commands --out FILE'"
+                f"compensate: --out is for path files; 'cellapp export {shell_word(request.folder)} --as"
+                " commands --out FILE'"
                 " writes commands at targets"
             )
         return compensate_run(opened, listed_targets(request.targets, opened.profile))
@@ -89,7 +96,20 @@ def compensate_targets(
     """
     ranges = {name: ConditionRanges.of(one, model.arms.get(name)) for name, one in readings.items()}
     commands = compensate(commanded_profile(profile, readings), model, targets, ranges=ranges)
-    return commands, compensate_result(commands, [*notes, *([UNPLACED] if is_unplaced(profile) else [])])
+    result = compensate_result(commands, [*notes, *([UNPLACED] if is_unplaced(profile) else [])])
+    common = {name: _common(arm, name, commands, readings[name]) for name, arm in model.arms.items()}
+    return commands, result.model_copy(update={"common": {name: its for name, its in common.items() if its}})
+
+
+def _common(arm: ArmModel, name: str, commands: Sequence[Command], readings: Readings) -> CommonUncertainty | None:
+    """Return what the uncertainties of an arm's targets have in common; None without targets or uncertainties."""
+    own = [one for one in commands if one.arm == name and one.q_compensated is not None]
+    if not own:
+        return None
+    q = np.array([one.q_compensated for one in own])
+    payload = np.array([one.payload_kg for one in own], dtype=np.float64)
+    parts = divided(arm, q, arm.geometry.tool, MeasurementConditions(payload_kg=payload), readings.q)
+    return None if parts is None else parts.record(None, corrected=False)
 
 
 def compensate_paths(

@@ -12,11 +12,9 @@ from cellapp.commands.calibrate.view import ERROR_COLUMNS, MM, error_cells
 from cellapp.commands.compensate.words import (
     PART_WORDS,
     Measured,
-    advice,
     all_measured,
     arms_words,
     shown_tolerance,
-    unknown_conditions,
 )
 from cellapp.commands.view.table import (
     MOST_ROWS,
@@ -128,31 +126,6 @@ def uncertainty_tables(result: CompensateResult) -> list[Table]:
         count=len(known),
     )
     return [table] if known else []
-
-
-def unknown_tables(result: CompensateResult) -> list[Table]:
-    """Show unstated conditions, by how much each moves the SMR, and where to state it."""
-    table = table_of(
-        "Working conditions that nobody stated",
-        unknown_conditions(result.targets),
-        ("not stated", "condition"),
-        ("effects", lambda one: ", ".join(one.effects)),
-        ("up to", "mm", MM, "mm"),
-        ("at", "worst"),
-        ("targets", "targets", "d"),
-        ("what to do", lambda one: advice(one.condition)),
-    )
-    return [table] if table.rows else []
-
-
-def refusal_tables(result: CompensateResult) -> list[Table]:
-    """Show targets that cannot be commanded, why, and what to do; empty if there are none."""
-    refused = [target for target in result.targets if target.refusal]
-    reasons: tuple[Field, ...] = (
-        ("refused because", "refusal"),
-        ("what to do", lambda target: advice(target.refusal)),
-    )
-    return [table_of("Refused targets", refused[:MOST_ROWS], *_TARGET, *reasons, count=len(refused))] if refused else []
 
 
 # -- measured ---------------------------------------------------------------------------------------------------------

@@ -96,6 +96,23 @@ class TargetState:
         return bool(self.refusals or self.notes) or self.verdict in ("out", "cannot say")
 
 
+def stored_state(results: StageResults, name: str) -> TargetState | None:
+    """Return the newest results of a run for the target of this name; None if there are none."""
+    pushed = results.verify or results.push
+    commands = () if results.compensate is None else _named(results.compensate.targets, name)
+    measured = () if pushed is None else _named(pushed.targets, name)
+    if commands:  # measurements of an earlier target of that name do not count
+        measured = tuple(one for one in measured if one.definition == commands[0].definition)
+    if not commands and not measured:
+        return None
+    pairs = () if pushed is None else pushed.pairs
+    return TargetState(commands, measured, next((pair for pair in pairs if pair.name == name), None))
+
+
+def _named(stored: Sequence[R], name: str) -> tuple[R, ...]:
+    return tuple(entry for entry in stored if entry.name == name)
+
+
 def target_state(target: Target, results: StageResults | None) -> TargetState:
     """Return what the run knows about one target."""
     return target_states((target,), results)[0]

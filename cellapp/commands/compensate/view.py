@@ -10,14 +10,22 @@ from cellapp.commands.compensate.charts import parts_charts, target_charts
 from cellapp.commands.compensate.tables import (
     measured_tables,
     predicted_tables,
-    refusal_tables,
     stored_tables,
     uncertainty_tables,
-    unknown_tables,
     verification_tables,
 )
-from cellapp.commands.compensate.words import compensate_lines, compensate_summary, verify_message, verify_summary
+from cellapp.commands.compensate.target_list import TargetState
+from cellapp.commands.compensate.words import (
+    compensate_lines,
+    compensate_summary,
+    refusal_lines,
+    unknown_lines,
+    verify_lines,
+    verify_message,
+    verify_summary,
+)
 from cellapp.commands.record import Request, View
+from cellapp.commands.run_results import StageResults
 from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Table, table_of
 
@@ -28,6 +36,20 @@ def view(result: CompensateResult | PathResult, request: Request | None = None) 
         return paths_view(result)
     tables = stored_tables(result) if request is None else predicted_tables(result)
     return View((*tables, *compensate_lines(result), *parts_charts(result)))
+
+
+def target_parts(results: StageResults, state: TargetState) -> list[Table | str]:
+    """Show what a run knows about one target: commands, predictions, unknown conditions, measurements."""
+    parts: list[Table | str] = []
+    if results.compensate is not None and state.commands:
+        alone = results.compensate.model_copy(update={"targets": state.commands})
+        parts += [*stored_tables(alone), *compensate_lines(alone)]
+    pushed = results.verify or results.push
+    if pushed is not None and state.measured:
+        pairs = () if state.pair is None else (state.pair,)
+        measured = pushed.model_copy(update={"targets": state.measured, "pairs": pairs})
+        parts += [*measured_tables(measured), *verify_lines(measured)]
+    return parts
 
 
 def paths_view(result: PathResult) -> View:
@@ -95,7 +117,10 @@ def targets_section(
     compensate: CompensateResult | None, verify: VerifyResult | None, floors_mm: Mapping[str, float | None]
 ) -> Section:
     """Show compensated targets, measured targets, or both; ``floors_mm`` is the noise floor of each arm."""
-    predicted = [] if compensate is None else compensate_summary(compensate)
+    predicted = []
+    if compensate is not None:
+        open_ = [*unknown_lines(compensate.targets), *refusal_lines(compensate)]
+        predicted = [*compensate_summary(compensate), *open_]
     measured = [] if verify is None else verify_summary(verify)
     message = predicted[0] if verify is None else verify_message(verify)
     charts = [*target_charts(verify, floors_mm), *([] if compensate is None else parts_charts(compensate))]
@@ -116,8 +141,5 @@ def _tables(compensate: CompensateResult | None, verify: VerifyResult | None) ->
     if verify is not None:
         yield from verification_tables(verify)[:1]  # without tolerances: the tables of targets have them
         yield from measured_tables(verify)
-    if compensate is not None:
-        if verify is None:
-            yield from predicted_tables(compensate)
-        yield from unknown_tables(compensate)
-        yield from refusal_tables(compensate)
+    if compensate is not None and verify is None:
+        yield from predicted_tables(compensate)

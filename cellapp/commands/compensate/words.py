@@ -91,7 +91,7 @@ def unknown_conditions(targets: Sequence[TargetCommand]) -> list[Unknown]:
 def compensate_lines(result: CompensateResult) -> list[str]:
     """Return the lines that ``compensate`` prints: the summary, unknown conditions, refusals, notes."""
     lines = [*unknown_lines(result.targets), *note_lines(result.targets), *refusal_lines(result), *result.notes]
-    return [*compensate_summary(result), *dict.fromkeys(lines)]
+    return [*compensate_summary(result), *_common_words(result), *dict.fromkeys(lines)]
 
 
 def compensate_summary(result: CompensateResult) -> list[str]:
@@ -168,6 +168,15 @@ def _bound_words(result: CompensateResult) -> list[str]:
     median = float(np.median([bound for bound, _ in bounds]))
     sided = "; for the side of approach that stands beside each" if any(one.approach for one in result.targets) else ""
     return [f"95 % bound of the measured error: median {median:.3f} mm, largest {largest:.3f} mm at {name}{sided}"]
+
+
+def _common_words(result: CompensateResult) -> list[str]:
+    """State what is common to all targets of an arm, and each target's own part."""
+    return [
+        f"arm {name}: of the model's uncertainty the targets' own part is {one.own_mm:.3f} mm (median of a coordinate);"
+        f" common to all are {one.sentence}"
+        for name, one in result.common.items()
+    ]
 
 
 def _turn_words(result: CompensateResult) -> list[str]:

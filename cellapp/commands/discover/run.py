@@ -42,6 +42,7 @@ from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
 from cellapp.ground.results import CALIBRATE, DISCOVER
+from cellapp.ground.shell import shell_word
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import CellModel
@@ -90,7 +91,9 @@ def propose_run(
     try:
         proposal = propose_after(run, found, count, listener, cancel)
     except InputError as error:
-        raise InputError(f"{error}. The discovery is stored: 'cellapp show {run.folder} discovery'") from None
+        raise InputError(
+            f"{error}. The discovery is stored: 'cellapp show {shell_word(run.folder)} discovery'"
+        ) from None
     return result.model_copy(update={"proposal": proposal})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -75,7 +76,9 @@ def topic_text(topic: str) -> str:
     """
     kept = chapter_text(topic) if topic in CHAPTERS else effect_sections().get(topic)
     if kept is None:
-        raise InputError(f"docs: '{topic}' is not a topic; topics are {', '.join(topics())}")
+        near = difflib.get_close_matches(topic, topics(), n=1)
+        meant = f"did you mean '{near[0]}'? Topics" if near else "topics"
+        raise InputError(f"docs: '{topic}' is not a topic; {meant} are {', '.join(topics())}")
     return _FOR_TESTS.sub(r"\1", _MARKER.sub("", kept))
 
 
@@ -107,7 +110,6 @@ _HEADING = re.compile(r"^(#+) (.+)$")
 _PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)]+)\)")
 _CAPTION = re.compile(r"(!\[([^\]]+)\]\([^)]+\)\n)\n\*\2\.?\*\n")
 """A picture followed by a caption that repeats its words."""
-_LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(([^)\s]+)\)")
 
 
 @dataclass(frozen=True)
@@ -130,12 +132,6 @@ class Section:
         """Its Markdown with each picture replaced by its words."""
         return _PICTURE.sub(r"*Picture: \1*", _CAPTION.sub(r"\1", self.text))
 
-    @property
-    def links(self) -> tuple[tuple[str, str], ...]:
-        """Words and address of each link, without repetition."""
-        found = dict((place, words) for words, place in reversed(_LINK.findall(_without_fences(self.text))))
-        return tuple((words, place) for place, words in reversed(found.items()))
-
 
 @dataclass(frozen=True)
 class Found:
@@ -155,16 +151,6 @@ def sections(chapter: str) -> tuple[Section, ...]:
         If there is no such chapter.
     """
     return tuple(_split(chapter, topic_text(chapter)))
-
-
-def section_at(address: str, present: str) -> Section | None:
-    """Return the section that a link in the chapter ``present`` leads to; None for other files and pages."""
-    file, _, anchor = address.partition("#")
-    chapter = file.removesuffix(".md") if file else present
-    if chapter not in CHAPTERS or "://" in address:
-        return None
-    its = sections(chapter)
-    return next((one for one in its if one.anchor == anchor), its[0])
 
 
 def search(words: str) -> tuple[Found, ...]:
@@ -199,10 +185,6 @@ def _split(chapter: str, text: str) -> Iterator[Section]:
 def _section(chapter: str, started: tuple[int, str], lines: list[str]) -> Section:
     level, heading = started
     return Section(chapter, anchor_of(heading), heading, level, "\n".join(lines) + "\n")
-
-
-def _without_fences(text: str) -> str:
-    return re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
 
 
 def _line_with(text: str, words: list[str]) -> str:

@@ -3,39 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
+
+from pydantic import field_serializer
 
 from cellapp.ground.results import Record, Result
-from drivers.findings import Status
-
-
-class DeviceReport(Record):
-    """What a device says of itself; ``joints_c`` and ``air_c`` are in degC, what is not reported is left out."""
-
-    model: str | None = None
-    serial: str | None = None
-    software: str | None = None
-    state: str | None = None
-    joints_c: tuple[float, ...] | None = None
-    air_c: float | None = None
-    pressure_hpa: float | None = None
-    humidity_percent: float | None = None
-    dh_rows: tuple[tuple[float, ...], ...] | None = None
-    dh_checksum: str | None = None
-    omitted_when_none = frozenset(
-        {
-            "model",
-            "serial",
-            "software",
-            "state",
-            "joints_c",
-            "air_c",
-            "pressure_hpa",
-            "humidity_percent",
-            "dh_rows",
-            "dh_checksum",
-        }
-    )
+from drivers.findings import Finding
 
 
 class ControllerCalibration(Record):
@@ -52,16 +27,6 @@ class ControllerCalibration(Record):
     max_mm: float
 
 
-class Finding(Record):
-    """One check of the doctor; ``device`` is with the finding about a device as a whole."""
-
-    subject: str
-    status: Status
-    text: str
-    device: DeviceReport | None = None
-    omitted_when_none = frozenset({"device"})
-
-
 class DoctorResult(Result, schema="cellapp-doctor"):
     """``doctor``: what was checked."""
 
@@ -70,6 +35,11 @@ class DoctorResult(Result, schema="cellapp-doctor"):
     """Arm -> calibration that its controller reports; None if none does."""
     written: tuple[Path, ...] | None = None
     omitted_when_none = frozenset({"controllers", "written"})
+
+    @field_serializer("findings")
+    def _reported(self, findings: tuple[Finding, ...]) -> list[dict[str, Any]]:
+        """Leave out what a device does not report."""
+        return [asdict(one, dict_factory=lambda rows: {k: v for k, v in rows if v is not None}) for one in findings]
 
     @property
     def failed(self) -> tuple[Finding, ...]:

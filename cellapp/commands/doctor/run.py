@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection
 from pathlib import Path
 
 from cellapp.cell.driving.controller_tables import controller_files, factory_findings, factory_tables
-from cellapp.cell.driving.examination import examine, probe
+from cellapp.cell.driving.examination import examine
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import write_new
 from cellapp.commands.doctor.bundle import bundle, newest_run, run_log
 from cellapp.commands.doctor.request import DoctorRequest
-from cellapp.commands.doctor.result import ControllerCalibration, DeviceReport, DoctorResult
-from cellapp.commands.doctor.result import Finding as ResultFinding
+from cellapp.commands.doctor.result import ControllerCalibration, DoctorResult
 from cellapp.commands.record import Work
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.device_plugins import device_plugins
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.plugins import in_words
-from drivers.arms.settings import ArmSettings
+from drivers.arms.protocol import ArmError
 from drivers.findings import Finding
 from drivers.plugins import Plugin
-from drivers.sensors.settings import AirSensorSettings
-from drivers.trackers.settings import TrackerSettings
 
 
 def run(request: DoctorRequest, work: Work) -> DoctorResult:
@@ -36,6 +32,8 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
     log = {} if request.bundle is None else run_log(request.run_folder or newest_run(profile))
     began_s = time.monotonic()
     result = examine_run(profile, request.reference_nests)
+    if _end_left_programs(profile, result, work):
+        result = examine_run(profile, request.reference_nests)
     seconds = time.monotonic() - began_s
     if request.bundle is not None:
         work.outputs.write(request.bundle, bundle(request.profile, profile, result, log, seconds))
@@ -50,13 +48,28 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
     return result.model_copy(update={"written": written})
 
 
+def _end_left_programs(profile: Profile, found: DoctorResult, work: Work) -> bool:
+    """Ask for each arm on which a program of a cellapp runs whether to end it; return whether one was ended."""
+    failed, ended = {finding.subject for finding in found.findings if finding.status == "failed"}, False
+    for name, arm in profile.arms.items():
+        user = arm.driver.left_program() if f"arm {name}: program" in failed else ""
+        words = f"arm {name}: a program of {user}, runs on its controller. A job that still uses it will stop. End it?"
+        if user and work.choose(words, ("no", "yes")) == "yes":
+            try:
+                arm.driver.end_program()
+            except ArmError as error:
+                raise HardwareError(f"arm {name}: {error}") from error
+            ended = True
+    return ended
+
+
 def examine_run(profile: Profile, reference_nests: Path | None = None) -> DoctorResult:
     """Return the findings of ``examine``, after those on plug-ins, as the verb's result."""
-    found = DoctorResult(findings=tuple(map(_result, (*installed_findings(), *examine(profile, reference_nests)))))
+    found = DoctorResult(findings=(*installed_findings(), *examine(profile, reference_nests)))
     tables = factory_tables(profile, _reports(found))
     if not tables:
         return found
-    findings = (*found.findings, *map(_result, factory_findings(profile, tables)))
+    findings = (*found.findings, *factory_findings(profile, tables))
     return found.model_copy(
         update={
             "findings": findings,
@@ -81,26 +94,6 @@ def _reports(result: DoctorResult) -> dict[str, tuple[tuple[tuple[float, ...], .
         for finding in result.findings
         if (device := finding.device) is not None and device.dh_rows is not None and device.dh_checksum
     }
-
-
-def repeatable_devices(profile: Profile) -> tuple[str, ...]:
-    """Return the names in findings of devices whose probe may be repeated every few seconds."""
-    settings: dict[str, ArmSettings | TrackerSettings | AirSensorSettings] = {
-        **{f"arm {name}": arm.driver for name, arm in profile.arms.items()},
-        "tracker": profile.tracker.driver,
-    }
-    if profile.sensors.air is not None:
-        settings["sensor air"] = profile.sensors.air
-    return tuple(name for name, one in settings.items() if one.repeatable_probe)
-
-
-def probe_devices(profile: Profile, devices: Collection[str]) -> DoctorResult:
-    """Probe some devices now; nothing moves, and nothing else is checked."""
-    return DoctorResult(findings=tuple(map(_result, probe(profile, devices))))
-
-
-def _result(finding: Finding) -> ResultFinding:
-    return ResultFinding.like(finding, device=None if finding.device is None else DeviceReport.like(finding.device))
 
 
 def installed_plugins() -> tuple[Plugin, ...]:

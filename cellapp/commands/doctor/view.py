@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from cellapp.cell.profile import load_profile
 from cellapp.commands.doctor.request import DoctorRequest
-from cellapp.commands.doctor.result import ControllerCalibration, DoctorResult, Finding
+from cellapp.commands.doctor.result import ControllerCalibration, DoctorResult
 from cellapp.commands.record import View
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 from cellapp.ground.counting import counted
@@ -112,31 +112,6 @@ def doctor_verdict(result: DoctorResult) -> str:
         return f"Ready: nothing would be refused{more}."
     names = ", ".join(finding.subject for finding in result.failed)
     return f"{counted(len(result.failed), 'check')} failed{more}: {names}."
-
-
-def device_words(finding: Finding) -> tuple[str, str, str, str]:
-    """Return device, serial number, state and temperatures of a finding with a device's report; else its text."""
-    device = finding.device
-    name = finding.subject.split(":")[0]
-    if device is None:
-        return name, "", finding.text, ""
-    state = device.state or ", ".join(word for word in (device.model, device.software) if word) or finding.text
-    return name, device.serial or "", state, _temperatures(finding)
-
-
-def _temperatures(finding: Finding) -> str:
-    device, words = finding.device, []
-    if device is None:
-        return ""
-    if device.joints_c:
-        words.append(f"joints {min(device.joints_c):.1f} to {max(device.joints_c):.1f} °C")
-    if device.air_c is not None:
-        words.append(f"air {device.air_c:.1f} °C")
-    if device.pressure_hpa is not None:
-        words.append(f"{device.pressure_hpa:.1f} hPa")
-    if device.humidity_percent is not None:
-        words.append(f"{device.humidity_percent:.0f} %")
-    return ", ".join(words)
 
 
 def _device(kind: str, has_device: bool) -> str:

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from cellapp.cell.exports.arm_commands import ArmCommands, exported_commands, final_commands, first_rates
 from cellapp.cell.exports.arm_export import ArmExport, Workspace, conversion_mm, lost_by, lost_parts, workspace
 from cellapp.cell.exports.export_format import CellFormat, CommandFormat, ExportFormat
-from cellapp.cell.exports.formats import export_lines, form_line, format_named, lost_sentences
+from cellapp.cell.exports.formats import all_formats, export_lines, form_line, format_named, lost_sentences
 from cellapp.cell.exports.out_files import check_out, files_of_arms
 from cellapp.cell.exports.records import ArmFile, CommandFile, ExportResult
 from cellapp.cell.exports.urdf import geometry_export
@@ -25,12 +25,13 @@ from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.plan.run import export_plan
 from cellapp.commands.record import Request, View, Work
 from cellapp.commands.stages import RunStages, StoredStage, read_stages
-from cellapp.commands.stored_model import model_of, stage_in_force
+from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, VERIFY
+from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import published_rows
@@ -89,7 +90,11 @@ def _commands_stage(run: RunFile, stages: RunStages, name: str) -> StoredStage:
         raise InputError(f"export: commands are those of the stage {COMPENSATE} or {VERIFY}, not '{name}'")
     known = COMPENSATE if name == COMPENSATE else VERIFY
     stage = stages.current.get(known)
-    verb = f"cellapp compensate {run.folder} TARGETS" if known == COMPENSATE else f"cellapp push {run.folder} TARGETS"
+    verb = (
+        f"cellapp compensate {shell_word(run.folder)} TARGETS"
+        if known == COMPENSATE
+        else f"cellapp push {shell_word(run.folder)} TARGETS"
+    )
     if stage is None:
         raise InputError(f"export: {run.path} has no commands of '{name}'; nothing was written. Run '{verb}' first")
     if known in stages.out_of_date:
@@ -182,7 +187,14 @@ def export_as_run(
         If there is no such format, arm or stage, the run is not calibrated, the format cannot represent an arm, a file
         with another text exists, or a file cannot be written; also as ``export_commands``.
     """
+    require_own_factory(run, "export")
     form, stages = format_named(format_name), read_stages(run)
+    others = {".json", *(one.suffix for one in all_formats().values())} - {form.suffix}
+    if out.suffix.lower() in others:
+        raise InputError(
+            f"export: '{form.name}' is written as {form.suffix}, not as {out.suffix}: give --out"
+            f" {out.with_suffix(form.suffix)}. Nothing was written"
+        )
     if isinstance(form, CommandFormat):
         return export_commands(run, stages, form, out, arm, stage_name, outputs)
     if isinstance(form, CellFormat):
@@ -307,13 +319,13 @@ def lost_by_arm(run: RunFile) -> list[str]:
 
 def sentences(form: ExportFormat, export: ArmExport, profile: Profile) -> list[str]:
     """Return the head of every file: the arm, its source, and what the file does not represent."""
-    return [form_line(form, simulated=profile.is_simulated), *_arm_sentences(export)]
+    return [form_line(form, simulated=profile.is_simulated), *_arm_sentences(export, listed=form.lists_effects)]
 
 
-def _arm_sentences(export: ArmExport) -> list[str]:
+def _arm_sentences(export: ArmExport, *, listed: bool = False) -> list[str]:
     lines = [
         f"Arm '{export.name}' ({export.arm.type.model}), {export.source}.",
-        *lost_sentences(export.lost, export.lost_together),
+        *lost_sentences(export.lost, export.lost_together, listed=listed),
     ]
     return [" ".join(line.splitlines()) for line in lines]  # a line break in a name would end the comment
 
@@ -358,6 +370,7 @@ def export_run(
         write_recordings_csv(run, kind, path, outputs)
     lost = None
     if geometry is not None:
+        require_own_factory(run, "export")
         published = {name: published_rows(arm) for name, arm in run.profile.arms.items()}
         content = geometry_export(model_of(run, stage_in_force(run, read_stages(run))), published)
         outputs.write_text(geometry, content.to_json(indent=1) + "\n")

@@ -40,11 +40,13 @@ from cellapp.cell.run.csv_text import (
     table_text,
 )
 from cellapp.cell.run.recorded_csv import Recorded, converted, read_recorded
+from cellapp.estimation.calibration.quantities import repeats_words
 from cellapp.estimation.calibration.registration import Explained, better_reading, explained
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile.schema import ArmType
+from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import Array
 
@@ -192,7 +194,8 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
         profile: _profile_text(name, arms, arm_type.file, len(rows), readings, profile),
     }
     write_new(files, outputs)
-    notes = (*_preview(recorded, angles, lengths), *recorded.notes, _judged(arm_type, q, p_M))
+    repeated = [words] if (words := repeats_words(q, p_M)) else []
+    notes = (*_preview(recorded, angles, lengths), *recorded.notes, *repeated, _judged(arm_type, q, p_M))
     return OwnDataWritten(profile, readings, notes)
 
 
@@ -243,9 +246,8 @@ def _for_recordings(own: OwnData, motion: _Motion, folder: Path, outputs: Output
     profile = folder / FOLDER / f"{name}.yaml"
     text = _profile_text(name, (ARM,), types[0].file, 100, Path("READINGS.csv"), profile)
     points = own.readings if motion.points_beside else "FILE"
-    head = (
-        f"# For recordings of motion: `cellapp import {profile} --joints {own.readings} --points {points} --run DIR`.\n"
-    )
+    streams = f"--joints {shell_word(own.readings)} --points {shell_word(points)}"
+    head = f"# For recordings of motion: `cellapp import {shell_word(profile)} {streams} --run DIR`.\n"
     write_new({folder / FOLDER / types[0].file: types[0].text, profile: head + text}, outputs)
     where = (
         "the points of the tracker stand beside them" if motion.points_beside else "the points come from another file"
@@ -389,7 +391,8 @@ def _profile_text(name: str, arms: tuple[str, ...], type_file: str, rows: int, r
         "calibration": {"parameter_set": "auto", "priors": {"length": "3 mm", "angle": "5 mrad"}},
     }
     head = (
-        f"# Readings that were recorded elsewhere, for `cellapp import {profile} {readings} --run DIR`.\n"
+        f"# Readings that were recorded elsewhere, for `cellapp import {shell_word(profile)}"
+        f" {shell_word(readings)} --run DIR`.\n"
         "# Nothing is planned or moved, so no poses are needed. `cellapp docs readings` goes on from here.\n"
         "# smr.offset: where the measured point lies on the flange; the data find it.\n"
         "# splits: readings that identify the arm; the others are held out and show what the calibration is worth.\n"

@@ -9,6 +9,9 @@ from pydantic import model_validator
 
 from cellapp.commands.record import Asked, Request, Verb
 
+TABLES = (".csv", ".txt", ".tsv", ".dat")
+"""Endings of files of readings; others are read, too."""
+
 
 class InitRequest(Request):
     """Write a new profile as YAML; nothing is overwritten."""
@@ -21,16 +24,32 @@ class InitRequest(Request):
     answers: Annotated[Path | None, Asked("From answers; see 'cellapp docs cell'.", "FILE")] = None
     readings: Annotated[
         Path | None,
-        Asked("For readings recorded elsewhere; see 'cellapp docs readings'.", "FILE"),
+        Asked(
+            "For readings recorded elsewhere; see 'cellapp docs readings'.",
+            "FILE",
+            label="readings",
+            suffixes=TABLES,
+            hint="CSV or text, with a row of names",
+        ),
     ] = None
-    arm: Annotated[str | None, Asked("With --readings: an arm type by name, its file, or D-H rows (CSV).", "TYPE")] = (
-        None
-    )
+    arm: Annotated[
+        str | None,
+        Asked(
+            "With --readings: an arm type by name, its file, or D-H rows (CSV).",
+            "TYPE",
+            label="arm",
+            hint="name of an arm type, its file, or D-H rows; empty: which would fit?",
+        ),
+    ] = None
     modified: Annotated[bool, Asked("With --arm ROWS.csv: the rows are modified D-H (Craig).")] = False
     angles: Annotated[
-        Literal["rad", "deg"] | None, Asked("With --readings: unit of joint positions, if it is not found.")
+        Literal["rad", "deg"] | None,
+        Asked("With --readings: unit of joint positions, if it is not found.", label="joint positions in"),
     ] = None
-    lengths: Annotated[Literal["m", "mm"] | None, Asked("With --readings: unit of points, if it is not found.")] = None
+    lengths: Annotated[
+        Literal["m", "mm"] | None,
+        Asked("With --readings: unit of points, if it is not found.", label="points in"),
+    ] = None
     name: Annotated[str | None, Asked("With --readings: name of the profile.", "NAME")] = None
 
     @model_validator(mode="after")
@@ -50,4 +69,4 @@ class InitRequest(Request):
         return self
 
 
-VERB = Verb("init", InitRequest, chapter="cell")
+VERB = Verb("init", InitRequest, chapter="cell", question="Calibrate readings that were recorded elsewhere")

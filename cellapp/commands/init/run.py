@@ -12,6 +12,7 @@ from cellapp.commands.init.own_data import OwnData, write_own_data
 from cellapp.commands.init.request import InitRequest
 from cellapp.commands.record import Request, View, Work
 from cellapp.ground.results import Result
+from cellapp.ground.shell import shell_word
 from cellapp.ground.starters import TWIN
 
 
@@ -67,6 +68,7 @@ def _next_command(result: InitResult) -> str:
     if result.readings is not None:
         return shlex.join(["cellapp", "import", result.profile, result.readings, "--run", str(run)])
     if any(arm.driver.has_device for arm in load_profile(path).arms.values()):
-        return f"cellapp doctor {path}"
+        return f"cellapp doctor {shell_word(path)}"
     readings = readings_of(path.stem, path.parent)
-    return f"cellapp import {path} {readings if readings.is_file() else 'READINGS.csv'} --run {logs}"
+    measured = shell_word(readings) if readings.is_file() else "READINGS.csv"
+    return f"cellapp import {shell_word(path)} {measured} --run {shell_word(logs)}"

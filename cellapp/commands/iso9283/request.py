@@ -59,11 +59,19 @@ def _percents(values: tuple[float, ...]) -> tuple[float, ...]:
 class Iso9283Request(Request):
     """Test pose accuracy and more by ISO 9283: 'cellapp iso9283 PROFILE' makes all tests. THE ARMS MOVE."""
 
-    profile: Annotated[Path | None, Asked("The cell, as YAML.", "PROFILE", argument=True, needed=True)] = None
+    profile: Annotated[Path | None, Asked("The cell, as YAML; --run knows its own.", "PROFILE", argument=True)] = None
     """None: that of the run in ``folder``."""
     folder: Annotated[
-        Path | None, Asked("A new run, or an existing one: its calibration is then used.", "DIR", option="--run")
+        Path | None, Asked("The run whose calibration is tested; with --nominal also a new one.", "DIR", option="--run")
     ] = None
+    nominal: Annotated[
+        bool,
+        Asked(
+            "Command by the published geometry alone, also where there is no calibration; makes the run if need be.",
+            label="nominal alone",
+            hint="without calibration",
+        ),
+    ] = False
     tests: Annotated[
         tuple[IsoTest, ...],
         AfterValidator(_some),

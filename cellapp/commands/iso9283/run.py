@@ -46,6 +46,7 @@ from cellapp.ground.outputs import NEW_ONLY
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
 from cellapp.ground.results import ISO9283
+from cellapp.ground.shell import shell_word
 
 _NO_ORIENTATION = (
     "positions only: one SMR on each flange shows nothing of the norm's characteristics of orientation (AP and RP of"
@@ -56,13 +57,18 @@ _POINTS = "iso9283-points"
 
 
 def run(request: Iso9283Request, work: Work) -> Iso9283Result:
-    """Make tests in the run of a folder, or in a new run."""
+    """Make tests in the run of a folder; of nominal commands also in a new run."""
     profile, folder = None if request.profile is None else load_profile(request.profile), request.folder
     if folder is None:
         assert profile is not None  # the request has folder or profile
+        if not request.nominal:
+            raise InputError(
+                f"iso9283: whose calibration is tested? Give its run with --run DIR, or --nominal to test the arms of"
+                f" '{profile.name}' as they are, by the published geometry. Nothing was moved"
+            )
         folder = default_folder(profile.name)
         work.say(f"stored in {folder}")
-    with RunFile.open(folder, write=True) if profile is None else iso9283_folder(profile, folder) as opened:
+    with opened_run(folder, profile, new=request.nominal) as opened:
         return iso9283_run(opened, request, work.listener, work.control, ask=work.ask(opened.profile.name))
 
 
@@ -93,7 +99,7 @@ def iso9283_run(
     """
     control, stages = control or JobControl(), read_stages(run)
     used = stages.in_force
-    kinds = _commands(request.commands, calibrated=used is not None)
+    kinds = _commands(run, request, calibrated=used is not None)
     named = _arms(run.profile, request.arms)
     if request.tests == ("cooperative",) and len(named) < 2:
         raise InputError("iso9283: a cooperative test needs two arms; this cell, or --arm, has one")
@@ -107,16 +113,21 @@ def iso9283_run(
         return _driven(run, used, task, notes, with_eta(listener), control, confirm, open_with, insist=insist)
 
 
-def iso9283_folder(profile: Profile, folder: Path) -> RunFile:
-    """Open the run in a folder for writing; make one without a plan if the folder holds none.
+def opened_run(folder: Path, profile: Profile | None, *, new: bool) -> RunFile:
+    """Open the run in a folder for writing; if ``new`` and the folder holds none, make one without a plan.
 
-    Raises ``InputError`` if the run is of another cell.
+    Raises ``InputError`` if the folder holds no run, or one of another cell than that of ``profile``.
     """
     if not (folder / "run.sqlite").exists():
-        return RunFile.create(folder, profile)
+        if new and profile is not None:
+            return RunFile.create(folder, profile)
+        raise InputError(
+            f"{folder} holds no run whose calibration could be tested: give that of a calibrated run with --run, or"
+            " PROFILE and --nominal to test the arms as they are. Nothing was moved"
+        )
     run = RunFile.open(folder, write=True)
     for section in ("arms", "tracker", "obstacles"):
-        if getattr(run.profile, section) != getattr(profile, section):
+        if profile is not None and getattr(run.profile, section) != getattr(profile, section):
             run.close()
             raise InputError(
                 f"{run.path}: its profile differs from '{profile.name}' in section '{section}': it is a run of another"
@@ -171,12 +182,14 @@ def _driven(
     return _store(run, used, _result(run.profile, task, findings, began, ""), findings)
 
 
-def _commands(asked: Sequence[IsoCommands] | None, *, calibrated: bool) -> tuple[IsoCommands, ...]:
-    if asked is None:
-        return ISO_COMMANDS if calibrated else ("nominal",)
+def _commands(run: RunFile, request: Iso9283Request, *, calibrated: bool) -> tuple[IsoCommands, ...]:
+    """Return the kinds of commands: those asked for, else both. Raises ``InputError`` without the calibration asked."""
+    asked = ("nominal",) if request.nominal else request.commands or ISO_COMMANDS
     if "calibrated" in asked and not calibrated:
         raise InputError(
-            "iso9283: calibrated commands need a calibrated run: give its folder with --run; nothing was moved"
+            f"iso9283: {run.folder} is not calibrated: 'cellapp calibrate {shell_word(run.folder)}' first, or"
+            " add --nominal to test"
+            " the arms as they are, by the published geometry. Nothing was moved"
         )
     return tuple(kind for kind in ISO_COMMANDS if kind in asked)
 

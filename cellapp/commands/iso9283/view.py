@@ -70,17 +70,14 @@ def _tables(result: Iso9283Result) -> list[tuple[bool, Table]]:
         (True, _poses(result)),
         (True, _orientations(result)),
         (False, _series(result)),
-        (False, _axes(result)),
         (True, _cooperative(result)),
         (False, _directions(result)),
         (True, _distances(result)),
         (False, _drift(result)),
-        (False, _drift_groups(result)),
         (False, _paths(result)),
         (False, _velocities(result)),
         (True, _coverage(result)),
         (False, _cubes(result)),
-        (False, _test_poses(result)),
     ]
     return [(leads, table) for leads, table in tables if table.rows]
 
@@ -262,16 +259,6 @@ def _series(result: Iso9283Result) -> Table:
     )
 
 
-def _axes(result: Iso9283Result) -> Table:
-    return table_of(
-        "Components of AP along the axes of the arm's base [mm]",
-        _measured_poses(result),
-        *_COMMANDED,
-        ("pose", "one.pose"),
-        *_axis_fields(),
-    )
-
-
 def _cooperative(result: Iso9283Result) -> Table:
     columns = (
         Column("arms"),
@@ -326,20 +313,6 @@ def _drift(result: Iso9283Result) -> Table:
         *pairs,
         ("shift of the mean", "one.shift_mm", ".3f"),
         ("groups", lambda row: len(row.one.groups), "d"),
-    )
-
-
-def _drift_groups(result: Iso9283Result) -> Table:
-    return table_of(
-        "Groups of the drift test [mm]",
-        [_Commanded(name, kind, group) for name, kind, drift in _drifts(result) for group in drift.groups],
-        ("arm", "arm"),
-        ("after", "one.minutes", ".0f", "min"),
-        ("AP", "one.accuracy_mm", ".3f"),
-        ("RP", "one.repeatability_mm", ".3f"),
-        *_axis_fields(),
-        ("air", "one.temperature_c", ".1f", "degC"),
-        ("n", "one.n", "d"),
     )
 
 
@@ -429,17 +402,6 @@ def _cubes(result: Iso9283Result) -> Table:
     return Table("Test cubes, axes of the arm's base", columns, tuple(rows))
 
 
-def _test_poses(result: Iso9283Result) -> Table:
-    columns = (Column("arm"), Column("pose"), *(number_column(axis, ".4f", "m") for axis in "xyz"))
-    rows: list[tuple[Cell, ...]] = [
-        (name, pose.name, *pose.position_B)
-        for name, cube in _cubes_of(result)
-        if cube is not None
-        for pose in cube.poses
-    ]
-    return Table("Commanded positions of the SMR in the arm's base", columns, tuple(rows))
-
-
 def _drifts(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, DriftCharacteristics]]:
     for name, kind, tests in _tests_of(result):
         if tests.drift is not None:
@@ -481,12 +443,6 @@ def _pair_fields(first: str, second: str) -> Iterator[Field]:
     yield "n", "one.accuracy.n", "d"
 
 
-def _axis_fields() -> Iterator[Field]:
-    """Yield the error of ``_Commanded.one`` along each axis."""
-    for place, axis in enumerate("xyz"):
-        yield f"AP {axis}", lambda row, place=place: row.one.error_mm[place], ".3f"
-
-
 def _pair_columns(first: str, second: str) -> tuple[Column, ...]:
     """Build a column for each of two characteristics and its uncertainty."""
     return tuple(number_column(title, ".3f") for name in (first, second) for title in (name, f"U({name})"))
@@ -498,20 +454,10 @@ def _value_cells(value: IsoValue) -> tuple[Cell, Cell]:
 
 
 def iso9283_charts(result: Iso9283Result) -> list[Chart]:
-    """Show accuracy at the poses, each arm's errors over the cycles with its last commands, drift; only non-empty
-    charts.
-
-    If AP is judged, its tolerance is drawn as a line.
-    """
+    """Show accuracy at the poses, with the tolerance of AP if it is judged, and drift; only non-empty charts."""
     tolerances_mm = (one.tolerance_mm for one in result.judgements if one.characteristic == "pose_accuracy")
-    pose_tolerance_mm = next(tolerances_mm, None)
-    charts = [accuracy_chart(result, pose_tolerance_mm)]
-    for name, arm in result.arms.items():
-        for kind in reversed(ISO_COMMANDS):
-            if kind in arm.tests and arm.tests[kind].pose:
-                charts.append(cycle_chart(name, kind, arm.tests[kind], pose_tolerance_mm))
-                break
-    return [chart for chart in (*charts, drift_chart(result)) if not chart.is_empty]
+    charts = (accuracy_chart(result, next(tolerances_mm, None)), drift_chart(result))
+    return [chart for chart in charts if not chart.is_empty]
 
 
 def accuracy_chart(result: Iso9283Result, tolerance_mm: float | None = None) -> Chart:
@@ -525,11 +471,10 @@ def accuracy_chart(result: Iso9283Result, tolerance_mm: float | None = None) -> 
                 continue
             values = [pose.accuracy for pose in poses]
             largest = max(value.value_mm for value in values)
-            hints = [f"{pose.pose}: U = {mm(pose.accuracy.expanded_mm or 0.0)}" for pose in poses]
             numbers = [float(pose.pose[1:]) for pose in poses]
             found = [value.value_mm for value in values]
             title = f"arm {name}, {kind}"
-            drawn.append(series(title, numbers, found, "points", style=len(drawn), hints=hints))
+            drawn.append(series(title, numbers, found, "points", style=len(drawn)))
             words.append(f"{title}: {mm(largest)}")
     return Chart(
         "Pose accuracy at the five poses",
@@ -537,25 +482,6 @@ def accuracy_chart(result: Iso9283Result, tolerance_mm: float | None = None) -> 
         Axis("AP", "mm", logarithmic=True),
         tuple(drawn),
         f"Largest pose accuracy AP, by arm and commands: {'; '.join(words)}.",
-        _limits(tolerance_mm),
-    )
-
-
-def cycle_chart(name: str, kind: IsoCommands, tests: CommandedTests, tolerance_mm: float | None = None) -> Chart:
-    """Show the distance of each attained from the commanded position, pose by pose, over all cycles."""
-    errors = [np.linalg.norm(np.array(pose.deviations_mm), axis=1) for pose in tests.pose]
-    drawn = [
-        series(pose.pose, np.arange(1.0, len(one) + 1.0), one, "points", style=number)
-        for number, (pose, one) in enumerate(zip(tests.pose, errors, strict=True))
-    ]
-    worst = max(tests.pose, key=lambda pose: pose.accuracy.value_mm)
-    return Chart(
-        f"Arm {name}: error at each visit, {kind} commands",
-        Axis("cycle"),
-        Axis("error", "mm"),
-        tuple(drawn),
-        f"Largest pose accuracy AP {mm(worst.accuracy.value_mm)} at {worst.pose}, largest repeatability RP"
-        f" {mm(max(pose.repeatability.value_mm for pose in tests.pose))}, {counted(worst.accuracy.n, 'cycle')}.",
         _limits(tolerance_mm),
     )
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Literal
 
 from cellapp.ground.results import Matrix, Point, Record, Result
 
 LocateVerdict = Literal["located", "base moved", "smr moved", "not explained"]
-"""Explanation of the points: the tracker's motion alone; also a moved base or a remounted SMR; none."""
+"""Whether the tracker's motion explains the points; earlier versions tried a moved base and a remounted SMR."""
 
 
 class StationPose(Record):
@@ -29,24 +30,6 @@ class LocatedPoint(Record):
     measured_M: Point
     residual_mm: Point
     found_off_mm: float
-
-
-class OtherMotion(Record):
-    """Another motion that was tried, because the tracker's alone does not explain the points.
-
-    ``kind`` "base": of the arm's base by ``shift_mm`` and ``turn_deg``; "smr": of its SMR on the flange. ``explains``
-    says whether it and a motion of the tracker do; ``others_still`` whether the other arms see the tracker unmoved.
-    """
-
-    kind: Literal["base", "smr"]
-    arm: str
-    shift_mm: float
-    turn_deg: float
-    chi_squared: float
-    degrees_of_freedom: int
-    probability: float
-    explains: bool
-    others_still: bool
 
 
 class LocateResult(Result, schema="cellapp-locate"):
@@ -90,7 +73,6 @@ class LocateResult(Result, schema="cellapp-locate"):
     simulated_pose: StationPose | None = None
     carried: bool = True
     points: tuple[LocatedPoint, ...]
-    other_motions: tuple[OtherMotion, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -102,30 +84,9 @@ class LocateResult(Result, schema="cellapp-locate"):
         """Say why the tracker could not be located; empty if it was."""
         if self.verdict == "located":
             return []
-        found = next((one for one in self.other_motions if one.explains), None)
-        if found is None:
-            return [
-                f"no motion of the tracker explains the points: they are off by {self.rms_mm:.3f} mm rms; neither does"
-                f" a moved base or SMR. {self._worst()}. Calibrate again"
-            ]
-        if found.kind == "smr":
-            return [
-                f"the SMR of arm {found.arm} sits {found.shift_mm:.3f} mm from where it was on the flange: it was"
-                " remounted, or the tool was changed. Put it back, or calibrate again"
-            ]
-        return [f"{self._base_words(found)}. Put it back, or calibrate again"]
-
-    def _base_words(self, found: OtherMotion) -> str:
-        by = f"{found.shift_mm:.3f} mm and {found.turn_deg:.4f} deg"
-        if found.others_still:
-            return f"the base of arm {found.arm} was moved by {by}; the other arm sees no motion of the tracker"
-        others = " and ".join(name for name in self.by_arm if name != found.arm)
-        return (
-            f"arm {found.arm} and {others} were moved against each other by {by}: the base of one of them was moved,"
-            " and the tracker too"
-        )
-
-    def _worst(self) -> str:
-        worst = max(self.points, key=lambda point: sum(mm**2 for mm in point.residual_mm))
-        size = sum(mm**2 for mm in worst.residual_mm) ** 0.5
-        return f"The largest is {size:.3f} mm, of arm {worst.arm}: the arm was changed, or another SMR was measured"
+        worst = max(self.points, key=lambda point: math.hypot(*point.residual_mm))
+        return [
+            f"no motion of the tracker explains the points: they are off by {self.rms_mm:.3f} mm rms, most"
+            f" ({math.hypot(*worst.residual_mm):.3f} mm) of arm {worst.arm}: a base or an SMR was moved too, or the arm"
+            " changed. With the tracker where it stood, 'cellapp check' names what; or calibrate again"
+        ]

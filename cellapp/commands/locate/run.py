@@ -15,12 +15,12 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.request import LocateRequest
-from cellapp.commands.locate.result import LocatedPoint, LocateResult, LocateVerdict, OtherMotion, StationPose
+from cellapp.commands.locate.result import LocatedPoint, LocateResult, StationPose
 from cellapp.commands.locate.station import excess_of_readings, last_location, profile_at_station
 from cellapp.commands.record import Work
 from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import arms_stage, model_of
-from cellapp.estimation.calibration.station_location import FEWEST_POINTS, Cause, displacement_m
+from cellapp.estimation.calibration.station_location import FEWEST_POINTS, displacement_m
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
@@ -95,7 +95,6 @@ def locate_run(
         candidates={name: known_readings(run, name).q for name in run.profile.arms},
         excess_m=excess_of_readings(run, model_of(run, used)),
         points=points,
-        still_m=run.profile.collection.reference.drift,
     )
     notes: list[str] = []
     opened = noting_controllers(run, notes)
@@ -150,12 +149,12 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
     assert pose is not None
     T_C_M = pose_matrix(pose) @ invert(fit.T_new_old)
     old_station = invert(fit.T_new_old)[:3, 3]
-    moved = displacement_m(task.model, found.points, fit.T_new_old) > task.still_m
+    moved = displacement_m(task.model, found.points, fit.T_new_old) > profile.collection.reference.drift
     plant = task.profile.plant
     placed = None if plant is None or plant.tracker_pose is None else plant.tracker_pose
     rows = {name: iter(own) for name, own in fit.residuals.items()}
     return LocateResult(
-        verdict=_verdict(found),
+        verdict="located" if found.explained else "not explained",
         moved=moved,
         T_new_old=rows_of(fit.T_new_old),
         shift_mm=float(np.linalg.norm(old_station)) * 1e3,
@@ -179,7 +178,6 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
             )
             for one in found.found
         ),
-        other_motions=tuple(_motion(cause) for cause in found.causes),
         notes=(*notes, *_station_notes(task, found, moved=moved), *_model_notes(task.model)),
     )
 
@@ -197,15 +195,6 @@ def _store(run: RunFile, used: StoredStage, result: LocateResult, moved: CellMod
         run.log("warning" if result.verdict != "located" else "note", line)
     if moved is not None:
         moved.save(run.folder / CALIBRATION_FILE)
-
-
-def _verdict(found: LocatedStation) -> LocateVerdict:
-    if found.explained:
-        return "located"
-    first = next((cause for cause in found.causes if cause.fit.explains), None)
-    if first is None:
-        return "not explained"
-    return "base moved" if first.kind == "base" else "smr moved"
 
 
 def _station_notes(task: LocateTask, found: LocatedStation, *, moved: bool) -> list[str]:
@@ -248,17 +237,6 @@ def _model_notes(model: CellModel) -> list[str]:
 def _is_of_view(term: EffectTerm) -> bool:
     variables = term.law.form.variables or EFFECTS[term.slug].variables
     return bool(variables & {DriverVariable.BEAM, DriverVariable.INCIDENCE})
-
-
-def _motion(cause: Cause) -> OtherMotion:
-    return OtherMotion.like(
-        cause.fit,
-        kind=cause.kind,
-        arm=cause.arm,
-        shift_mm=cause.shift_m * 1e3,
-        turn_deg=float(np.degrees(cause.turn_rad)),
-        others_still=cause.others_still,
-    )
 
 
 def _added_mm(found: LocatedStation) -> float:

@@ -8,18 +8,23 @@ import numpy as np
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.locate.result import LocateResult
-from cellapp.commands.stages import RunStages, read_stages, tracker_moved
+from cellapp.commands.stages import RunStages, read_history, read_stages, tracker_moved
 from cellapp.commands.stored_model import read_calibration
 from cellapp.estimation.readings.readings import stated_uncertainty
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
-from cellapp.ground.results import LOCATE
+from cellapp.ground.results import CHECK, ISO9283, LOCATE, VERIFY
+from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 
+_MEASURED_BY = (LOCATE, CHECK, VERIFY, ISO9283)
+"""Results that jobs after the calibration leave in the run."""
+
 
 def profile_at_station(run: RunFile, stages: RunStages, simulated_pose: Pose | None = None) -> Profile:
-    """Return the profile of a run for jobs that open the cell; a simulated tracker is where it was moved to.
+    """Return the profile of a run for jobs that open the cell; a simulated tracker is where it was moved to, with
+    noise that no job had before.
 
     ``simulated_pose`` moves it. Raises ``InputError`` if one is given and the tracker is not simulated.
     """
@@ -32,9 +37,11 @@ def profile_at_station(run: RunFile, stages: RunStages, simulated_pose: Pose | N
     last = last_location(run, stages)
     if simulated_pose is None and last is not None and last.simulated_pose is not None:
         simulated_pose = Pose(position=last.simulated_pose.position, rpy=last.simulated_pose.rpy)
-    if simulated_pose is None or profile.plant is None:
+    if profile.plant is None:
         return profile
-    plant = profile.plant.model_copy(update={"tracker_pose": simulated_pose})
+    plant = profile.plant.after(sum(one.name in _MEASURED_BY for one in read_history(run)))
+    if simulated_pose is not None:
+        plant = plant.model_copy(update={"tracker_pose": simulated_pose})
     return profile.model_copy(update={"plant": plant})
 
 
@@ -51,7 +58,8 @@ def refuse_second_station(run: RunFile) -> None:
         return
     what = "the tracker" if located.model is not None else "the tracker or an arm"
     raise InputError(
-        f"{run.path}: {what} was moved since the readings of this run were taken: 'cellapp show {run.folder} location'."
+        f"{run.path}: {what} was moved since the readings of this run were taken: 'cellapp show"
+        f" {shell_word(run.folder)} location'."
         " Readings from two stations do not calibrate together: plan and collect a new run, or put it back and locate"
         " the tracker again"
     )

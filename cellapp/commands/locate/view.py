@@ -37,7 +37,7 @@ def location_sentences(result: LocateResult) -> list[str]:
         f" degrees of freedom, probability {result.probability:.2g}"
     )
     if result.verdict != "located":
-        return [f"not located: {test}", *(_motion_sentences(result)), *result.complaints(), *result.notes]
+        return [f"not located: {test}", *result.complaints(), *result.notes]
     place = ", ".join(f"{value:.4f}" for value in result.tracker_pose.position)
     angles = ", ".join(f"{math.degrees(value):.3f}" for value in result.tracker_pose.rpy)
     what = "moved" if result.moved else "not moved beyond the limit of drift: it stands"
@@ -47,14 +47,4 @@ def location_sentences(result: LocateResult) -> list[str]:
         f"it stands at ({place}) m in the cell, roll, pitch, yaw ({angles}) deg",
         f"the station adds {result.uncertainty_mm:.4f} mm of standard uncertainty to a coordinate; {test}",
         *result.notes,
-    ]
-
-
-def _motion_sentences(result: LocateResult) -> list[str]:
-    """State the other motions that were tried."""
-    return [
-        f"tried: {'base' if one.kind == 'base' else 'SMR'} of arm {one.arm} moved by {one.shift_mm:.3f} mm"
-        f"{f' and {one.turn_deg:.4f} deg' if one.kind == 'base' else ''}: chi-squared {one.chi_squared:.1f} of"
-        f" {one.degrees_of_freedom}, {'explains the points' if one.explains else 'does not explain them'}"
-        for one in result.other_motions
     ]

@@ -49,7 +49,7 @@ class Outlined:
 
 
 def outlined_obstacles(profile: Profile) -> list[Outlined]:
-    """Return the obstacles whose pose is known, those on a flange with the arm at home; a mesh as its convex hull."""
+    """Return the obstacles whose arm has a pose, those on a flange with it at home; a mesh as its convex hull."""
     bases = {name: pose_matrix(arm.base) for name, arm in profile.arms.items() if arm.base is not None}
     flanges = {}
     for name, T_C_B in bases.items():
@@ -57,15 +57,8 @@ def outlined_obstacles(profile: Profile) -> list[Outlined]:
         if arm.home is not None:
             rotation, origin = flange_poses(nominal_arm(arm).with_T_M_B(T_C_B), np.array([arm.home]))
             flanges[name] = np.block([[rotation[0], origin[0][:, None]], [np.zeros(3), 1.0]])
-    return placed_obstacles(profile.obstacles, bases, flanges)
-
-
-def placed_obstacles(
-    obstacles: Mapping[str, AnyObstacle], bases: Mapping[str, Array], flanges: Mapping[str, Array]
-) -> list[Outlined]:
-    """Place obstacles with the arms' poses ``T_C_B`` and ``T_C_F`` (4, 4); leave out those whose arm has no pose."""
     found = []
-    for name, one in obstacles.items():
+    for name, one in profile.obstacles.items():
         frame = np.eye(4) if one.arm is None else (bases if one.fixed_to == "base" else flanges).get(one.arm)
         points = surface_points(one)
         if frame is not None and len(points):

@@ -44,10 +44,9 @@ class PlanRequest(Request):
         Field(ge=1, le=MOST_STOPS),
         Asked("Plan N stops, and at each of them a recorded sweep of every arm.", "N"),
     ] = None
-    view: Annotated[bool, Asked("Only say what the tracker sees of each arm's workspace; nothing is stored.")] = False
 
     def job_name(self) -> str:
-        named = {"check": self.check is not None, "view": self.view, "freeze": self.freeze is not None}
+        named = {"check": self.check is not None, "freeze": self.freeze is not None}
         return next((name for name, is_asked in named.items() if is_asked), "")
 
     @model_validator(mode="after")
@@ -59,7 +58,6 @@ class PlanRequest(Request):
             "--add": self.add is not None,
             "--replan": self.replan,
             "--freeze": self.freeze is not None,
-            "--view": self.view,
             "--sweeps": self.sweeps is not None,
         }
         words = [word for word, is_given in given.items() if is_given]
@@ -72,7 +70,7 @@ class PlanRequest(Request):
             )
         if not changes_run and self.profile is None:
             raise ValueError("PROFILE is missing; name the cell's YAML file")
-        only_reads = given["--check"] or given["--view"]
+        only_reads = given["--check"]
         if only_reads and self.folder is not None:
             raise ValueError(f"{words[0]} makes no run; leave out --run")
         if not (changes_run or only_reads) and self.folder is None:

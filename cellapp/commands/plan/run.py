@@ -26,9 +26,9 @@ from cellapp.cell.planning.planned_stops import (
     read_stop_conditions,
     write_planned_stops,
 )
-from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal, ViewResult
+from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
 from cellapp.cell.planning.sweeps import SWEEPS_RESULT, forecast_sweeps, plan_sweeps, read_planned_sweeps
-from cellapp.cell.planning.view import check_each_stop, check_stops, required_plan, view_workspace
+from cellapp.cell.planning.view import check_each_stop, check_stops, required_plan
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import note_profile
@@ -42,6 +42,7 @@ from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
+from cellapp.ground.shell import shell_word
 from cellapp.ground.threads import one_blas_thread
 
 _CHANGED = "plan changed: "
@@ -50,16 +51,14 @@ _SEED = 0xADD
 """Mixed with the profile's seed to draw other candidates than those that could partly not be reached."""
 
 
-def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult | ViewResult:
-    """Make, change or check a plan, or show what the tracker can see, as requested."""
+def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult:
+    """Make, change or check a plan, as requested."""
     if request.profile is None:
         assert request.folder is not None, "the request says so"
         return _changed(request, request.folder, work)
     profile, watched = load_profile(request.profile), (work.listener, work.control)
     if request.check is not None:
         return check_plan_file(profile, request.check, *watched)
-    if request.view:
-        return view_workspace(profile, *watched)
     assert request.folder is not None, "the request says so"
     if request.source is not None:
         result = plan_from_file(profile, request.source, request.folder, *watched)
@@ -340,7 +339,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
         if needed <= 0:
             raise InputError(
                 f"{run.path}: every stop is measured, proposed or frozen: nothing is left to design; extend the run"
-                f" with 'cellapp plan --run {run.folder} --add N'"
+                f" with 'cellapp plan --run {shell_word(run.folder)} --add N'"
             )
         kept = stops.take([*parts.fixed, *parts.frozen])
         made, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=needed)

@@ -1,4 +1,4 @@
-"""The results of ``plan`` as tables and sentences: a plan that was made, a check, a forecast, a view, stored stops."""
+"""The results of ``plan`` as tables and sentences: a plan that was made, a check, a forecast, stored stops."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from cellapp.cell.driving.records import PlanResult
 from cellapp.cell.planning.duration import planned_time
 from cellapp.cell.planning.planned_stops import PlannedStops, read_plan_design, read_planned_stops
-from cellapp.cell.planning.records import PlanCheckResult, PlanDesignResult, PlanForecastResult, PlannedTime, ViewResult
+from cellapp.cell.planning.records import PlanCheckResult, PlanDesignResult, PlanForecastResult, PlannedTime
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.charts import coverage_charts, design_charts
 from cellapp.commands.plan.charts_obstacles import cell_map_chart
@@ -26,8 +26,6 @@ from cellapp.commands.plan.check_view import (
     quality_table,
     sweep_sentences,
     sweep_tables,
-    view_sentences,
-    view_tables,
 )
 from cellapp.commands.plan.result import PlannedStop, StopsResult
 from cellapp.commands.plan.run import planned_stops
@@ -42,9 +40,9 @@ _DEG = ".2f"
 
 
 def view(
-    result: PlanResult | PlanCheckResult | PlanForecastResult | ViewResult | StopsResult, request: Request | None = None
+    result: PlanResult | PlanCheckResult | PlanForecastResult | StopsResult, request: Request | None = None
 ) -> View:
-    """Show what was planned, refused, predicted or seen; a check fails if the gate refuses something."""
+    """Show what was planned, refused or predicted; a check fails if the gate refuses something."""
     match result:
         case PlanResult():
             tables = (*plan_result_tables(result), *sweep_tables(result.sweeps))
@@ -55,8 +53,6 @@ def view(
             return View((*offences, verdict), held=verdict) if result.is_safe else View(offences, (verdict,), "plan")
         case PlanForecastResult():
             return View((*forecast_tables(result), *forecast_sentences(result)))
-        case ViewResult():
-            return View((*view_tables(result), *view_sentences(result)))
     planned = () if result.stops else ("no stops are planned",)
     design = result.design
     told: tuple[Table | str, ...] = () if design is None else (*design_tables(design), *design_sentences(design))

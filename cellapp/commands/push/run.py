@@ -23,7 +23,7 @@ from cellapp.commands.push.request import VERB, PushRequest
 from cellapp.commands.record import Request, View, Work
 from cellapp.commands.run_results import evidence_of, read_stage_results
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
-from cellapp.commands.stored_model import model_of, require_current_model, stage_in_force
+from cellapp.commands.stored_model import model_of, require_current_model, require_own_factory, stage_in_force
 from cellapp.commands.view.parts import Part
 from cellapp.estimation.uncertainty.budget import Judge, measured_conditions
 from cellapp.ground.control import JobControl
@@ -99,6 +99,7 @@ def push_targets(
 ) -> VerifyResult:
     """Push as ``push_run`` does, within a job that has locked the folder already."""
     stages = read_stages(run)
+    require_own_factory(run, "push")
     if not out_of_date:
         require_current_model(run, stages, "push")
     commands, compensated = compensated_commands(run, stages, targets)

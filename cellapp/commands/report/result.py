@@ -18,11 +18,9 @@ class RunResults(StageResults):
 
 
 class ReportResult(RunResults, schema="cellapp-report"):
-    """``report``: the page, the results that it shows, and its print where one was asked for."""
+    """``report``: the page, and the results that it shows."""
 
     page: str
-    pdf: str | None = None
-    omitted_when_none = RunResults.omitted_when_none | {"pdf"}
 
 
 R = TypeVar("R", bound=RunResults)

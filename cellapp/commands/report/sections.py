@@ -55,8 +55,8 @@ from cellapp.commands.rehearse.result import kept_log
 from cellapp.commands.rehearse.view import log_section
 from cellapp.commands.report.before_after import best_method
 from cellapp.commands.report.data import ReportData
-from cellapp.commands.report.headlines import headlines, missing_results, verified_headlines, warnings
-from cellapp.commands.report.scene import cell_maps, cell_scene, typical_stops
+from cellapp.commands.report.headlines import warnings
+from cellapp.commands.report.scene import cell_maps, typical_stops
 from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
 from cellapp.commands.trials.power.result import power_parts, stored_power
 from cellapp.commands.view.charts import Chart, enumerated, mm
@@ -204,7 +204,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...]]] = {
     "cell": ("The cell", ()),
     "parameters": ("Identified parameters", (CALIBRATE,)),
     "controllers": ("The controllers' own calibration", (CALIBRATE,)),
-    "notes": ("Warnings, notes, what is not in this report", ()),
+    "notes": ("Warnings and notes", ()),
     "provenance": ("Provenance", ()),
 }
 """Sections in the order of the report: anchor, title, and the stages whose results they show even if out of date."""
@@ -269,7 +269,6 @@ def _accuracy(data: ReportData) -> Section:
     return Section(
         "",
         [
-            Facts(tuple(headlines(data))),
             *_absent_stages(data),
             *accuracy_charts(data),
             *detailed_tables(calibrate),
@@ -372,8 +371,7 @@ def _targets(data: ReportData) -> Section | None:
     if compensate is None and data.verify is None:
         return None
     floors_mm = {name: arm.tracker_mm for name, arm in data.calibrate.arms.items()}
-    section = targets_section(compensate, data.verify, floors_mm)
-    return replace(section, parts=[Facts(tuple(verified_headlines(data))), *section.parts])
+    return targets_section(compensate, data.verify, floors_mm)
 
 
 def _iso9283(data: ReportData) -> Section | None:
@@ -497,10 +495,9 @@ def _pair_message(calibrate: CalibrateResult) -> str:
 def _cell(data: ReportData) -> Section:
     distances = {name: float(np.linalg.norm(arm.geometry.T_M_B()[:3, 3])) for name, arm in data.model.arms.items()}
     words = enumerated(f"arm {name} {distance:.2f} m" for name, distance in distances.items())
-    scene = cell_scene(data)
     return Section(
         "",
-        [scene, *cell_maps(scene), base_table(data.model)],
+        [*cell_maps(data), base_table(data.model)],
         f"Distance of the bases from the tracker: {words}.",
         "Drawn in the tracker frame, rotated so that z points up; the tracker is at the origin.",
     )
@@ -542,15 +539,8 @@ def _parameters_message(data: ReportData) -> str:
 
 
 def _notes(data: ReportData) -> Section | None:
-    notes, missing = warnings(data), missing_results(data)
-    counts = [counted(len(notes), "warning or note", "warnings or notes")] if notes else []
-    counts += [f"{counted(len(missing), 'result')} not in this report"] if missing else []
-    about = "DIR is the folder of this run, TARGETS a list of targets."
-    parts = [
-        *([Section("Warnings and notes", notes)] if notes else []),
-        *([Section("Not in this report", [Facts(tuple(missing))], about=about)] if missing else []),
-    ]
-    return Section("", parts, f"{enumerated(counts)}.") if parts else None
+    notes = warnings(data)
+    return Section("", notes, f"{counted(len(notes), 'warning or note', 'warnings or notes')}.") if notes else None
 
 
 def _provenance(data: ReportData) -> Section:

@@ -17,8 +17,7 @@ from cellapp.commands.view.table import Table
 
 def view(result: ReportResult, request: Request | None = None) -> View:
     """Show the results that the page shows, what is out of date, and where the page was written."""
-    printed = () if result.pdf is None else (f"printed: {result.pdf}",)
-    parts = (*all_tables(result), *out_of_date_sentences(result), f"written: {result.page}", *printed)
+    parts: list[str | Table] = [*all_tables(result), *out_of_date_sentences(result), f"written: {result.page}"]
     strict = isinstance(request, ReportRequest) and request.strict
     return View(parts, complaints_in(Path(result.run)) if strict else ())
 

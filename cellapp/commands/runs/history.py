@@ -20,7 +20,6 @@ from cellapp.commands.stages import RunStages, counted_basis, read_stages
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.asking import RUNS_NOW, who_uses
 from cellapp.ground.errors import CellappError, InputError
-from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, DISCOVER, STAGES, VERIFY, Stage, StageName, Verdict
 
 
@@ -258,13 +257,7 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
         interrupted=last is not None and last not in _DONE and left > 0,
         in_use=known.in_use,
         size_bytes=known.size_bytes,
-        tracker_due=_due(run.profile),
     )
-
-
-def _due(profile: Profile) -> str:
-    due = profile.traceability.tracker.due
-    return "" if due is None else due.isoformat()
 
 
 def _last_session(sessions: list[Session]) -> LastSession | None:

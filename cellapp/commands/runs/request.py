@@ -18,9 +18,6 @@ class RunsRequest(Request):
         str | None,
         Asked("One arm over its runs, what moved since the first: its serial number, or its name.", "ARM"),
     ] = None
-    today: Annotated[bool, Asked("What waits today: open runs, and how old calibration and check of each arm are.")] = (
-        False
-    )
 
 
 VERB = Verb("runs", RunsRequest, chapter="commands")

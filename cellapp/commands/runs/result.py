@@ -64,8 +64,6 @@ class RunSummary(Record):
         The job that uses it now, a phrase; empty if none does.
     size_bytes : int
         Size of all files in its folder.
-    tracker_due : str
-        Until when the tracker's calibration is valid (ISO 8601); empty where the profile does not say.
     """
 
     run: str
@@ -87,7 +85,6 @@ class RunSummary(Record):
     interrupted: bool = False
     in_use: str = ""
     size_bytes: int = 0
-    tracker_due: str = ""
 
     @property
     def resumable(self) -> bool:

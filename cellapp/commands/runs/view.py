@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 from rich import filesize
 
 from cellapp.commands.record import Request, View
-from cellapp.commands.runs.request import RunsRequest
 from cellapp.commands.runs.result import (
     CELL_WORDS,
     ArmFigures,
@@ -24,12 +22,12 @@ from cellapp.commands.runs.result import (
     short_name,
     stops_words,
 )
-from cellapp.commands.runs.today import today_sentences, today_tables
 from cellapp.commands.view.table import Column, Table, number_column, table_of, with_rows
 from cellapp.commands.view.words import display_unit
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
+from cellapp.ground.shell import shell_word
 from cellapp.ground.times import day_of, minute_of
 
 
@@ -51,7 +49,7 @@ def run_columns(folder: str) -> tuple[RunColumn, ...]:
         RunColumn("cell", lambda run: CELL_WORDS[run.cell], lambda run: run.cell),
         RunColumn("stops", stops_words, lambda run: run.stops_measured),
         RunColumn("next", next_words, next_words),
-        RunColumn("best mean [mm]", _errors_words, _largest_error_mm),
+        RunColumn("error now [mm]", _errors_words, _largest_error_mm),
         RunColumn("effects", _effects, _effects),
         RunColumn("profile", lambda run: run.profile, lambda run: run.profile),
     )
@@ -87,12 +85,9 @@ _MM = ".3f"
 
 
 def view(result: RunsResult | ArmHistory, request: Request | None = None) -> View:
-    """Show every run below the folder, what is due today, or one arm over its runs."""
+    """Show every run below the folder, or one arm over its runs."""
     if isinstance(result, ArmHistory):
         return View((history_table(result), *history_sentences(result)))
-    if isinstance(request, RunsRequest) and request.today:
-        now = datetime.now(UTC)
-        return View((*today_tables(result, now), *today_sentences(result, now)))
     return View((*runs_tables(result), *runs_sentences(result)))
 
 
@@ -111,7 +106,7 @@ def runs_tables(result: RunsResult) -> list[Table]:
         (
             Column("run"),
             Column("arm"),
-            *(number_column(title, _MM) for title in ("geometry", "best", "targets", "compensated")),
+            *(number_column(title, _MM) for title in ("geometry", "in force", "targets", "compensated")),
         ),
         tuple(
             (name, arm, *_pair(figures.heldout_mm), *_pair(figures.verified_mm))
@@ -153,7 +148,7 @@ def history_table(result: ArmHistory) -> Table:
         ("run", lambda one: short_name(one, result.folder)),
         ("began", lambda one: day_of(one.began)),
         ("geometry", lambda one: _pair(one.figures.heldout_mm)[0], _MM),
-        ("best", lambda one: _pair(one.figures.heldout_mm)[1], _MM),
+        ("in force", lambda one: _pair(one.figures.heldout_mm)[1], _MM),
         ("compensated", lambda one: _pair(one.figures.verified_mm)[1], _MM),
         ("effects", lambda one: effects_words(one.figures.effects)),
         ("moved", _moved_words),
@@ -220,7 +215,8 @@ def resume_sentence(run: RunSummary) -> str:
     """Offer to continue an interrupted run."""
     return (
         f"{run.run}: collecting was interrupted ({session_words(run)}) with {run.stops_left} of"
-        f" {counted(run.stops_measured + run.stops_left, 'stop')} left; 'cellapp collect {run.run} --resume'"
+        f" {counted(run.stops_measured + run.stops_left, 'stop')} left; 'cellapp collect {shell_word(run.run)}"
+        " --resume'"
         " continues it"
     )
 

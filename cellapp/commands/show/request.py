@@ -19,7 +19,9 @@ class ShowRequest(Request):
 
     folder: RunFolder
     part: Annotated[str, Asked("What to print.", argument=True)] = "overview"
-    level: Annotated[str | None, Asked("With log: only lines of this level.", "WORD")] = None
+    level: Annotated[
+        Literal["info", "note", "warning", "error"] | None, Asked("With log: only lines of this level.", "WORD")
+    ] = None
     last: Annotated[int | None, Field(ge=1), Asked("With log: the last N lines.", "N")] = None
     check: Annotated[bool, Asked("With plan: run the safety gate over all stops and ways again.")] = False
     forecast: Annotated[bool, Asked("With plan: time, joint ranges, expected errors, effects it can show.")] = False

@@ -6,7 +6,7 @@ from cellapp.cell.planning.view import check_plan_run, forecast_run
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import recording_states
 from cellapp.commands.collect.state import collection_state
-from cellapp.commands.compensate.details import stored_state
+from cellapp.commands.compensate.target_list import stored_state
 from cellapp.commands.plan.run import stored_plan
 from cellapp.commands.record import Work
 from cellapp.commands.registry import STORING, records
@@ -18,6 +18,7 @@ from cellapp.commands.show.view import profile_text
 from cellapp.commands.stages import complaints_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import Result
+from cellapp.ground.shell import shell_word
 
 
 def run(request: ShowRequest, work: Work) -> Shown:
@@ -71,7 +72,8 @@ def _target(run: RunFile, name: str) -> Shown:
     state = stored_state(results, name)
     if state is None or results.compensate is None:
         raise InputError(
-            f"{run.path}: no compensated target '{name}' is stored; 'cellapp show {run.folder} targets' lists them"
+            f"{run.path}: no compensated target '{name}' is stored; 'cellapp show {shell_word(run.folder)}"
+            " targets' lists them"
         )
     alone = results.compensate.model_copy(update={"targets": state.commands})
     return Shown(part="targets", result=alone, results=results)

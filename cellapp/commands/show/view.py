@@ -8,7 +8,8 @@ from cellapp.cell.driving.records import CollectionResult
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.measurement_order import order_sentences
 from cellapp.commands.collect.view import stored_view
-from cellapp.commands.compensate.details import details_tables, stored_state, target_details
+from cellapp.commands.compensate.target_list import stored_state
+from cellapp.commands.compensate.view import target_parts
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.commands.record import Request, View
 from cellapp.commands.registry import STORING, records
@@ -26,6 +27,7 @@ from cellapp.commands.view.recordings import recording_tables
 from cellapp.commands.view.table import Table, table_of, with_rows
 from cellapp.ground.profile import Profile
 from cellapp.ground.removed import VERSION
+from cellapp.ground.shell import shell_word
 from cellapp.ground.times import second_of
 
 
@@ -77,7 +79,8 @@ def unseen_sentence(name: str, arm: UnseenArmState, run: str) -> str:
     """State the danger of an arm that was not seen at rest, and how to settle it."""
     return (
         f"arm {name}: NOT SEEN AT REST since {second_of(arm.since)} UTC: treat it as moving ({arm.reason.rstrip('.')})."
-        f" A job that sees it at rest settles this, or a person who has seen it: 'cellapp at-rest {run} {name}'"
+        " A job that sees it at rest settles this, or a person who has seen it: 'cellapp at-rest"
+        f" {shell_word(run)} {name}'"
     )
 
 
@@ -134,8 +137,7 @@ def _view_of(found: Shown, request: Request | None) -> View:
     asked = request if isinstance(request, ShowRequest) else None
     target = None if asked is None else asked.target
     if target is not None and found.results is not None and (state := stored_state(found.results, target)):
-        details = target_details(state)
-        return View((*details_tables(details), *details.sentences))
+        return View(target_parts(found.results, state))
     stored = ((verb, how) for verb in records(STORING) for how in verb.stored if how.part == found.part)
     verb, how = next(stored, (PLAN, None))
     return verb.view(found.result) if how is None else verb.stored_view(how, found.result)

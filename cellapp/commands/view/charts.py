@@ -57,8 +57,6 @@ class Series:
         Number of its colour and mark. An arm or stage has the same number in all charts.
     mark : str
         A character drawn at every point instead of the mark of the style.
-    hints : tuple of str, length n or 0
-        Texts that the page shows under the pointer, beside the coordinates of each point.
     """
 
     name: str
@@ -68,14 +66,11 @@ class Series:
     band: Array | None = None
     style: int = 0
     mark: str = ""
-    hints: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for what, values in (("y", self.y), ("band", self.band)):
             if values is not None and values.shape != self.x.shape:
                 raise ValueError(f"series {self.name}: {what} of shape {values.shape} for x of shape {self.x.shape}")
-        if self.hints and len(self.hints) != len(self.x):
-            raise ValueError(f"series {self.name}: {len(self.hints)} hints for {len(self.x)} points")
 
     @property
     def edges(self) -> list[Array]:
@@ -139,12 +134,11 @@ def series(
     band: ArrayLike | None = None,
     style: int = 0,
     mark: str = "",
-    hints: Iterable[str] = (),
 ) -> Series:
     """Build a series from anything that numpy accepts as an array."""
     as_array = np.asarray(x, dtype=np.float64)
     width = None if band is None else np.asarray(band, dtype=np.float64)
-    return Series(name, as_array, np.asarray(y, dtype=np.float64), kind, width, style, mark, tuple(hints))
+    return Series(name, as_array, np.asarray(y, dtype=np.float64), kind, width, style, mark)
 
 
 def bar_chart(title: str, bars: Mapping[str, tuple[float, str]], axis: Axis, message: str) -> Chart:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.cell.run.columns import TRIGGER
 from cellapp.cell.run.records import RecordingState
 from cellapp.commands.view.table import Cell, Column, Table, number_column
 
@@ -24,7 +23,7 @@ _COLUMNS = (
 )
 
 
-_OF_POINTS = ("sigma_m", "quat_w", "split", TRIGGER)
+_OF_POINTS = ("sigma_m", "quat_w", "split")
 
 
 def recording_tables(states: Sequence[RecordingState]) -> list[Table]:

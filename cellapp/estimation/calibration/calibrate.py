@@ -41,11 +41,14 @@ from cellapp.estimation.calibration.quantities import (
     with_probe,
 )
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
+from cellapp.estimation.calibration.registration import factory_doubt
 from cellapp.estimation.calibration.weights import MEDIAN_NORM
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
+from cellapp.estimation.readings.alike import first_stops, neighbours_words
 from cellapp.estimation.readings.readings import FIRST_SAMPLE
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.ground.results import Provenance, Stage, StageErrors
@@ -196,18 +199,26 @@ def split_sizes(n: int, identify: int, train: int, validate: int | None) -> Spli
 
 
 def draw_splits(
-    configurations: NDArray[np.int64], identify: int, train: int, validate: int | None, seed: int
+    configurations: NDArray[np.int64],
+    identify: int,
+    train: int,
+    validate: int | None,
+    seed: int,
+    first: Mapping[int, int] = MappingProxyType({}),
 ) -> tuple[dict[int, str | None], tuple[str, ...]]:
     """Draw a split for each configuration number; stops beyond the required ones get None. Return splits and notes.
 
-    The draw depends on the set of numbers and the seed, not on the order of ``configurations``.
+    The draw depends on the set of numbers and the seed, not on the order of ``configurations``. Stops that are not to
+    be divided have the same ``first`` one among them, which is drawn for all.
     """
     numbers = np.unique(configurations)
     sizes = split_sizes(len(numbers), identify, train, validate)
     order = np.random.default_rng([seed, 0x5EED]).permutation(numbers)
     words = ["identify"] * sizes.identify + ["train"] * sizes.train + ["validate"] * sizes.validate
-    drawn: dict[int, str | None] = {int(number): None for number in numbers}
-    drawn.update({int(number): word for number, word in zip(order, words)})
+    together = grouped((first.get(number, number), number) for number in numbers.tolist())
+    drawn: dict[int, str | None] = {}
+    for stops in (together[number] for number in order.tolist() if number in together):
+        drawn |= dict.fromkeys(stops, words[len(drawn)] if len(drawn) < len(words) else None)
     return drawn, sizes.notes
 
 
@@ -366,6 +377,7 @@ def calibrate_readings(
             }
             for name, task in tasks.items():
                 arms[name] = task.result()
+                notes += _network_notes(name, arms[name])
     listener(Progress("calibrate", total - 1, total, "pair"))
     cancel.check()
     good = {name: without(its, arms[name].left_out) for name, its in readings.items()}
@@ -407,13 +419,14 @@ def missing_splits(
 def profile_splits(
     profile: Profile, readings: Mapping[str, Readings]
 ) -> tuple[dict[str, tuple[str | None, ...]], tuple[str, ...]]:
-    """Draw a split for each reading by the profile's seed, the same for all arms at a stop; return splits and notes."""
+    """Draw a split for each reading by the profile's seed, the same for all arms at a stop and for stops that are not
+    to be divided (``undivided``); return splits and notes."""
     splits = profile.splits
-    numbers = np.concatenate([arm.configuration for arm in readings.values()])
+    first, notes = first_stops(readings)
     validate = None if splits.validate_ == "rest" else splits.validate_
-    drawn, notes = draw_splits(numbers, splits.identify, splits.train, validate, profile.seed)
+    drawn, sizes = draw_splits(np.array([*first]), splits.identify, splits.train, validate, profile.seed, first)
     words = {name: tuple(drawn[number] for number in arm.configuration.tolist()) for name, arm in readings.items()}
-    return words, notes
+    return words, (*sizes, *notes)
 
 
 def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmCalibration, list[str]]:
@@ -428,7 +441,10 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
             break
         fitted = _fitted(profile, name, fitted.readings.take(~wrong), robust=True)
     calibration = _evaluated(profile.arms[name], readings, fitted, up_in_tracker(profile))
-    return calibration, _arm_notes(name, calibration, fitted)
+    notes = _arm_notes(name, calibration, fitted)
+    if doubt := factory_doubt(profile.arms[name], fitted.readings):
+        notes.append(f"arm '{name}': {doubt}; no program, command or export is made of such a model")
+    return calibration, notes
 
 
 def _gross_errors(fitted: _Fitted) -> NDArray[np.bool_]:
@@ -507,6 +523,7 @@ def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
     """Return the notes for the operator about one arm's calibration."""
     found, readings = arm.identification, fitted.readings
     notes = [left_out_note(name, arm)] if arm.left_out else []
+    notes += [f"arm '{name}': {words}"] if (words := neighbours_words(readings)) else []
     notes += [*_hardly_better(name, arm), *undetermined_offset(name, found)]
     moved = station_change(smr_positions(fitted.nominal.with_T_M_B(np.eye(4)), readings.q), readings.p_M)
     if moved is not None:
@@ -515,6 +532,21 @@ def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
             f" {readings.configuration[moved]}; import the two parts as runs of their own"
         )
     return notes
+
+
+def _network_notes(name: str, arm: ArmCalibration) -> list[str]:
+    """Say that a network does not help on held-out readings, although it did on left-out ones of the learnt."""
+    if "network" not in arm.validate or arm.training is None:
+        return []
+    with_network, without = (arm.validate[stage].position_mm.rms for stage in ("network", "geometry"))
+    if with_network < without:
+        return []
+    left_out, before = (1e3 * value for value in (arm.training.left_out_rms, arm.training.without_rms))
+    return [
+        f"arm '{name}': the network is in force, as it predicts left-out configurations of the learnt ones better"
+        f" ({left_out:.4f} mm rms, without it {before:.4f}), but not the held-out ones ({with_network:.4f} mm rms,"
+        f" geometry {without:.4f}): '--network none' calibrates without it"
+    ]
 
 
 def left_out_note(name: str, arm: ArmCalibration) -> str:
@@ -599,7 +631,7 @@ def train_arm(
     if arm.model.network is None:
         return arm
     computed = arm.model.predict(held_out.q, held_out.approach, held_out.payload_kg)
-    errors = evaluate(held_out.p_M, computed).model_copy(
+    errors = evaluate(held_out.p_M, computed, held_out.q).model_copy(
         update={"orientation_mrad": arm.validate["geometry"].orientation_mrad}  # the network learns positions only
     )
     return replace(arm, validate={**arm.validate, "network": errors})

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import inverse_diagonal, solve_psd
+from cellapp.estimation.readings.alike import Groups, folds_of, repeats, undivided
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
 from cellapp.ground.progress import CancelToken, Report, Told, ignore_report
@@ -178,11 +179,12 @@ class Training:
     Attributes
     ----------
     network : ResidualNetwork or None
-        None if no candidate predicts left-out folds clearly better than no network (``WORTH``).
+        None if the best candidate predicts left-out folds no better than none, by ``WORTH`` and a standard error.
     shape : Shape
         The best candidate.
     left_out_rms, without_rms : float
-        Rms length of the residual on left-out folds, with the best candidate and without a network [m].
+        Rms length of the residual on left-out folds, with the best candidate and without a network [m]. The readings
+        of one half of a fold are predicted by the member that predicted the other half best.
     tried : tuple
         (shape, left-out rms [m]) of every candidate at the time of the comparison.
     batches : Batches or None
@@ -267,11 +269,16 @@ def train_network(
         sample = np.random.default_rng([seed, 0x5A3]).permutation(len(q))[:_MOST_READINGS]
         q, residual, fold = q[sample], residual[sample], None if fold is None else fold[sample]
     scale = max(float(np.sqrt(np.mean(residual**2))), 1e-12)
-    fold = np.random.default_rng([seed, 0xF01D]).permutation(len(q)) % folds if fold is None else fold
+    group = undivided(q)
+    if group.max() + 1 < 2 * folds:
+        left = float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+        return Training(network=None, shape=shapes[0], left_out_rms=left, without_rms=left, tried=())
+    fold = folds_of(group, folds, np.random.default_rng([seed, 0xF01D])) if fold is None else fold
     outputs = {False: residual / scale, True: rotate_about_z(residual / scale, -q[:, 0])}
     inputs = {kind: network_inputs(kind, low, high, q) for kind in {shape.inputs for shape in shapes}}
     candidates = [
-        _Committee(shape, inputs[shape.inputs], outputs[shape.rotates_with_joint_1], fold, seed) for shape in shapes
+        _Committee(shape, inputs[shape.inputs], outputs[shape.rotates_with_joint_1], fold, group, seed)
+        for shape in shapes
     ]
     for number, candidate in enumerate(candidates if len(shapes) > 1 else ()):
         report(number, f"network {number + 1} of {len(shapes)}")
@@ -281,18 +288,25 @@ def train_network(
     report(len(shapes), "best network")
     committee.train(int(fold.max()) + 1, iterations, cancel)
     report(len(shapes) + 1, "network trained")
-    shape, left_out = committee.shape, committee.left_out()
-    without = float(np.sqrt(np.mean(np.sum((residual / scale) ** 2, axis=1))))
+    shape, squares = committee.shape, committee.left_out_squares()
+    of_none = np.sum((residual / scale) ** 2, axis=1)
+    left_out, without = (float(np.sqrt(one.mean())) for one in (squares, of_none))
     margin = MARGIN * np.maximum(high - low, 1e-3)
     members = tuple(committee.net.layers(member.best) for member in committee.members)
     network = ResidualNetwork(shape.inputs, low, high, margin, shape.rotates_with_joint_1, scale, members)
     return Training(
-        network=network if left_out < WORTH * without else None,
+        network=network if left_out < WORTH * without and standard_errors(of_none - squares, group) > 1.0 else None,
         shape=shape,
         left_out_rms=left_out * scale,
         without_rms=without * scale,
         tried=tried,
     )
+
+
+def standard_errors(gain: Array, group: Groups) -> float:
+    """Return the mean of a gain (n,) in standard errors over the groups of its rows."""
+    of_group = np.bincount(group, gain)
+    return float(of_group.mean() / max(of_group.std(ddof=1) / np.sqrt(len(of_group)), 1e-300))
 
 
 def training_steps(shapes: int = _CANDIDATES) -> int:
@@ -309,10 +323,10 @@ class _Committee:
         Those trained so far, of the first folds.
     """
 
-    def __init__(self, shape: Shape, x: Array, y: Array, fold: NDArray[np.int64], seed: int) -> None:
+    def __init__(self, shape: Shape, x: Array, y: Array, fold: NDArray[np.int64], group: Groups, seed: int) -> None:
         self.shape, self.net = shape, Perceptron(x.shape[1], shape.hidden, y.shape[1])
         self.members: list[_Member] = []
-        self._x, self._y, self._fold, self._seed = x, y, fold, seed
+        self._x, self._y, self._fold, self._group, self._seed = x, y, fold, group, seed
 
     def train(self, count: int, iterations: int, cancel: CancelToken) -> None:
         """Train the members of the first ``count`` folds, each for at most ``iterations`` in all."""
@@ -320,13 +334,21 @@ class _Committee:
             if number == len(self.members):
                 start = self.net.start(np.random.default_rng([self._seed, number]))
                 groups = self.net.decay_groups(self.shape.inputs)
-                self.members.append(_Member(self.net, self._x, self._y, self._fold == number, groups, start))
+                out = self._fold == number
+                self.members.append(_Member(self.net, self._x, self._y, out, self._group, groups, start))
             self.members[number].train(iterations, cancel)
 
     def left_out(self) -> float:
         """Compute the rms length of the errors on the folds that the members were trained without."""
         rows = np.count_nonzero(self._fold < len(self.members))
         return float(np.sqrt(sum(member.error for member in self.members) / rows))
+
+    def left_out_squares(self) -> Array:
+        """Return the squared error (n,) of each reading on its fold; see ``_Member.squares``."""
+        squares = np.zeros(len(self._y))
+        for number, member in enumerate(self.members):
+            squares[self._fold == number] = member.squares
+        return squares
 
 
 class _Member:
@@ -336,13 +358,25 @@ class _Member:
     ----------
     best : array, shape (P,)
         Parameters that predicted the left-out readings best, and ``error``, their sum of squares there.
+    squares : array
+        Squared error of each left-out reading by the parameters that predicted best those of the other half of the
+        groups: these were not chosen by it.
     """
 
     def __init__(
-        self, net: Perceptron, x: Array, y: Array, left_out: NDArray[np.bool_], groups: Array, p: Array
+        self,
+        net: Perceptron,
+        x: Array,
+        y: Array,
+        left_out: NDArray[np.bool_],
+        group: Groups,
+        groups: Array,
+        p: Array,
     ) -> None:
         self._net, self._x, self._y, self._groups = net, x[~left_out], y[~left_out], groups
         self._left_out = x[left_out], y[left_out]
+        self._half = np.unique(group[left_out], return_inverse=True)[1] % 2
+        self._least, self.squares = [math.inf, math.inf], np.zeros(np.count_nonzero(left_out))
         self._counts = np.bincount(groups)
         self._alpha = np.full(len(self._counts), _DECAY)  # precision of each group of parameters
         self._beta = 1.0  # precision of the noise
@@ -365,7 +399,12 @@ class _Member:
 
     def _error(self, p: Array) -> float:
         x, y = self._left_out
-        return float(np.sum((y - self._net.predict(p, x)) ** 2))
+        squares = np.sum((y - self._net.predict(p, x)) ** 2, axis=1)
+        for half, least in enumerate(self._least):
+            own = self._half == half
+            if (now := float(squares[own].sum())) < least:
+                self._least[half], self.squares[~own] = now, squares[~own]
+        return float(squares.sum())
 
     def _step(self, *, with_evidence: bool) -> None:
         """Take the first damped step that lowers the objective; none if ``_TRIES`` steps fail."""
@@ -464,6 +503,7 @@ def learn(
     q, residual = q[order], residual[order]
     block = np.arange(len(q)) * (folds * _BLOCKS_A_FOLD) // len(q)
     fold = (np.random.default_rng([seed, _SEED]).permutation(folds * _BLOCKS_A_FOLD) % folds)[block]
+    fold = fold[np.unique(group := repeats(q), return_index=True)[1]][group]
     committee = train_network(
         q, residual, seed=seed, folds=folds, iterations=iterations, fold=fold, cancel=cancel, report=report
     )
@@ -547,8 +587,7 @@ def _better(
         np.bincount(block, _left_out_squares(network, q, residual, fold)) / counts
         for network in (of_all, committee.network)
     ]
-    gain = squares[1] - squares[0]
-    sigmas = float(gain.mean() / max(gain.std(ddof=1) / np.sqrt(len(gain)), 1e-300))
+    sigmas = standard_errors(squares[1] - squares[0], np.arange(len(counts)))
     own, other = (float(np.sqrt(np.sum(of_blocks * counts) / len(q))) for of_blocks in squares)
     used = own < WORTH * other and sigmas > _SURE
     batches = Batches(used, len(q), len(counts), HIDDEN, device, own, other, sigmas)

@@ -237,7 +237,7 @@ def normal_equations(
     common = observations.common_white if weights is None else None
     for first, last in observations.chunks():
         if linearised is None:
-            model = _linearise(geometry, observations, parameters, beta, first, last)
+            model = linearise(geometry, observations, parameters, beta, first, last)
         else:
             model = linearised.part(first, last)
         J = model.J
@@ -294,7 +294,7 @@ def with_gradient(
     return replace(near, b=b, cost=cost, residuals=residuals)
 
 
-def _linearise(
+def linearise(
     geometry: Geometry, observations: Observations, parameters: ParameterSet, beta: Array, first: int, last: int
 ) -> Linearisation:
     angles, effects = observations.angles_with(beta, first, last), observations.effects

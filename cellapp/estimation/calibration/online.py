@@ -1,15 +1,11 @@
-"""Identification of one arm while its stops are measured: a new estimate and its standard errors after every stop.
-
-Between renewals the measurement model is linear about one geometry, and a new reading is a step of recursive least
-squares. A renewal linearises all readings again at the present estimate. Renewals follow a growing schedule, and come
-at once if the estimate has left the range in which the linear model holds.
+"""Identification of one arm while its stops are measured: fitted anew as readings come, from the last result.
 
 Few readings do not determine all parameters. Priors about the nominal arm then do, as in ``identification``. The
-weights are those of ``identification``: stated covariance plus the excess variance from unmodelled physics.
-A gross error (a wrong target) gets no weight.
+weights are the stated covariance plus the excess variance from unmodelled physics. A gross error (a wrong target) is
+left out.
 
-Predictions come from a second model. It adds to the geometry the joints' compliance under gravity and an error of one
-cycle a turn in each joint. The first model is what ``calibrate`` identifies; on a UR10, gravity leaves it residuals of
+Predictions come from a second fit. It adds to the geometry the joints' compliance under gravity and an error of one
+cycle a turn in each joint. The first fit is what ``calibrate`` identifies; on a UR10, gravity leaves it residuals of
 half a millimetre, which hide a loose SMR.
 """
 
@@ -21,32 +17,23 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.identification import start_from_nominal
-from cellapp.estimation.calibration.least_squares import shortened
-from cellapp.estimation.calibration.normal_equations import Linearisation, Observations, normal_equations
-from cellapp.estimation.calibration.online_model import (
-    GROSS,
-    LinearModel,
-    Residuals,
-    StoredReadings,
-    excess_of,
-    gross_weights,
-)
-from cellapp.estimation.calibration.parameters import (
-    ParameterSet,
-    SetName,
-    estimated_parameters,
-    gram_matrix,
-    prior_sds,
-    prior_spreads,
-    weak_priors,
-)
-from cellapp.estimation.calibration.weights import RobustName, robust_weights, whitener
-from cellapp.ground.errors import InputError, NotConverged
+from cellapp.estimation.calibration.identification import Identification, identify, start_from_nominal
+from cellapp.estimation.calibration.normal_equations import EffectColumns, Linearisation, Observations, linearise
+from cellapp.estimation.calibration.parameters import SetName, estimated_parameters, gram_matrix, weak_priors
+from cellapp.estimation.calibration.weights import MEDIAN_NORM, RobustName, excess_variance
+from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import StopReport
-from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, JointAngles, frame_poses, jacobian, smr_positions
+from cellapp.robot.kinematics.chain import (
+    TOOL_NAMES,
+    Geometry,
+    JointAngles,
+    flange_poses,
+    frame_poses,
+    jacobian,
+)
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import OFF_AXIS, bodies_of, nominal_arm, prior_sigmas, up_in_tracker
@@ -62,43 +49,31 @@ _LEAST_SPREAD_M = 0.05
 known to 0.1 rad, from where Gauss-Newton steps converge."""
 _REGISTERED_AGAIN = (8, 16)
 """Numbers of readings at which the base is registered again: the first four may have been a poor start."""
-_GROWTH = 1.2
-"""Growth of the number of readings between renewals: 20 renewals up to 400 readings."""
-_LINEAR = 1e-3
-"""Largest change of a parameter at arm's length [m] for one linearisation; the neglected second order is 1 um, and
-standard errors are far larger as long as single readings change the estimate by this much."""
+_GROWTH = 1.1
+"""Growth of the number of readings between two fits: 45 fits up to 400 readings. In between, the last one predicts."""
 NO_GEOMETRY_M = 2e-3
 """Scatter about the model [m] larger than any arm's and any unmodelled physics: the geometry itself is wrong."""
-_STEPS = 20
-"""Maximum number of Gauss-Newton steps of a renewal; one is enough after the first readings."""
+_STEPS = 30
+"""Maximum number of steps of a fit; a few are enough after the first readings."""
+_STEP_M = 1e-6
+"""Step at which a fit ends [m at arm's length]."""
 _FIRST_EXCESS_M = 1e-4
 """Excess standard deviation of a coordinate until it is estimated: what gravity and backlash leave in UR arms."""
 _LEAST_FREEDOM = 10.0
 """Degrees of freedom from which the excess variance is estimated."""
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Predicted SMR position.
-
-    Attributes
-    ----------
-    p_M : array, shape (3,)
-        Expected SMR position [m].
-    covariance_M : array, shape (3, 3)
-        From the parameters alone [m^2].
-    scatter_m : float
-        Standard deviation of a measured coordinate about the model [m].
-    """
-
-    p_M: Array
-    covariance_M: Array
-    scatter_m: float
-
-    @property
-    def sigma_m(self) -> float:
-        """Standard uncertainty of the distance between ``p_M`` and the SMR position to be measured [m]."""
-        return math.sqrt(float(np.trace(self.covariance_M)) + 3.0 * self.scatter_m**2)
+_ROUNDS, _SETTLED = 6, 0.1
+"""Maximum number of fits with the weights of the one before, and relative change of the excess variance that ends them:
+the next readings change it as much."""
+_LEAST_VARIANCE = 1e-14
+"""Least variance, (0.1 um)^2, for points without stated noise that fit exactly: it keeps weights finite."""
+_ANCHOR = 4.0
+"""Prior degrees of freedom that hold the scatter at the expected one while there are few readings."""
+_GROSS = 12.0
+"""Residual beyond which a reading is left out, in standard uncertainties: far above that of unmodelled physics."""
+_COMPLIANCE_SD = 5e-5
+"""Prior standard deviation of a joint's compliance about zero [rad/Nm]: gears of such arms have 1e4 to 1e5 Nm/rad."""
+_WAVE_SD = 8e-5
+"""Prior standard deviation of a joint error of one cycle a turn [rad]: encoder disk 2 um off axis, 25 mm radius."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +106,50 @@ class Innovation:
     freedom: float
 
 
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals of one arm's readings by a model.
+
+    Attributes
+    ----------
+    length_m : array, shape (n,)
+        Distance of each point from the model's [m].
+    sigma_m : array, shape (n,)
+        Rms of this distance from stated noise and scatter [m]: the root of the trace of the covariance.
+    gross : array, shape (n,)
+        Mask of gross errors, which are left out of the fit.
+    """
+
+    length_m: Array
+    sigma_m: Array
+    gross: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Gravity:
+    """Masses of the arm and the direction (3,) against gravity in the tracker frame, for its joint compliance."""
+
+    bodies: Bodies
+    up_M: Array
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A fit, the excess variance of a coordinate that follows from it, the mean of the stated variances [m^2], and
+    chi-square per degree of freedom."""
+
+    found: Identification
+    gross: NDArray[np.bool_]
+    excess: float
+    mean_stated: float
+    variance: float
+
+    @property
+    def scatter_m(self) -> float:
+        """Standard deviation of a measured coordinate about the model [m]."""
+        return math.sqrt(self.variance * (self.excess + self.mean_stated))
+
+
 def online_fit(profile: Profile, name: str, planned_q: Array) -> OnlineFit:
     """Create an arm's fit by the profile's calibration section; ``planned_q`` (n, N) [rad] are the planned stops."""
     arm, settings = profile.arms[name], profile.calibration
@@ -148,10 +167,10 @@ def online_fit(profile: Profile, name: str, planned_q: Array) -> OnlineFit:
 
 
 class OnlineFit:
-    """Geometry of one arm, refitted after every stop. There is no model until ``ready``.
+    """Geometry of one arm, fitted while its stops are measured. There is no model until ``ready``.
 
-    No step of a renewal raises the weighted sum of squares, priors included. Where its steps do not end, there is no
-    model, and nothing is predicted or reported, until a renewal with further readings ends.
+    Where a fit does not converge, there is no model, and nothing is predicted or reported, until one with further
+    readings does.
 
     Parameters
     ----------
@@ -166,7 +185,7 @@ class OnlineFit:
     prior_sigma : mapping, optional
         Parameter -> standard deviation about its nominal value, instead of those of ``estimated_parameters``.
     robust : str
-        ``none``, ``huber`` or ``tukey``; these weights are renewed with the linearisation.
+        ``none``, ``huber`` or ``tukey``.
     tool_unknown : bool
         Whether the SMR offset is unknown.
     gravity : Gravity, optional
@@ -193,165 +212,162 @@ class OnlineFit:
         self.arm = arm
         self.innovation: Innovation | None = None
         """Innovation of the newest reading; None if there was no model before it."""
-        self._nominal, self._tool_unknown, self._robust = nominal, tool_unknown, robust
+        self._nominal, self._tool_unknown, self._gravity = nominal, tool_unknown, gravity
+        self._planned = JointAngles.of(planned_q)
         typical = replace(nominal, tool=OFF_AXIS) if tool_unknown else nominal
-        given = prior_sigma or {}
         try:
-            self._parameters, priors = estimated_parameters(parameter_set, typical, given)
+            parameters, _ = estimated_parameters(parameter_set, typical, prior_sigma or {})
         except ValueError as error:
             raise InputError(f"arm '{arm}': calibration.parameter_set: {error}") from None
         # The base has no prior: four points determine it.
-        tool = dict.fromkeys(TOOL_NAMES, _UNKNOWN_TOOL_PRIOR_M if tool_unknown else _TOOL_PRIOR_M)
-        weak = {**weak_priors(nominal.joints), **tool}
-        self._precision = 1.0 / prior_sds(self._parameters, weak | dict(priors)) ** 2
-        self._spreads = prior_spreads(self._parameters, set(priors) - set(given))
-        self._rows = Rows(self._parameters, planned_q, gravity)
-        self._readings = StoredReadings(nominal.joints)
-        self._models: _Models | None = None
-        self._settled = False
-        self._next_renewal = 0
+        priors = dict.fromkeys(TOOL_NAMES, _UNKNOWN_TOOL_PRIOR_M if tool_unknown else _TOOL_PRIOR_M)
+        if parameter_set != "auto":
+            priors |= weak_priors(nominal.joints)
+        self._identify = partial(
+            identify,
+            parameter_set="auto" if parameter_set == "auto" else parameters,
+            prior_sigma=priors | dict(prior_sigma or {}),
+            prior_mean=nominal,
+            robust=robust,
+            tolerance=_STEP_M,
+        )
+        self._q, self._p_M = np.empty((0, nominal.joints)), np.empty((0, 3))
+        self._covariance_M = np.empty((0, 3, 3))
+        self._fits: tuple[_Fit, _Fit] | None = None
+        """By the geometry alone, and with the joint errors."""
+        self._next = 0
 
     @property
     def count(self) -> int:
         """Number of readings."""
-        return self._readings.count
+        return len(self._q)
 
     @property
     def ready(self) -> bool:
         """Whether there is a model: after four readings, if their points are spread out and the fit converged."""
-        return self._ready is not None
+        return self._fits is not None and all(fit.found.converged for fit in self._fits)
 
     @property
-    def _ready(self) -> _Models | None:
-        return self._models if self._settled else None
+    def _model(self) -> tuple[_Fit, _Fit] | None:
+        return self._fits if self.ready else None
 
     @property
     def geometry(self) -> Geometry | None:
         """Present estimate, without compliance; None without a model."""
-        return None if self._ready is None else self._estimate(self._ready)
-
-    @property
-    def scatter_m(self) -> float | None:
-        """Standard deviation of a measured coordinate about the geometry alone [m]; None without a model."""
-        return None if self._ready is None else self._ready.geometry.scatter_m
-
-    def predict(self, stop: int, q: Array) -> Prediction | None:
-        """Predict the SMR position at ``q`` (N,) [rad], at or near a planned stop; None without a model."""
-        if self._ready is None:
-            return None
-        model = self._ready.predicting
-        row = self._rows.at(self._ready.origin, stop, q)
-        return Prediction(row.P + row.J @ model.step, row.J @ model.covariance @ row.J.T, model.scatter_m)
+        return None if self._model is None else self._model[0].found.geometry
 
     def add(self, stop: int, q: Array, p_M: Array, covariance_M: Array | None = None) -> StopReport | None:
-        """Refit with one reading: ``q`` (N,) [rad], ``p_M`` (3,) [m], ``covariance_M`` (3, 3) [m^2].
+        """Add one reading: ``q`` (N,) [rad], ``p_M`` (3,) [m], ``covariance_M`` (3, 3) [m^2], and fit if it is time to.
 
         Return None while there is no model.
         """
-        self._readings.append(q, p_M, covariance_M)
-        self.innovation = None
-        if self._models is not None:
-            self._insert(self._models, stop, q, p_M)
-        if self._models is None or self.count in _REGISTERED_AGAIN:
-            self._renew(registered=True)
-        elif self.count >= self._next_renewal or self._models.geometry.moved > _LINEAR:
-            self._renew()
-        return self._report(stop, q, p_M)
+        self._store(q[None], p_M[None], None if covariance_M is None else covariance_M[None])
+        self.innovation = self._innovation(stop, q, p_M)
+        if not self.ready or self.count >= self._next or self.count in _REGISTERED_AGAIN:
+            self.refit()
+        return self.report(stop, q, p_M)
 
     def add_all(
         self, stops: Sequence[int], q: Array, p_M: Array, covariance_M: Array | None = None
     ) -> StopReport | None:
-        """Refit with stored readings: ``q`` (n, N) [rad], ``p_M`` (n, 3) [m], ``covariance_M`` (n, 3, 3), NaN: none.
+        """Fit with stored readings: ``q`` (n, N) [rad], ``p_M`` (n, 3) [m], ``covariance_M`` (n, 3, 3), NaN: none.
 
         Return the report of the last one; None without readings or model.
         """
         if not len(stops):
             return None
-        for row in range(len(stops)):
-            self._readings.append(q[row], p_M[row], None if covariance_M is None else covariance_M[row])
+        self._store(q, p_M, covariance_M)
         self.innovation = None
-        self._renew(registered=True)
-        return self._report(stops[-1], q[-1], p_M[-1])
+        self.refit()
+        return self.report(stops[-1], q[-1], p_M[-1])
 
-    def _report(self, stop: int, q: Array, p_M: Array) -> StopReport | None:
-        if self._ready is None:
-            return None
-        origin, model = self._ready.origin, self._ready.geometry
-        row = self._rows.at(origin, stop, q)
-        residual = p_M - row.P - row.J[:, : len(model.step)] @ model.step
-        mean_square = max(float(np.vdot(self._rows.planned_gram(origin), model.covariance)), 0.0)
-        return StopReport(
-            stop=stop,
-            arm=self.arm,
-            residual_mm=1e3 * float(np.linalg.norm(residual)),
-            standard_error_mm=1e3 * math.sqrt(mean_square),
-        )
+    def refit(self) -> None:
+        """Fit all readings from the last result; at first, and again with a few more readings, from the nominal arm."""
+        start = None if self.count in _REGISTERED_AGAIN else self.geometry
+        before: Sequence[_Fit | None] = (None, None) if start is None or self._fits is None else self._fits
+        start = self._registered() if start is None else start
+        if start is None:
+            return
+        geometry = self._fitted(start, before[0], with_errors=False)
+        self._fits = geometry, self._fitted(geometry.found.geometry, before[1], with_errors=True)
+        self._next = math.ceil(_GROWTH * self.count)
 
     def residuals(self) -> Residuals | None:
         """Compute the residuals of all readings by the geometry alone, in order of arrival; None without a model."""
-        if self._ready is None:
+        if self._model is None:
             return None
-        readings = self._readings
-        return Residuals.of(
-            self._left_M(self._ready, readings.q, readings.p_M), readings.stated(), self._ready.geometry
-        )
+        fit, stated = self._model[0], self._stated()
+        left_M = self._left_M(fit.found, self._q, self._p_M)
+        variance = fit.variance * (np.trace(stated, axis1=1, axis2=2) + 3.0 * fit.excess)
+        return Residuals(np.linalg.norm(left_M, axis=1), np.sqrt(variance), _gross(left_M, stated, fit.excess))
 
     def lengths_m(self, q: Array, p_M: Array) -> Array | None:
         """Compute residual lengths (n,) [m] of points ``p_M`` (n, 3) [m] at ``q`` (n, N) [rad]; None if not ready."""
-        return None if self._ready is None else np.linalg.norm(self._left_M(self._ready, q, p_M), axis=1)
+        return None if self._model is None else np.linalg.norm(self._left_M(self._model[0].found, q, p_M), axis=1)
 
-    def _left_M(self, models: _Models, q: Array, p_M: Array) -> Array:
-        """Compute the residuals (n, 3) [m] of points by the geometry alone."""
-        step = models.geometry.step
-        P, J = self._rows.of(models.origin, q)
-        left_M: Array = p_M - P.T - (J[:, : len(step)].transpose(2, 0, 1) @ step)
-        return left_M
+    def _store(self, q: Array, p_M: Array, covariance_M: Array | None) -> None:
+        given = np.full((len(q), 3, 3), math.nan) if covariance_M is None else covariance_M
+        self._q, self._p_M = np.concatenate([self._q, q]), np.concatenate([self._p_M, p_M])
+        self._covariance_M = np.concatenate([self._covariance_M, given])
 
-    def _estimate(self, models: _Models, step: Array | None = None) -> Geometry:
-        vector = models.origin.vector()
-        vector[list(self._parameters.columns)] += models.geometry.step if step is None else step
-        return models.origin.with_vector(vector)
+    def _stated(self) -> Array:
+        """Return stated covariances (n, 3, 3) [m^2]; a missing one is the mean of the others, zero without any."""
+        missing = np.isnan(self._covariance_M.sum(axis=(1, 2)))
+        usual = np.zeros((3, 3)) if missing.all() else self._covariance_M[~missing].mean(axis=0)
+        return np.where(missing[:, None, None], usual, self._covariance_M)
 
-    def _loss(self, models: _Models, step: Array) -> float:
-        """Compute what the geometry's step minimises, after a ``step`` (k,) from the origin."""
-        readings, model = self._readings, models.geometry
-        left = (readings.p_M - smr_positions(self._estimate(models, step), readings.q)).T
-        white = np.einsum("ijn,jn->in", whitener(readings.stated() + model.excess * np.eye(3)), left)
-        return model.loss(float(np.sum(models.weights * white**2)), step)
+    def _innovation(self, stop: int, q: Array, p_M: Array) -> Innovation | None:
+        """Compare a reading with the last fit. One that did not converge says nothing about it, unless no geometry fits
+        the readings at all."""
+        if self._fits is None or not (self.ready or self._fits[1].scatter_m > NO_GEOMETRY_M):
+            return None
+        fit = self._fits[1]
+        row = self._rows(fit.found, q[None])
+        J, noise = row.J[:, :, 0], self._stated()[-1] + fit.excess * np.eye(3)
+        covariance = fit.variance * (J @ fit.found.estimated_covariance @ J.T + noise)
+        R_M_F = flange_poses(fit.found.geometry, q[None])[0][0]
+        freedom = float(fit.found.degrees_of_freedom)
+        return Innovation(stop, p_M, p_M - row.P[:, 0], covariance, R_M_F, fit.scatter_m, freedom)
 
-    def _insert(self, models: _Models, stop: int, q: Array, p_M: Array) -> None:
-        """Add the newest reading to both models, unless it is a gross error."""
-        row = self._rows.at(models.origin, stop, q)
-        J, off, stated, model = row.J, p_M - row.P, self._readings.newest_stated(), models.predicting
-        innovation, expected = model.innovation(J, off, stated)
-        # a fit on its way says nothing about the reading, unless no geometry fits the readings at all
-        if self._settled or model.scatter_m > NO_GEOMETRY_M:
-            self.innovation = Innovation(stop, p_M, innovation, expected, row.R_M_F, model.scatter_m, model.freedom)
-        if innovation @ np.linalg.solve(expected, innovation) <= GROSS**2:
-            model.add(J, off, stated)
-            models.geometry.add(J[:, : len(self._precision)], off, stated)
+    def report(self, stop: int, q: Array, p_M: Array) -> StopReport | None:
+        """Report a stop by the last fit; None without a model."""
+        if self._model is None:
+            return None
+        found = self._model[0].found
+        _, J = jacobian(found.geometry, self._planned, found.estimated.columns)
+        mean_square = float(np.vdot(gram_matrix(J), found.estimated_covariance)) / self._planned.count
+        residual_m = float(np.linalg.norm(self._left_M(found, q[None], p_M[None])))
+        return StopReport(
+            stop=stop, arm=self.arm, residual_mm=1e3 * residual_m, standard_error_mm=1e3 * math.sqrt(mean_square)
+        )
 
-    def _renew(self, *, registered: bool = False) -> None:
-        """Linearise all readings at the present estimate; if ``registered``, start from the nominal arm again."""
-        start = self._registered() if registered else self.geometry
-        if start is None:
-            return
-        before = None if registered else self._models
-        for _ in range(_STEPS):
-            self._models = before = self._linearised(start, before)
-            self._settled = before.geometry.moved <= _LINEAR
-            if self._settled:
-                break
-            try:
-                step = shortened("fit of an arm", before.geometry.step, partial(self._loss, before))
-            except NotConverged:  # try again with further readings
-                break
-            start = self._estimate(before, step)
-        self._next_renewal = math.ceil(_GROWTH * self.count)
+    def _left_M(self, found: Identification, q: Array, p_M: Array) -> Array:
+        """Compute the residuals (n, 3) [m] of points."""
+        return np.asarray(p_M - self._rows(found, q).P.T)
+
+    def _rows(self, found: Identification, q: Array) -> Linearisation:
+        """Compute SMR positions and their derivatives at ``q`` (n, N) [rad] by the parameters of a fit."""
+        effects = self._errors(q) if len(found.effect_values) else None
+        observations = Observations(JointAngles.of(q), q, np.zeros((3, len(q))), None, effects)
+        return linearise(found.geometry, observations, found.estimated, found.effect_values, 0, len(q))
+
+    def _errors(self, q: Array) -> EffectColumns:
+        """Return the joint errors at ``q`` (n, N) [rad]: a cosine and a sine of the joint angle, and the compliance
+        under gravity if that is known. What they leave in the geometry is alike at neighbouring stops, and would look
+        like a fault."""
+        offsets, sds = [np.cos(q).T, np.sin(q).T], [_WAVE_SD, _WAVE_SD]
+        if self._gravity is not None:
+            loads = gravity_loads(frame_poses(self._nominal, q), self._gravity.bodies, self._gravity.up_M)
+            offsets, sds = [*offsets, loads.joint_torques().T], [*sds, _COMPLIANCE_SD]
+        joints, kinds = q.shape[1], len(sds)
+        names = tuple(f"error {k + 1}" for k in range(joints * kinds))
+        of_joints = np.tile(np.arange(joints), kinds)
+        nothing = np.empty((0, 3, len(q)))
+        return EffectColumns(names, names, of_joints, np.concatenate(offsets), nothing, np.repeat(sds, joints))
 
     def _registered(self) -> Geometry | None:
         """Register the nominal arm to the points; None if they are too few or nearly on one line."""
-        q, p_M = self._readings.q, self._readings.p_M
+        q, p_M = self._q, self._p_M
         if len(q) < _FIRST_READINGS:
             return None
         spread = np.linalg.svd(p_M - p_M.mean(axis=0), compute_uv=False)[1] / math.sqrt(len(q))
@@ -359,182 +375,40 @@ class OnlineFit:
             return None
         return start_from_nominal(self._nominal, q, p_M, tool_unknown=self._tool_unknown)
 
-    def _linearised(self, origin: Geometry, before: _Models | None) -> _Models:
-        """Linearise both models at ``origin``; their weights follow from the residuals of the models ``before``."""
-        readings, k = self._readings, len(self._precision)
-        P, J = self._rows.of(origin, readings.q)
-        off, stated = readings.p_M - P.T, readings.stated()
-        both, weights = [], []
-        for which, columns in enumerate((J[:, :k], J)):
-            weighting = _Weighting(np.ones(readings.count), _FIRST_EXCESS_M**2, 1.0)
-            if before is not None:
-                model = (before.geometry, before.predicting)[which]
-                step = model.step.copy()
-                step[:k] += (before.origin.vector() - origin.vector())[list(self._parameters.columns)]
-                weighting = self._weighting(model, off - columns.transpose(2, 0, 1) @ step, stated)
-            both.append(self._solved(origin, P, columns, weighting))
-            weights.append(weighting.weights)
-        return _Models(origin, both[0], both[1], weights[0])
-
-    def _weighting(self, model: LinearModel, residuals: Array, stated: Array) -> _Weighting:
-        """Compute the weights of the readings from the residuals (n, 3) [m] of ``model``."""
-        weights, excess = gross_weights(residuals, stated, model.excess), model.excess
-        if model.freedom >= _LEAST_FREEDOM:
-            excess = excess_of(residuals, stated, weights, model.freedom)
-        if self._robust != "none":
-            white = whitener(stated + excess * np.eye(3))
-            weights = weights * robust_weights(
-                np.linalg.norm(np.einsum("ijn,nj->ni", white, residuals), axis=1), self._robust
+    def _fitted(self, start: Geometry, before: _Fit | None, *, with_errors: bool) -> _Fit:
+        """Fit until the excess variance of the residuals is that of the weights, without gross errors."""
+        stated = self._stated()
+        excess = _FIRST_EXCESS_M**2 if before is None else before.excess
+        gross = np.zeros(self.count, dtype=np.bool_)
+        if before is not None:
+            gross = _gross(self._left_M(before.found, self._q, self._p_M), stated, excess)
+        effects = self._errors(self._q) if with_errors else None
+        for _ in range(_ROUNDS):
+            rows = np.flatnonzero(~gross)
+            sigma = stated[rows] + excess * np.eye(3)
+            its = None if effects is None else effects.take(rows)
+            found = self._identify(
+                start, self._q[rows], self._p_M[rows], sigma=sigma, effects=its, max_iterations=_STEPS
             )
-        return _Weighting(weights, excess, model.variance)
-
-    def _solved(self, origin: Geometry, P: Array, J: Array, weighting: _Weighting) -> LinearModel:
-        """Solve for the model with Jacobian ``J`` (3, k + m, n): columns of the geometry, then of joint errors."""
-        readings, k = self._readings, len(self._precision)
-        stated = readings.stated()
-        white = whitener(stated + weighting.excess * np.eye(3))
-        observations = Observations(JointAngles.of(readings.q), readings.q, readings.p_M.T, white, None)
-        extra = J.shape[1] - k
-        columns = list(self._parameters.columns)
-        values = np.concatenate([origin.vector()[columns], np.zeros(extra)])
-        linear = Linearisation(P, J)
-        normal = normal_equations(origin, observations, self._parameters, values, weighting.weights, linear)
-        model = LinearModel(
-            A=normal.A,
-            b=normal.b,
-            cost=normal.cost,
-            scale=normal.scale,
-            precision=np.concatenate([self._precision, self._rows.added_sds[:extra] ** -2.0]),
-            prior_step=np.concatenate([self._nominal.vector()[columns], np.zeros(extra)]) - values,
-            used=int(np.count_nonzero(weighting.weights)),
-            excess=weighting.excess,
-            mean_stated=float(np.trace(stated, axis1=1, axis2=2).mean()) / 3.0,
-            variance=weighting.variance,
-        )
-        model.solve()
-        deviations, by_priors = model.step - model.prior_step, model.precision * np.diag(model.covariance)
-        for spread in self._spreads:
-            square = spread.square(deviations[spread.places], float(by_priors[spread.places].sum()))
-            model.precision[spread.places] = 1.0 / square
-        model.solve()  # with the scatter and the prior spread that follow from the first solution
-        return model
+            start, cost = found.geometry, found.scale**2 * found.degrees_of_freedom
+            variance = (cost + _ANCHOR) / (found.degrees_of_freedom + _ANCHOR)
+            fit = _Fit(found, gross, excess, float(np.trace(stated, axis1=1, axis2=2).mean()) / 3.0, variance)
+            gross = _gross(self._left_M(found, self._q, self._p_M), stated, excess)
+            if found.degrees_of_freedom >= _LEAST_FREEDOM:
+                excess = _excess_of(found, stated[rows])
+            if abs(excess - fit.excess) <= _SETTLED * excess and np.array_equal(gross, fit.gross):
+                break
+        return fit
 
 
-@dataclass(frozen=True)
-class _Models:
-    """Model of the geometry alone, and one with joint errors for predictions; both linear about ``origin``.
-
-    ``weights`` (n,) are those of the readings in the former.
-    """
-
-    origin: Geometry
-    geometry: LinearModel
-    predicting: LinearModel
-    weights: Array
+def _gross(left_M: Array, stated: Array, excess: float) -> NDArray[np.bool_]:
+    """Return a mask (n,) of the readings whose residual (n, 3) [m] is far above that of most others."""
+    norm = np.sqrt(np.sum(left_M**2, axis=1) / (excess + np.trace(stated, axis1=1, axis2=2) / 3.0))
+    return np.asarray(norm > _GROSS * max(float(np.median(norm)) / MEDIAN_NORM, 1.0))
 
 
-@dataclass(frozen=True)
-class _Weighting:
-    """Weights (n,) of the readings, excess variance of a coordinate [m^2], chi-square per degree of freedom."""
-
-    weights: Array
-    excess: float
-    variance: float
-
-
-# -- SMR positions and Jacobians of one arm at its stops, for ``online`` ----------------------------------------------
-
-
-_GRAM_VALID = 2e-3
-"""Change of a parameter [m or rad] up to which the Jacobian of the planned stops is reused; it changes as much."""
-_COMPLIANCE_SD = 5e-5
-"""Prior standard deviation of a joint's compliance about zero [rad/Nm]: gears of such arms have 1e4 to 1e5 Nm/rad."""
-_WAVE_SD = 8e-5
-"""Prior standard deviation of a joint error of one cycle a turn [rad]: encoder disk 2 um off axis, 25 mm radius."""
-_PLANNED_RAD = 0.01
-"""Distance from the planned joint positions up to which their gravity torques are reused: they differ by a percent."""
-
-
-@dataclass(frozen=True)
-class Gravity:
-    """Masses of the arm and the direction (3,) against gravity in the tracker frame, for its joint compliance."""
-
-    bodies: Bodies
-    up_M: Array
-
-
-@dataclass(frozen=True)
-class Row:
-    """SMR position (3,), its derivatives (3, k + m) and the rotation of the flange (3, 3) at one stop."""
-
-    origin: Geometry
-    q: Array
-    P: Array
-    J: Array
-    R_M_F: Array
-
-
-class Rows:
-    """SMR positions and their derivatives by the parameters (k), then by the joint errors (m).
-
-    Joint errors are the compliance under gravity, if that is known, and a cosine and a sine of the joint angle. The
-    residuals that they leave in the geometry are alike at neighbouring stops, and would look like a fault.
-    """
-
-    def __init__(self, parameters: ParameterSet, planned_q: Array, gravity: Gravity | None) -> None:
-        self._gravity, self._planned_q, self._planned = gravity, planned_q, JointAngles.of(planned_q)
-        joints, k = parameters.joints, len(parameters.columns)
-        of_joints = [6 + 5 * joint for joint in range(joints)]
-        of_tool = list(range(6 + 5 * joints, 9 + 5 * joints))
-        missing = [column for column in of_joints + of_tool if column not in parameters.columns]
-        self._columns, self._k = (*parameters.columns, *missing), k
-        self.added_sds = np.full(2 * joints, _WAVE_SD)
-        """Prior standard deviations (m,) of the joint errors about zero."""
-        if gravity is not None:
-            self.added_sds = np.concatenate([np.full(joints, _COMPLIANCE_SD), self.added_sds])
-        self._joints, self._tool = ([self._columns.index(c) for c in group] for group in (of_joints, of_tool))
-        self._gram_at: Array | None = None
-        self._gram, self._torques = np.zeros((k, k)), np.zeros((0, joints))
-        self._last: Row | None = None
-
-    def of(self, origin: Geometry, q: Array) -> tuple[Array, Array]:
-        """Compute SMR positions (3, n) [m] and derivatives (3, k + m, n) at joint positions ``q`` (n, N) [rad]."""
-        P, J = jacobian(origin, JointAngles.of(q), self._columns)
-        return P, self._with_added(J, q, None if self._gravity is None else self._torques_of(origin, q))
-
-    def at(self, origin: Geometry, stop: int, q: Array) -> Row:
-        """Compute the same at one stop; the last result is cached."""
-        last = self._last
-        if last is None or last.origin is not origin or not np.array_equal(last.q, q):
-            P, J = jacobian(origin, JointAngles.of(q[None]), self._columns)
-            torques = None
-            if self._gravity is not None:
-                planned = 0 <= stop < len(self._torques) and np.abs(self._planned_q[stop] - q).max() < _PLANNED_RAD
-                torques = self._torques[stop : stop + 1] if planned else self._torques_of(origin, q[None])
-            row = self._with_added(J, q[None], torques)[:, :, 0]
-            self._last = last = Row(origin, q.copy(), P[:, 0], np.ascontiguousarray(row), J[:, self._tool, 0])
-        return last
-
-    def _with_added(self, J: Array, q: Array, torques: Array | None) -> Array:
-        """Append to the parameters' columns those of the joint errors at ``q`` (n, N) [rad]; ``torques`` (n, N) [Nm],
-        None if unknown."""
-        own = J[:, self._joints]
-        added = [own * np.cos(q).T, own * np.sin(q).T]
-        if torques is not None:
-            added.insert(0, own * torques.T)
-        return np.concatenate([J[:, : self._k], *added], axis=1)
-
-    def planned_gram(self, origin: Geometry) -> Array:
-        """Return the mean of ``J^T J`` (k, k) over the planned stops; computed anew if the geometry changed much."""
-        vector = origin.vector()
-        if self._gram_at is None or np.max(np.abs(vector - self._gram_at)) > _GRAM_VALID:
-            _, J = jacobian(origin, self._planned, self._columns[: self._k])
-            self._gram, self._gram_at = gram_matrix(J) / self._planned.count, vector
-            if self._gravity is not None:
-                self._torques = self._torques_of(origin, self._planned_q)
-        return self._gram
-
-    def _torques_of(self, origin: Geometry, q: Array) -> Array:
-        """Compute the gravity torques (n, N) [Nm]."""
-        assert self._gravity is not None
-        return gravity_loads(frame_poses(origin, q), self._gravity.bodies, self._gravity.up_M).joint_torques()
+def _excess_of(found: Identification, stated: Array) -> float:
+    """Estimate the excess variance of a coordinate [m^2]; it is the whole variance if no covariance is stated."""
+    if not stated.any():
+        return max(float(np.sum(found.residuals**2)) / found.degrees_of_freedom, _LEAST_VARIANCE)
+    return excess_variance(found.residuals, stated, found.degrees_of_freedom)

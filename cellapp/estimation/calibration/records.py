@@ -159,16 +159,6 @@ class ClockSegmentResult(Record):
     last_s: float
 
 
-class TriggerResult(Record):
-    """The offset by pulses of a hardware trigger, with its standard error; ``difference_s`` is the motion's less it."""
-
-    offset_s: float
-    standard_error_s: float
-    pulses: int
-    difference_s: float
-    agrees: bool
-
-
 class ClockResult(Record):
     """The tracker's clock against the controller's in one recording.
 
@@ -188,7 +178,6 @@ class ClockResult(Record):
     steps_of_points: tuple[tuple[float, float], ...] = ()
     segments: tuple[ClockSegmentResult, ...] = ()
     correlation: float
-    trigger: TriggerResult | None = None
 
 
 class RecordingResult(Record):

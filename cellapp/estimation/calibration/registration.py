@@ -9,10 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
-from cellapp.robot.kinematics.chain import Geometry, flange_poses
+from cellapp.ground.profile import Arm
+from cellapp.robot.kinematics.chain import Geometry, flange_poses, nominal_geometry
 from cellapp.robot.kinematics.transforms import Array, apply, register, twist_columns
+from cellapp.robot.model.nominal import nominal_arm, published_rows
 
 # -- Pose of a robot base in the tracker frame from a few points that are known in both: rigid registration -----------
 #
@@ -149,6 +152,10 @@ _EXPLAINED = 0.02
 """Largest residual, as a share of the points' spread, under the right convention; a wrong one leaves a third."""
 _ALIKE = 1.2
 """Ratio of residuals up to which conventions are equal: the last joint's sign may not matter. The simplest is named."""
+_WORSE = 1.05
+"""Ratio of residuals from which a factory calibration explains the readings worse: an arm's own does it better."""
+_FEWEST_ROWS = 10
+"""Least number of readings that judge a factory calibration: base and tool alone follow fewer."""
 _CLEARER = 0.3
 """Share of the present residuals that another convention must stay below to be named."""
 
@@ -193,6 +200,20 @@ def better_reading(nominal: Geometry, q: Array, p_M: Array) -> tuple[str, Explai
     best = min(one.rms_m for _, one in tried)
     simplest = next(one for one in tried if one[1].rms_m <= _ALIKE * best)
     return simplest if simplest[1].holds and simplest[1].rms_m < _CLEARER * now else None
+
+
+def factory_doubt(arm: Arm, readings: Readings) -> str:
+    """Say that the factory calibration of an arm explains its readings worse than the published rows; else empty."""
+    if arm.factory is None or readings.station is not None or len(readings) < _FEWEST_ROWS:
+        return ""
+    published = nominal_geometry(published_rows(arm), np.zeros(3))
+    own, plain = (explained(one, readings.q, readings.p_M).rms_m for one in (nominal_arm(arm), published))
+    if own <= _WORSE * plain:
+        return ""
+    return (
+        f"the calibration in factory explains the points worse ({1e3 * own:.2f} mm rms) than the published table"
+        f" ({1e3 * plain:.2f} mm): it seems to be that of another arm"
+    )
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

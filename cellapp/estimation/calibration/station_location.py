@@ -8,7 +8,7 @@ G = (J^T S^-1 J)^-1 J^T S^-1. One draw d, n of the model's error and of the nois
 station's error, -G (d + n): with it, draws of later predictions keep the correlation of station and model.
 
 One rigid motion of the tracker explains all points of all arms if r^T S^-1 r is as chi-squared with 3 n - 6 degrees of
-freedom allows. Where it is not, one more motion is tried: of one arm's base, or of one arm's SMR on its flange.
+freedom allows.
 """
 
 from __future__ import annotations
@@ -17,14 +17,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
 
 import numpy as np
 import scipy
 
 from cellapp.estimation.calibration.least_squares import LeastSquares
-from cellapp.ground.errors import InputError, NotConverged
-from cellapp.ground.progress import Told, ignore_words
+from cellapp.ground.errors import InputError
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import (
@@ -51,8 +49,6 @@ _SMALL_STEP = 1e-9
 """Step size [m, rad] at which the iteration ends, a nanometre."""
 _REWEIGHTED = 2
 """Number of times the covariances are computed: at the start, and once more at the solution."""
-
-MotionKind = Literal["base", "smr"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,10 +107,6 @@ class StationFit:
     degrees_of_freedom : int
     twists : array, shape (S, 6)
         Draws of the error of ``T_new_old``, one for each draw of the arms' posteriors.
-    motion : array, shape (4, 4), or None
-        Motion of one arm's base in the present tracker frame; None unless it was fitted too.
-    shift_F : array, shape (3,), or None
-        Motion of one arm's SMR on its flange [m]; None unless it was fitted too.
     """
 
     T_new_old: Array
@@ -123,8 +115,6 @@ class StationFit:
     chi_squared: float
     degrees_of_freedom: int
     twists: Array
-    motion: Array | None = None
-    shift_F: Array | None = None
 
     @property
     def probability(self) -> float:
@@ -144,22 +134,6 @@ class StationFit:
     def rms_m(self) -> float:
         """Root mean square length of the residuals [m]."""
         return float(np.sqrt(np.mean(np.sum(np.concatenate(list(self.residuals.values())) ** 2, axis=1))))
-
-
-@dataclass(frozen=True, eq=False)
-class Cause:
-    """Possible cause besides the tracker's motion: one arm's base or SMR moved.
-
-    ``shift_m`` [m] and ``turn_rad`` [rad] are those of the arm's base, or of its SMR on the flange, which does not
-    rotate. ``others_still``: whether the points of the other arms agree with a tracker that was not moved.
-    """
-
-    kind: MotionKind
-    arm: str
-    fit: StationFit
-    shift_m: float
-    turn_rad: float
-    others_still: bool
 
 
 def predicted_points(model: CellModel, points: Points) -> dict[str, Array]:
@@ -201,41 +175,7 @@ def fit_station(
     """
     if rough is None:
         check_layout(points)
-    return _fit(_Problem(model, points, excess_m, tuple(seed), rough, None), _State(start))
-
-
-def possible_causes(
-    model: CellModel,
-    points: Points,
-    start: Array,
-    *,
-    excess_m: Mapping[str, float],
-    still_m: float,
-    told: Told = ignore_words,
-) -> tuple[Cause, ...]:
-    """Find what else than the tracker may have moved: one arm's base or its SMR. The best explanation comes first.
-
-    Only arms with enough points for a motion of their own are tried. The other arms count as still if the fitted motion
-    of the tracker moves their points by at most ``still_m`` [m]. In a cell of two arms, a motion of either base
-    explains the points equally well, each with another motion of the tracker: the one that needs none comes first.
-    ``told`` takes a sentence for each cause that is left out because its fit did not converge.
-    """
-    tried: list[tuple[MotionKind, str]] = []
-    for name, own in points.items():
-        if len(own) < FEWEST_POINTS or _layout_refusal(own.measured_M):
-            continue
-        others = {other: theirs for other, theirs in points.items() if other != name}
-        if others and not _layout_refusal(np.concatenate([theirs.measured_M for theirs in others.values()])):
-            tried.append(("base", name))
-        if sum(map(len, points.values())) > FEWEST_POINTS:
-            tried.append(("smr", name))
-    found = []
-    for extra in tried:
-        try:
-            found.append(_cause(_Problem(model, points, excess_m, (0,), None, extra), start, still_m))
-        except NotConverged as error:
-            told(str(error))
-    return tuple(sorted(found, key=lambda cause: (not cause.fit.explains, _akaike(cause))))
+    return _fit(_Problem(model, points, excess_m, tuple(seed), rough), start)
 
 
 def displacement_m(model: CellModel, points: Points, T_new_old: Array) -> float:
@@ -256,112 +196,58 @@ def check_layout(points: Points) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Problem of one fit; ``extra`` is the motion that is fitted besides the tracker's, and its arm."""
-
     model: CellModel
     points: Points
     excess_m: Mapping[str, float]
     seed: tuple[int, ...]
     rough: RoughStation | None
-    extra: tuple[MotionKind, str] | None
-
-    @property
-    def parameters(self) -> int:
-        return 6 if self.extra is None else (12 if self.extra[0] == "base" else 9)
 
 
-@dataclass(frozen=True, eq=False)
-class _State:
-    """State of a fit: ``station`` is T_new_old, ``motion`` moves the base of the extra arm, ``shift_F`` its SMR."""
-
-    station: Array
-    motion: Array | None = None
-    shift_F: Array | None = None
-
-    def moved(self, step: Array, kind: MotionKind | None) -> _State:
-        station = _small_motion(step[:6]) @ self.station
-        if kind == "base":
-            motion = np.eye(4) if self.motion is None else self.motion
-            return replace(self, station=station, motion=_small_motion(step[6:]) @ motion)
-        if kind == "smr":
-            return replace(self, station=station, shift_F=step[6:] + (0.0 if self.shift_F is None else self.shift_F))
-        return replace(self, station=station)
-
-
-def _fit(problem: _Problem, state: _State) -> StationFit:
-    what = "" if problem.extra is None else f" and the {problem.extra[0]} of arm {problem.extra[1]}"
-    kind = None if problem.extra is None else problem.extra[0]
+def _fit(problem: _Problem, station: Array) -> StationFit:
     for _ in range(_REWEIGHTED):
-        noise, drawn = _uncertainty(problem, state)
+        noise, drawn = _uncertainty(problem, station)
         L = np.linalg.cholesky(noise + drawn.T @ drawn / len(drawn))
         of_prior = [] if problem.rough is None else [np.linalg.cholesky(problem.rough.covariance)]
         with_prior: Array = np.asarray(scipy.linalg.block_diag(L, *of_prior), dtype=np.float64)
-        least_squares = LeastSquares(partial(_with_prior, problem), lambda one, step: one.moved(step, kind), with_prior)
-        best = least_squares.best(f"fit of the tracker's station{what}", state, tolerance=_SMALL_STEP).point
-        state = best.state
+        least_squares = LeastSquares(partial(_with_prior, problem), lambda T, step: _small_motion(step) @ T, with_prior)
+        best = least_squares.best("fit of the tracker's station", station, tolerance=_SMALL_STEP).point
+        station = best.state
     _, A = best.white
     covariance: Array = np.asarray(np.linalg.inv(A.T @ A), dtype=np.float64)
-    r, J = _linearised(problem, state)
+    r, J = _linearised(problem, station)
     white_r, white_J = (scipy.linalg.solve_triangular(L, one, lower=True) for one in (r, J))
     gain = scipy.linalg.solve_triangular(L, white_J, lower=True, trans=1) @ covariance
     rng = np.random.default_rng([*problem.seed, 0x10C])
     drawn_noise = rng.standard_normal((len(drawn), len(r))) @ np.linalg.cholesky(noise).T
     return StationFit(
-        T_new_old=state.station,
-        covariance=covariance[:6, :6],
+        T_new_old=station,
+        covariance=covariance,
         residuals=_by_arm(problem.points, r),
         chi_squared=float(white_r @ white_r),
-        degrees_of_freedom=len(r) - problem.parameters,
-        twists=-((drawn + drawn_noise) @ gain)[:, :6],
-        motion=state.motion,
-        shift_F=state.shift_F,
+        degrees_of_freedom=len(r) - 6,
+        twists=-((drawn + drawn_noise) @ gain),
     )
 
 
-def _with_prior(problem: _Problem, state: _State) -> tuple[Array, Array]:
+def _with_prior(problem: _Problem, station: Array) -> tuple[Array, Array]:
     """Return ``_linearised``, and below it the rows of the station's prior."""
-    r, J = _linearised(problem, state)
+    r, J = _linearised(problem, station)
     if problem.rough is None:
         return r, J
-    left = -_twist(state.station @ invert(problem.rough.T_new_old))
-    return np.concatenate([r, left]), np.concatenate([J, np.eye(6, J.shape[1])])
+    left = -_twist(station @ invert(problem.rough.T_new_old))
+    return np.concatenate([r, left]), np.concatenate([J, np.eye(6)])
 
 
-def _placed(problem: _Problem, state: _State) -> CellModel:
-    """Return the model in the present tracker frame, with the extra motion."""
-    model = relocated(problem.model, state.station)
-    if problem.extra is None:
-        return model
-    name = problem.extra[1]
-    arm = model.arms[name]
-    geometry = arm.geometry
-    if state.motion is not None:
-        geometry = geometry.with_T_M_B(state.motion @ geometry.T_M_B())
-    if state.shift_F is not None:
-        geometry = replace(geometry, tool=geometry.tool + state.shift_F)
-    return replace(model, arms={**model.arms, name: replace(arm, geometry=geometry)})
-
-
-def _linearised(problem: _Problem, state: _State) -> tuple[Array, Array]:
-    """Compute residuals (3 n,) and derivatives (3 n, k) of the predicted coordinates."""
-    model = _placed(problem, state)
-    expected = predicted_points(model, problem.points)
-    rows = []
-    for name, p_M in expected.items():
-        J = np.zeros((len(p_M), 3, problem.parameters))
-        J[:, :, :6] = twist_columns(p_M)
-        if problem.extra == ("base", name):
-            J[:, :, 6:] = J[:, :, :6]
-        elif problem.extra == ("smr", name):
-            J[:, :, 6:] = model.arms[name].flange(problem.points[name].q)[0]
-        rows.append(J.reshape(3 * len(p_M), -1))
+def _linearised(problem: _Problem, station: Array) -> tuple[Array, Array]:
+    """Compute residuals (3 n,) and derivatives (3 n, 6) of the predicted coordinates."""
+    expected = predicted_points(relocated(problem.model, station), problem.points)
     r = np.concatenate([(problem.points[name].measured_M - p_M).ravel() for name, p_M in expected.items()])
-    return r, np.concatenate(rows)
+    return r, np.concatenate([twist_columns(p_M).reshape(-1, 6) for p_M in expected.values()])
 
 
-def _uncertainty(problem: _Problem, state: _State) -> tuple[Array, Array]:
+def _uncertainty(problem: _Problem, station: Array) -> tuple[Array, Array]:
     """Compute the noise covariance (3 n, 3 n) [m^2] and draws of the model's error (S, 3 n) [m] at the points."""
-    model = _placed(problem, state)
+    model = relocated(problem.model, station)
     sizes = [3 * len(own) for own in problem.points.values()]
     noise, drawn, first = np.zeros((sum(sizes), sum(sizes))), np.zeros((DRAWS, sum(sizes))), 0
     for (name, own), size in zip(problem.points.items(), sizes, strict=True):
@@ -388,30 +274,6 @@ def _conditions(model: CellModel, own: ArmPoints) -> MeasurementConditions:
     other = model.arms[name]
     moment = base_moment(other.geometry, other.bodies, q, other.up_M)
     return replace(own.conditions, other_q=q, other_moment_M=moment)
-
-
-def _cause(problem: _Problem, start: Array, still_m: float) -> Cause:
-    assert problem.extra is not None
-    kind, name = problem.extra
-    fit = _fit(problem, _State(start))
-    others = {other: own for other, own in problem.points.items() if other != name}
-    still = bool(others) and displacement_m(problem.model, others, fit.T_new_old) <= still_m
-    if kind == "smr":
-        assert fit.shift_F is not None
-        return Cause(kind, name, fit, float(np.linalg.norm(fit.shift_F)), 0.0, still)
-    assert fit.motion is not None
-    base = (fit.T_new_old @ problem.model.arms[name].geometry.T_M_B())[:3, 3]
-    turn = float(np.linalg.norm(rotation_vectors(fit.motion[None, :3, :3])[0]))
-    return Cause(kind, name, fit, float(np.linalg.norm(apply(fit.motion, base[None])[0] - base)), turn, still)
-
-
-def _akaike(cause: Cause) -> float:
-    """Compute Akaike's criterion: chi-squared plus twice the number of parameters, with the tracker's six if it moved.
-
-    Without these six, rounding would choose between two bases whose relative motion is the same.
-    """
-    parameters = (6 if cause.kind == "base" else 3) + (0 if cause.others_still else 6)
-    return cause.fit.chi_squared + 2.0 * parameters
 
 
 def _layout_refusal(p_M: Array) -> str:

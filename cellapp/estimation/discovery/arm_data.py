@@ -15,6 +15,7 @@ from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.calibration.weights import whitener, with_excess
 from cellapp.estimation.discovery.terms import ModelTerms
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings.alike import Groups, repeats
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law, MeasurementConditions
 from cellapp.robot.effects.law import with_prior_sd
@@ -52,9 +53,6 @@ class ArmData:
         Values of an earlier fit, by effect and column, as a start of the next fit.
     true_q : array, shape (n, N), or None
         Joint positions with the offsets of known effects [rad]; None means the controller's positions.
-    reading : array, shape (n,), or None
-        Index of the reading of each row, if orientations were measured and are rows of their own
-        (``calibration.quantities``); None if rows are readings.
     cache : dict
         Computed columns by effect, law and names (None for all names).
     """
@@ -69,7 +67,6 @@ class ArmData:
     prior_sigma: Mapping[str, float]
     start: Mapping[tuple[str, str], float] = field(default_factory=dict)
     true_q: Array | None = None
-    reading: NDArray[np.intp] | None = None
     cache: dict[tuple[str, str, tuple[str, ...] | None], list[EffectColumn]] = field(default_factory=dict)
 
     @classmethod
@@ -103,7 +100,6 @@ class ArmData:
         if stated is not None and its.turned is not None:
             sigma = with_excess(stated, excess_m**2, its.turned, found.excess_rad**2)
         geometry_only = replace(geometry_only, geometry=found.geometry)
-        reading = None if its.turned is None else its.reading
         return cls(
             profile,
             geometry_only,
@@ -113,7 +109,6 @@ class ArmData:
             sigma,
             found.estimated,
             found.prior_sigma,
-            reading=reading,
         )
 
     def __len__(self) -> int:
@@ -123,6 +118,11 @@ class ArmData:
     def turned(self) -> NDArray[np.bool_] | None:
         """Mask (n,) of the rows that are orientations; None if there are none."""
         return self.conditions.turned
+
+    @cached_property
+    def group(self) -> Groups:
+        """Group (n,) of the rows that are one configuration: position and orientation of a reading, and its repeats."""
+        return repeats(self.readings.q)
 
     @cached_property
     def context(self) -> EffectContext:
@@ -145,7 +145,6 @@ class ArmData:
             stated=None if self.stated is None else self.stated[rows],
             sigma=self.sigma[rows],
             true_q=None if self.true_q is None else self.true_q[rows],
-            reading=None if self.reading is None else self.reading[rows],
             cache={},
         )
 

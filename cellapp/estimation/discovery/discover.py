@@ -47,6 +47,7 @@ from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, search
 from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of, without_term
 from cellapp.estimation.discovery.verdict import structure_left, verdict
 from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings.alike import one_a_stop
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import NotConverged, with_not_fitted
 from cellapp.ground.profile import Profile
@@ -104,6 +105,7 @@ def discover_cell(
     Cancelled
         On request.
     """
+    readings = {name: one_a_stop(its) for name, its in readings.items()}
     arms = _discover_arms(profile, model, readings, listener, cancel or CancelToken(), search_arm or discover_arm)
     pair = None
     if any(discovery.terms for discovery in arms.values()):

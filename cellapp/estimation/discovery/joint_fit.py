@@ -32,6 +32,7 @@ from cellapp.estimation.discovery.terms import (
     smoothness_of,
     whitened_displacements,
 )
+from cellapp.estimation.readings.alike import folds_of
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
@@ -683,9 +684,7 @@ def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float
     """Return the decrease of the whitened sum of squares of left-out readings when columns (m, 3 n) join a fit."""
     folds = data.profile.discovery.folds
     generator = np.random.default_rng([data.profile.seed, _FOLD_SEED])
-    readings = len(data) if data.reading is None else int(data.reading.max()) + 1
-    fold = generator.permutation(readings) % folds
-    fold = np.tile(fold if data.reading is None else fold[data.reading], 3)
+    fold = np.tile(folds_of(data.group, folds, generator), 3)
     return float(sum(np.sum(before**2) - np.sum(after**2) for before, after in _left_out(fit, new_rows, fold)))
 
 

@@ -97,7 +97,7 @@ class _Tests:
         Components along the SMR motion by each joint, times the lever.
     generator : numpy Generator
     signs : array, shape (n, s)
-        Random signs.
+        Random signs, the same for the readings of a configuration.
     """
 
     data: ArmData
@@ -113,12 +113,12 @@ class _Tests:
         residuals, by_joint = fit.residual.reshape(3, len(data)).T, fit.by_joint
         if not rows.all():
             data, residuals, by_joint = data.take(np.flatnonzero(rows)), residuals[rows], by_joint[:, :, rows]
-        n = len(data)
         lengths = np.linalg.norm(residuals, axis=1)
         longest = _LONGEST * float(np.median(lengths))
         residuals = residuals * np.minimum(1.0, longest / np.maximum(lengths, longest))[:, None]
         about_axes = np.einsum("cjn,nc->jn", by_joint, residuals)
-        signs = generator.choice(np.array([-1.0, 1.0], dtype=np.float32), (n, _SIGNS))
+        configurations = int(data.group.max()) + 1
+        signs = generator.choice(np.array([-1.0, 1.0], dtype=np.float32), (configurations, _SIGNS))[data.group]
         return cls(data, residuals, about_axes, generator, signs)
 
     def against_joints(self) -> list[float]:
@@ -154,7 +154,7 @@ class _Tests:
         """
         if not varies(self.data.conditions.approach):
             return []
-        towards = self.data.context.approach.T * self.about_axes
+        towards = _sums(self.data.context.approach.T * self.about_axes, self.data.group)
         size = np.sqrt(np.sum(towards**2, axis=1))
         moved = size > 0.0
         found: list[float] = (2.0 * scipy.special.ndtr(-np.abs(towards[moved].sum(axis=1)) / size[moved])).tolist()
@@ -203,13 +203,28 @@ class _Tests:
         return pairs[0][chosen], pairs[1][chosen]
 
     def _p_values(self, pairs: Pairs, products: Array) -> list[float]:
-        """Return one-sided p-values of the sums of products (m, pairs)."""
+        """Return one-sided p-values of the sums of products (m, pairs).
+
+        Readings of one configuration have like residuals: they are no pair, and their pairs with those of another one
+        are one product.
+        """
+        of_first, of_second = (self.data.group[rows] for rows in pairs)
+        code = np.minimum(of_first, of_second) * len(self.data) + np.maximum(of_first, of_second)
+        apart = of_first != of_second
+        _, first, number = np.unique(code[apart], return_index=True, return_inverse=True)
+        pairs = pairs[0][apart][first], pairs[1][apart][first]
+        products = _sums(products[:, apart], number)
         size = np.sqrt(np.sum(products**2, axis=1))
         scaled = products[size > 0.0] / size[size > 0.0, None]
         simulated = scaled.astype(np.float32) @ (self.signs[pairs[0]] * self.signs[pairs[1]])
         skewness = np.maximum(np.mean(simulated.astype(np.float64) ** 3, axis=1), 0.0)
         found: list[float] = pearson3_tail(scaled.sum(axis=1), skewness).tolist()
         return found
+
+
+def _sums(values: Array, group: NDArray[np.intp]) -> Array:
+    """Return the sums (m, groups) of values (m, n) over the members of each group."""
+    return np.stack([np.bincount(group, one) for one in values])
 
 
 def pearson3_tail(values: Array, skewness: Array) -> Array:

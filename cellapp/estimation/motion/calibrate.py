@@ -21,14 +21,10 @@ from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.learning import require_learner
 from cellapp.estimation.calibration.quantities import evaluate, repeatability
 from cellapp.estimation.calibration.records import (
-    ClockResult,
-    ClockSegmentResult,
     MotionResult,
     RecordingResult,
-    TriggerResult,
 )
 from cellapp.estimation.motion.identify import (
-    ClockFit,
     MotionFit,
     RecordedArm,
     RecordingFit,
@@ -170,7 +166,7 @@ def calibrate_arm_with_motion(
         repeatability=repeatability(readings.q, readings.p_M) if len(readings) else None,
         tracker_mm=_stated_mm(readings, recordings),
         motion=_motion_result(fit, in_motion),
-        clocks={recording: _clock(clock) for recording, clock in fit.clocks.items()},
+        clocks=fit.clocks,
     )
 
 
@@ -244,7 +240,7 @@ def _stops(readings: Readings) -> tuple[Stops | None, NDArray[np.bool_] | None]:
 
 def _errors_at_rest(nominal: Geometry, found: Geometry, held_out: Readings) -> dict[Stage, StageErrors]:
     arms: dict[Stage, Geometry] = {"nominal": nominal, "geometry": found}
-    return {stage: evaluate(held_out.p_M, smr_positions(arm, held_out.q)) for stage, arm in arms.items()}
+    return {stage: evaluate(held_out.p_M, smr_positions(arm, held_out.q), held_out.q) for stage, arm in arms.items()}
 
 
 def _errors_in_motion(name: str, fit: MotionFit) -> dict[Stage, StageErrors]:
@@ -293,18 +289,6 @@ def _recording(one: RecordingFit) -> RecordingResult:
         effective_points=one.effective,
         scatter_mm=one.scatter_m * 1e3,
         heldout_rms_mm=one.heldout_rms_mm if len(one.heldout_mm) else None,
-    )
-
-
-def _clock(clock: ClockFit) -> ClockResult:
-    segments = clock.segments if len(clock.segments) > 1 else ()
-    return ClockResult.like(
-        clock,
-        at_s=clock.middle_s,
-        steps_of_joints=tuple((step.at_s, step.step_s) for step in clock.steps_of_joints),
-        steps_of_points=tuple((step.at_s, step.step_s) for step in clock.steps_of_points),
-        segments=tuple(ClockSegmentResult.like(one) for one in segments),
-        trigger=None if clock.trigger is None else TriggerResult.like(clock.trigger),
     )
 
 

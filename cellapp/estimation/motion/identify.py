@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import Identification
 from cellapp.estimation.calibration.parameters import SetName, determined_set
+from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult
 from cellapp.estimation.calibration.weights import MEDIAN_NORM
 from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import GROSS, Problem, Solution, problem_of, solve
 from cellapp.estimation.motion.observe import Model, Stops, residuals, stop_residuals
-from cellapp.estimation.motion.streams import ClockStep, Recording, TriggerCheck, checked
+from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import Law, Masses
 from cellapp.estimation.motion.tracks import Track, track_of
 from cellapp.ground.errors import InputError
@@ -28,64 +29,13 @@ from cellapp.robot.kinematics.transforms import Array
 # Results of a fit of recordings: clocks, geometry, lost motion, errors of held-out blocks, undetermined parameters.
 
 
-@dataclass(frozen=True)
-class ClockSegment:
-    """The tracker's clock relative to the controller's between two steps of either.
-
-    ``offset_s`` is the tracker's timestamp less the controller's at the same instant, at the timestamp ``middle_s`` of
-    the recording (steps removed); ``first_s`` and ``last_s`` are the first and the last of its points.
-    """
-
-    offset_s: float
-    offset_standard_error_s: float
-    offset_interval_s: tuple[float, float]
-    first_s: float
-    last_s: float
-
-
-@dataclass(frozen=True)
-class ClockFit:
-    """Clocks of one recording: a point with timestamp t was measured at controller time ``t - offset_s - 1e-6 rate_ppm
-    (t - middle_s)``.
-
-    Attributes
-    ----------
-    offset_s, offset_standard_error_s, offset_interval_s
-        Offset of the first segment; the interval holds with 95 %.
-    rate_ppm, rate_standard_error_ppm, rate_interval_ppm
-        Rate of the tracker's clock less that of the controller's, relative to the latter.
-    middle_s : float
-        Timestamp at which offsets are stated: in the middle of the recording, where offset and rate are independent.
-    segments : tuple of ClockSegment
-    steps_of_joints, steps_of_points : tuple of ClockStep
-        Steps of the controller's and of the tracker's clock.
-    correlation : float
-        Correlation of the speeds at the start of the fit.
-    trigger : TriggerCheck or None
-        Comparison of the offset from pulses of a hardware trigger with that from the motion.
-    """
-
-    offset_s: float
-    offset_standard_error_s: float
-    offset_interval_s: tuple[float, float]
-    rate_ppm: float
-    rate_standard_error_ppm: float
-    rate_interval_ppm: tuple[float, float]
-    middle_s: float
-    segments: tuple[ClockSegment, ...]
-    steps_of_joints: tuple[ClockStep, ...]
-    steps_of_points: tuple[ClockStep, ...]
-    correlation: float
-    trigger: TriggerCheck | None = None
-
-
 @dataclass(frozen=True, eq=False)
 class RecordingFit:
     """One recording after the fit.
 
     Attributes
     ----------
-    clock : ClockFit
+    clock : ClockResult
     points, learnt, held_out, gross : int
         Numbers of all points, of training points, of held-out points, and of gross errors left out of either.
     in_gaps : int
@@ -103,7 +53,7 @@ class RecordingFit:
     rate : float
     """
 
-    clock: ClockFit
+    clock: ClockResult
     points: int
     learnt: int
     held_out: int
@@ -135,8 +85,6 @@ class MotionFit:
         Lost motion in motion, by joint [rad]: a joint lies this far behind its motor, against its last motion.
     half_play_standard_error : array, shape (N,)
     recordings : mapping-like dict of RecordingFit
-    half_widths : array
-        Half widths of the 95 % intervals in standard errors, for the names of ``identification``.
     effective : float
         Number of independent points of all recordings together.
     stops_scatter_m : float or None
@@ -149,13 +97,12 @@ class MotionFit:
     half_play: Array
     half_play_standard_error: Array
     recordings: dict[str, RecordingFit]
-    half_widths: Array = field(repr=False)
     effective: float
     stops_scatter_m: float | None
     undetermined: tuple[str, ...]
 
     @property
-    def clocks(self) -> dict[str, ClockFit]:
+    def clocks(self) -> dict[str, ClockResult]:
         """Clocks by recording."""
         return {name: one.clock for name, one in self.recordings.items()}
 
@@ -284,14 +231,13 @@ def motion_fit(problem: Problem, solution: Solution) -> MotionFit:
         if term.law is Law.PLAY and term.fading is None:
             play[term.joint] = solution.values[number]
             play_error[term.joint] = math.sqrt(noise.covariance[number, number])
-    identification, half_widths = _identification(problem, solution, model)
+    identification = _identification(problem, solution, model)
     has_stops = problem.stops is not None and len(solution.sources[-1].rows)
     return MotionFit(
         identification=identification,
         half_play=play,
         half_play_standard_error=play_error,
         recordings=found,
-        half_widths=half_widths,
         effective=sum(one.effective for one in found.values()),
         stops_scatter_m=solution.sources[-1].sigma_m if has_stops else None,
         undetermined=_undetermined(problem, identification, found),
@@ -362,7 +308,7 @@ def _mean_lag(problem: Problem, solution: Solution) -> float:
     return float(np.mean(lags)) if lags else 0.0
 
 
-def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockFit:
+def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockResult:
     """Return the clocks of one recording; their offset includes the inseparable mean lag of the joints."""
     track, layout = problem.tracks[number], problem.layout
     width, rate = solution.noise.half_width(), layout.rate(number)
@@ -378,32 +324,34 @@ def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockFit:
         half = float(width[place]) * error
         return value, error, (value - half, value + half)
 
-    segments = []
+    segments: list[tuple[tuple[float, float, tuple[float, float]], float, float]] = []
     for segment in range(layout.segments[number]):
         times = track.time_s[track.segment == segment]
-        segments.append(
-            ClockSegment(*stated(layout.offsets(number).start + segment, 1.0), float(times[0]), float(times[-1]))
-        )
+        value = stated(layout.offsets(number).start + segment, 1.0)
+        segments.append((value, float(times[0]), float(times[-1])))
     rate_ppm, rate_error, rate_interval = stated(rate, 1e6)
-    first = segments[int(track.segment[track.learnt][0])]  # the first segment between steps with training points
-    return ClockFit(
-        offset_s=first.offset_s,
-        offset_standard_error_s=first.offset_standard_error_s,
-        offset_interval_s=first.offset_interval_s,
+    # the first segment between steps with training points
+    (offset_s, error_s, interval_s), *_ = segments[int(track.segment[track.learnt][0])]
+    return ClockResult(
+        offset_s=offset_s,
+        offset_standard_error_s=error_s,
+        offset_interval_s=interval_s,
         rate_ppm=rate_ppm,
         rate_standard_error_ppm=rate_error,
         rate_interval_ppm=rate_interval,
-        middle_s=track.middle_s,
-        segments=tuple(segments),
-        steps_of_joints=track.path.stamps.steps,
-        steps_of_points=track.stamps.steps,
+        at_s=track.middle_s,
+        steps_of_joints=tuple((step.at_s, step.step_s) for step in track.path.stamps.steps),
+        steps_of_points=tuple((step.at_s, step.step_s) for step in track.stamps.steps),
+        segments=tuple(
+            ClockSegmentResult(offset_s=value, offset_standard_error_s=error, first_s=begin, last_s=end)
+            for (value, error, _), begin, end in (segments if len(segments) > 1 else ())
+        ),
         correlation=track.start.correlation,
-        trigger=checked(track.trigger, first.offset_s, first.offset_standard_error_s),
     )
 
 
-def _identification(problem: Problem, solution: Solution, model: Model) -> tuple[Identification, Array]:
-    """Return the arm's part of the solution as an identification, and the half widths of its intervals."""
+def _identification(problem: Problem, solution: Solution, model: Model) -> Identification:
+    """Return the arm's part of the solution as an identification."""
     layout, noise, stops = problem.layout, solution.noise, problem.stops
     estimated, size, arm = layout.parameters, layout.geometric, layout.arm
     covariance = noise.covariance[:size, :size]
@@ -443,8 +391,7 @@ def _identification(problem: Problem, solution: Solution, model: Model) -> tuple
         "gram": gram / (scale * scale[:, None]),
         "configurations": sum(len(source.rows) for source in solution.sources),
     }
-    width = noise.half_width()[:size][kept]
-    return Identification(**values), width
+    return Identification(**values)
 
 
 def _of_arm(information: Array, size: int) -> Array:

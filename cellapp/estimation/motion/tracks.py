@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import TooFewReadings, start_from_nominal
 from cellapp.estimation.motion.joint_path import JointPath, joint_path
-from cellapp.estimation.motion.streams import Recording, Stamps, TriggeredClock, read_stamps, triggered_clock
+from cellapp.estimation.motion.streams import Recording, Stamps, read_stamps
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array
@@ -94,26 +94,6 @@ def clock_start(
     least = min(one.rms_m for one in fitting)
     alike = [one for one in fitting if one.rms_m <= _ALIKE * least]  # the longest overlap comes first
     return replace(alike[0], others_s=tuple(one.offset_s for one in alike[1:]))
-
-
-def start_by_trigger(
-    start: ClockStart,
-    offset_s: float,
-    nominal: Geometry,
-    path: JointPath,
-    time_s: Array,
-    p_M: Array,
-    *,
-    tool_unknown: bool,
-) -> ClockStart:
-    """Return the start at the delay of a hardware trigger; ``start`` if the arm does not fit there.
-
-    The trigger excludes all other delays, however often the motion repeats.
-    """
-    found = _tried(nominal, path, time_s, p_M, offset_s, start.correlation, tool_unknown)
-    if found is None or found.rms_m > _ALIKE * start.rms_m:
-        return start
-    return found
 
 
 def _check_moving(where: str, what: str, speed: Array, seen: NDArray[np.bool_]) -> None:
@@ -261,8 +241,6 @@ class Track:
     learnt, held_out : array of bool, shape (m,)
         Masks of training points and of held-out points; points in gaps are neither.
     start : ClockStart
-    trigger : TriggeredClock or None
-        Offset from pulses of a hardware trigger at ``middle_s``.
     """
 
     name: str
@@ -277,7 +255,6 @@ class Track:
     learnt: NDArray[np.bool_] = field(repr=False)
     held_out: NDArray[np.bool_] = field(repr=False)
     start: ClockStart = field(repr=False)
-    trigger: TriggeredClock | None = field(default=None, repr=False)
 
     def controller_times(self, rows: NDArray[np.intp], offsets_s: Array, rate: float) -> Array:
         """Return the times of some points by the controller's clock [s]."""
@@ -302,14 +279,6 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
     p_M = points.p_M[stamps.rows]
     usual = np.linalg.norm(p_M - scipy.ndimage.median_filter(p_M, (7, 1)), axis=1) < _SPIKE_M
     start = clock_start(nominal, path, time[usual], p_M[usual], tool_unknown=tool_unknown, where=where)
-    trigger = None
-    if not stamps.steps and not path.stamps.steps:
-        middle_s, period_s = float((time[0] + time[-1]) / 2.0), float(np.median(np.diff(path.stamps.time_s)))
-        trigger = triggered_clock(recording.joints.triggers_s, points.triggers_s, middle_s, period_s)
-    if trigger is not None:
-        start = start_by_trigger(
-            start, trigger.offset_s, nominal, path, time[usual], p_M[usual], tool_unknown=tool_unknown
-        )
     if start.rms_m > _ABSURD_M:
         raise InputError(
             f"{where}: the points lie {start.rms_m * 1e3:.0f} mm from the arm wherever its base is and whatever the"
@@ -332,7 +301,6 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
         known,
         known,
         start,
-        trigger,
     )
     track = _with_segment_starts(track, usual & known, nominal, tool_unknown, where)
     validate, guard = (

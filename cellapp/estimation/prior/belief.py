@@ -113,8 +113,9 @@ def term_columns(model: ArmModel, measured: Measured) -> list[EffectColumn]:
 def design(model: ArmModel, measured: Measured, columns: tuple[int, ...]) -> Array:
     """Return whitened derivatives (p, 3 n) by the geometric parameters ``columns`` and by the values of all effects."""
     white, terms = whitening(measured.sigma), term_columns(model, measured)
-    R_M_S = measured.conditions.R_M_S
-    return LinearModel.of(model.geometry, measured.readings.q, white, columns, terms, R_M_S).rows
+    q, conditions = measured.readings.q, measured.conditions
+    actual = model.true_joints(q, conditions=conditions) if model.effects else q
+    return LinearModel.of(model.geometry, actual, white, columns, terms, conditions.R_M_S).rows
 
 
 def normal_matrix(model: ArmModel, measured: Measured, columns: tuple[int, ...], reference: Geometry) -> NormalMatrix:

@@ -321,6 +321,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("time_s", "s", ("time_s",), fill=math.nan, check=_within(-_LONGEST_S, _LONGEST_S, "s")),
     Column("sequence", "", ("sequence",), check=_places, since=5),
     Column("q", "rad", ("q",), "joints", required=True, check=_in_radians),
+    Column("q_spread", "rad", ("q_spread_rad",), check=_within(0.0, 1.0, "rad"), since=11),
     Column(
         "approach",
         "",

@@ -27,7 +27,7 @@ class Reading:
     Attributes
     ----------
     q : array, shape (N,)
-        Joint positions read from the controller [rad].
+        Joint positions read from the controller [rad], their mean during the measurement.
     p_M : array, shape (3,)
         Measured SMR centre in the tracker frame [m].
     time_s : float
@@ -36,6 +36,8 @@ class Reading:
         Place in the order in which the arm's readings were measured.
     approach : array, shape (N,), or None
         Sign of each joint's last motion before the stop: -1, 0 (unknown), +1; None if unknown for all joints.
+    q_spread : float or None
+        Largest range of a joint during the measurement [rad].
     payload_kg, temperature_c, sigma_m : float or None
         Payload [kg]; arm or ambient temperature [degC]; isotropic standard uncertainty of ``p_M`` [m].
     joint_temperature_c : array, shape (N,), or None
@@ -86,6 +88,7 @@ class Reading:
     station: str | None = None
     point: str | None = None
     split: str | None = None
+    q_spread: float | None = None
     extras: dict[str, str] = field(default_factory=dict)
 
     def as_readings(self, configuration: int) -> Readings:
@@ -126,6 +129,8 @@ class Readings:
         Place in the order in which the arm's readings were measured, of an imported file.
     q : array, shape (n, N)
         Joint positions read from the controller [rad].
+    q_spread : array, shape (n,), or None
+        Largest range of a joint during the measurement [rad].
     approach : array, shape (n, N), int8
         Sign of each joint's last motion before the stop: -1, 0 (unknown), +1.
     p_M : array, shape (n, 3)
@@ -188,6 +193,7 @@ class Readings:
     point: tuple[str | None, ...] | None = None
     other_q: _Floats | None = None
     split: tuple[str | None, ...] | None = None
+    q_spread: _Floats | None = None
     extras: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -10,6 +10,47 @@ from cellapp.ground.results import DecisionRule, Record
 ToleranceVerdict = Literal["in", "out", "cannot say", ""]
 """Whether a target is within its tolerance; empty if it has none, or if there is nothing to judge."""
 
+Three = tuple[float, float, float]
+Six = tuple[float, float, float, float, float, float]
+
+
+class CommonUncertainty(Record):
+    """What is common to the uncertainties of all targets of one TCP, and the rest.
+
+    Attributes
+    ----------
+    tcp : six numbers or None
+        x, y, z [m] and rotation vector [rad] in the flange frame; None for the flange, or the SMR.
+    flange_mm, flange_mrad : three numbers
+        Standard uncertainties in the flange frame along, and of a rotation about, x, y and z.
+    base_mm, base_mrad : float
+        In the base frame: of a coordinate at the targets, and of the rotation.
+    own_mm : float
+        Median of the targets' own standard uncertainty of a coordinate, without what is common.
+    significant : bool or None
+        Whether what the corrections have in common is significant against it; None without corrections.
+    """
+
+    tcp: Six | None
+    flange_mm: Three
+    flange_mrad: Three
+    base_mm: float
+    base_mrad: float
+    own_mm: float
+    significant: bool | None = None
+    omitted_when_none = frozenset({"significant"})
+
+    @property
+    def sentence(self) -> str:
+        """What is common, and what would determine it."""
+        shift, turn = (", ".join(f"{value:.3f}" for value in its) for its in (self.flange_mm, self.flange_mrad))
+        return (
+            f"in the flange frame x, y, z {shift} mm and about them {turn} mrad, which a TCP taught with the calibrated"
+            f" arm, a probe or three SMRs would determine; in the base frame {self.base_mm:.3f} mm a coordinate and"
+            f" {self.base_mrad:.3f} mrad, which a surveyed base would determine"
+        )
+
+
 Conformity = Literal["conforms", "does not conform", "cannot say"]
 Characteristic = Literal[
     "position",

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from cellapp.ground.network_kind import NetworkKind
 from cellapp.ground.profile.sections import (
@@ -310,7 +310,23 @@ class Plant(GrownSection):
     """Where the simulated tracker really stands, if that is not ``tracker.pose``, as after it was moved."""
     factory: FactoryErrors | None = None
     """The controllers' own calibration; if left out, they compute with the published rows."""
-    later_keys = frozenset({"tracker_pose", "factory"})
+    earlier_jobs: Annotated[int, Field(strict=True, ge=0)] = 0
+    """Jobs of the run that measured before: the noise of each is another. The program counts them."""
+    later_keys = frozenset({"tracker_pose", "factory", "earlier_jobs"})
+
+    def after(self, jobs: int) -> Self:
+        """Return the cell when ``jobs`` have measured in it."""
+        return self.model_copy(update={"earlier_jobs": jobs})
+
+
+def _name(given: str) -> str:
+    """Return the name of a cell or an arm. Files and folders are called so: it may be no path."""
+    if given.strip(" .") != given or any(sign in "/\\" or not sign.isprintable() for sign in given):
+        raise ValueError(f"{given!r} is no name: files are called so; leave out / and \\, dots and blanks at its ends")
+    return given
+
+
+Name = Annotated[str, Field(min_length=1), AfterValidator(_name)]
 
 
 class Profile(GrownSection, defer_build=True):
@@ -318,9 +334,9 @@ class Profile(GrownSection, defer_build=True):
 
     schema_: Literal["cellapp-profile"] = Field(alias="schema")
     version: Literal[1]
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     seed: Annotated[int, Field(strict=True, ge=0)] = 0
-    arms: Annotated[dict[str, Arm], Field(min_length=1)]
+    arms: Annotated[dict[Name, Arm], Field(min_length=1)]
     tracker: Tracker
     sensors: Sensors = Field(default_factory=Sensors)
     obstacles: Obstacles = Field(default_factory=dict)

@@ -27,6 +27,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, DISCOVER, STAGE_NAMES, StageName
+from cellapp.ground.shell import shell_word
 from cellapp.interfaces.python.cell import Calibration, Discovery, measured_minus_computed
 from cellapp.interfaces.python.printed import Printed
 from cellapp.robot.kinematics.transforms import Array
@@ -69,7 +70,9 @@ class Run(Printed):
     def calibration(self) -> Calibration:
         """The stored calibration, as returned by ``Cell.calibrate``. Raises ``InputError`` if there is none."""
         if self.results.calibrate is None or CALIBRATE not in self.models:
-            raise InputError(f"{self.folder}: not calibrated yet; run 'cellapp calibrate {self.folder}' first")
+            raise InputError(
+                f"{self.folder}: not calibrated yet; run 'cellapp calibrate {shell_word(self.folder)}' first"
+            )
         result = self.results.calibrate.without_effects()  # the effects of a discovery are only added for display
         return Calibration(self.profile, self.measured, self._stored(CALIBRATE), result)
 
@@ -81,7 +84,7 @@ class Run(Printed):
         """
         reason = self.results.out_of_date.get(DISCOVER, "no discovery is stored")
         if self.results.discover is None or DISCOVER not in self.models or DISCOVER in self.results.out_of_date:
-            raise InputError(f"{self.folder}: {reason}; run 'cellapp discover {self.folder}' first")
+            raise InputError(f"{self.folder}: {reason}; run 'cellapp discover {shell_word(self.folder)}' first")
         return Discovery(self.profile, self.measured, self._stored(DISCOVER), self.results.discover, self.calibration)
 
     def _stored(self, stage: StageName) -> CellModel:
@@ -106,7 +109,9 @@ class Run(Printed):
     def calibrated_model(self) -> CellModel:
         """Return the model. Raises ``InputError`` if the run is not calibrated."""
         if self.model is None:
-            raise InputError(f"{self.folder}: not calibrated yet; run 'cellapp calibrate {self.folder}' first")
+            raise InputError(
+                f"{self.folder}: not calibrated yet; run 'cellapp calibrate {shell_word(self.folder)}' first"
+            )
         return self.model
 
     def predict(self, arm: str, q: ArrayLike) -> Array:

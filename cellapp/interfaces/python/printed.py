@@ -13,7 +13,7 @@ from cellapp.interfaces.render.notebook import html_view
 from cellapp.interfaces.render.terminal import plain_text
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from cellapp.interfaces.render.notebook import Drawing
 
 _LONGEST = 190
 """Longest ``repr`` [characters]: one line of a wide screen or two of a narrow one."""
@@ -46,21 +46,19 @@ class Printed(ABC):
 
 
 class Charted(Printed):
-    """A result that can also draw itself if matplotlib is installed."""
+    """A result that can also draw itself."""
 
     @abstractmethod
     def charts(self) -> Mapping[str, Callable[[], Sequence[Chart]]]:
         """Return the available charts by name, most informative first; each value creates its charts when called."""
 
-    def plot(self, what: str = "") -> Figure:
-        """Draw charts of one kind as a matplotlib figure; without a name the first kind of ``charts()``.
+    def plot(self, what: str = "") -> Drawing:
+        """Draw charts of one kind as HTML, which a notebook shows; without a name the first kind of ``charts()``.
 
         Raises
         ------
         InputError
             If there are no charts of that name.
-        ImportError
-            If matplotlib is not installed; the message says how to install it.
         """
         from cellapp.interfaces.render.notebook import draw_charts
 

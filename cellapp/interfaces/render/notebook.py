@@ -1,27 +1,19 @@
-"""A view as an HTML fragment for a notebook: tables, and preformatted lines.
-
-Charts drawn with matplotlib, which is optional: the extra ``plot`` installs it.
-"""
+"""A view as an HTML fragment for a notebook: tables, preformatted lines, and charts on request."""
 
 from __future__ import annotations
 
-import math
-import textwrap
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from html import escape
+from importlib import resources
 from itertools import groupby
-from typing import TYPE_CHECKING
+from pathlib import Path
 
-import numpy as np
-
-from cellapp.commands.view.charts import Chart, Series
+from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Parts, printed
 from cellapp.commands.view.table import Table
-from cellapp.interfaces.render.chart import series_words
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from cellapp.interfaces.page.drawn import chart_figure
 
 
 def html_view(view: Parts) -> str:
@@ -51,78 +43,33 @@ def _row(tag: str, cells: tuple[str, ...], sides: list[str]) -> str:
     return f"<tr>{''.join(inside)}</tr>"
 
 
-_COLUMNS = 2
-"""Number of charts side by side in a figure."""
-_SIZE = (6.0, 3.8)
-"""Width and height of a chart [inch]."""
-_TITLE = 60
-"""Longest line of the title [characters]."""
+@dataclass(frozen=True)
+class Drawing:
+    """Charts as an HTML fragment, which a notebook shows and any browser opens."""
+
+    html: str
+
+    def _repr_html_(self) -> str:
+        return self.html
+
+    def save(self, path: str | Path) -> None:
+        """Write the charts into a file, as ``steps.html``; it is replaced if it is there."""
+        Path(path).write_text(self.html, encoding="utf-8")
 
 
-def draw_charts(charts: Sequence[Chart]) -> Figure:
-    """Draw every chart on axes of its own; return the figure. It opens no window: a notebook shows the figure.
-
-    Raises
-    ------
-    ImportError
-        If matplotlib is not installed; the message says how to install it.
-    """
-    try:
-        from matplotlib.figure import Figure  # optional; its import takes half a second
-    except ImportError as error:
-        raise ImportError("plots need matplotlib; install it with: pip install 'cellapp[plot]'") from error
-    columns = min(_COLUMNS, len(charts))
-    rows = math.ceil(len(charts) / columns)
-    figure = Figure(figsize=(_SIZE[0] * columns, _SIZE[1] * rows), layout="constrained")
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for chart, one in zip(charts, axes, strict=False):
-        draw_chart(chart, one)
-    for unused in axes[len(charts) :]:
-        unused.remove()
-    return figure
+def draw_charts(charts: Sequence[Chart]) -> Drawing:
+    """Draw every chart as the page does."""
+    style = resources.files("cellapp.interfaces.page").joinpath("page.css").read_text("utf-8")
+    colours = re.search(r":root \{(.*?)\}", style, re.DOTALL)
+    assert colours is not None
+    return Drawing(f"<div style='{' '.join(colours[1].split())}'>{''.join(map(_figure, charts))}</div>")
 
 
-def draw_chart(chart: Chart, axes: Axes) -> None:
-    """Draw a chart on axes: a bar for each category, or else its series, with its limits."""
-    axes.set_title(textwrap.fill(chart.title, _TITLE), fontsize="medium")
-    if chart.categories:
-        places = np.arange(len(chart.categories))
-        bars = axes.barh(places, np.nan_to_num(chart.series[0].y), tick_label=chart.categories)
-        axes.bar_label(bars, labels=chart.bar_texts, padding=3)
-        axes.invert_yaxis()
-        axes.margins(x=0.2)
-        axes.set_xlabel(chart.y.words)
-        return
-    for one in chart.series:
-        _draw_series(chart, one, axes)
-    for limit in chart.limits:
-        line = axes.axhline if limit.axis == "y" else axes.axvline
-        line(limit.value, color="black", linestyle="--", linewidth=1.0, label=limit.name)
-    for axis, set_scale, set_label in (
-        (chart.x, axes.set_xscale, axes.set_xlabel),
-        (chart.y, axes.set_yscale, axes.set_ylabel),
-    ):
-        set_scale("log" if axis.logarithmic else "linear")
-        set_label(axis.words)
-    if chart.y_range is not None:
-        axes.set_ylim(*chart.y_range)
-    if chart.equal:
-        axes.set_aspect("equal")
-    if chart.series:
-        axes.legend(fontsize="small")
-    else:
-        axes.text(0.5, 0.5, chart.message, transform=axes.transAxes, ha="center", wrap=True)
-
-
-def _draw_series(chart: Chart, one: Series, axes: Axes) -> None:
-    colour, name = f"C{one.style}", series_words(chart, one)
-    if one.kind == "points":
-        axes.plot(one.x, one.y, ".", color=colour, label=name)
-    elif one.kind == "steps":
-        axes.step(one.x, one.y, where="post", color=colour, label=name)
-    elif one.kind == "bars":
-        axes.bar(one.x, one.y, color=colour, label=name)
-    else:
-        axes.plot(one.x, one.y, color=colour, label=name)
-    if one.band is not None:
-        axes.fill_between(one.x, one.y - one.band, one.y + one.band, color=colour, alpha=0.25, linewidth=0.0)
+def _figure(chart: Chart) -> str:
+    drawn = chart_figure("", chart)
+    names = (
+        f'<span style="color: {"inherit" if one.look is None else one.look.css_colour}">{escape(one.text)}</span>'
+        for one in drawn.legend
+    )
+    words = f"<figcaption>{escape(drawn.caption)}</figcaption>{drawn.svg}<p>{' · '.join(names)}</p>"
+    return f'<figure style="max-width: 44rem">{words}<p>{escape(drawn.note)}</p></figure>'

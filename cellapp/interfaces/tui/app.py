@@ -41,7 +41,7 @@ from cellapp.commands.registry import ALL
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import terminal
 from cellapp.interfaces.tui import work as jobs_of_verbs
-from cellapp.interfaces.tui.dialogs.program import Jump, MotionQuestion, Palette, possible_commands
+from cellapp.interfaces.tui.dialogs.program import MotionQuestion, Palette, possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.endings import ENDED, LEFT, UNEXPECTED, Leaving, ending_of, left_behind
 from cellapp.interfaces.tui.host import Host, LeaveAsked, ResumeOffered, Severity, StopGiven, WorkspaceLoaded
@@ -210,7 +210,7 @@ HIGH_CONTRAST = Theme(
 
 
 _REQUESTS = ("stop", "stop_job", "pause", "resume", "abort")
-_OWN = ("show", "next_step", "whole_day", "explain", "handbook", "jump", "quit", *_REQUESTS)
+_OWN = ("show", "next_step", "whole_day", "explain", "handbook", "quit", *_REQUESTS)
 _ALWAYS = ("stop", "stop_job", "abort")
 """Actions that stay available over an open dialog."""
 _DRAWING_S = 0.1
@@ -269,7 +269,6 @@ class CellApp(JobKeys):
         bind("next", "next_step", "Next", "show the step that comes next; there, begin it"),
         bind("help", "explain", "Help", "explain this screen"),
         bind("handbook", "handbook", "Handbook", KEYS["handbook"].meaning, show=False),
-        bind("jump", "jump", "Jump", KEYS["jump"].meaning, show=False),
         bind("quit", "quit", "Quit"),
         Binding("ctrl+q", "quit", show=False, priority=True),
     ]
@@ -434,10 +433,6 @@ class CellApp(JobKeys):
         from cellapp.interfaces.tui.dialogs.handbook import Handbook
 
         self.push_screen(Handbook())
-
-    def action_jump(self) -> None:
-        """Label every focusable widget with a letter that jumps to it."""
-        self.push_screen(Jump(self.screen))
 
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Disable actions that are not possible now; over a dialog only stop and abort remain."""

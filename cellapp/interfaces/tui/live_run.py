@@ -142,12 +142,12 @@ class JobsOfOthers:
 
     def find(self, folder: Path | None) -> None:
         """Look at the job in a folder, if another process of this computer runs one. Call it in a thread."""
-        address = None if folder is None or self._app.jobs.running else address_of_job(folder)
-        if folder is None or address is None or address.is_own or not address.is_here:
-            return
-        if not self._looking.acquire(blocking=False):
+        if folder is None or self._app.jobs.running or not self._looking.acquire(blocking=False):
             return
         try:
+            address = address_of_job(folder)
+            if address is None or address.is_own or not address.is_here:
+                return
             seen = look_at_job(folder)
             if seen is not None:
                 self._app.call_later(self._show, folder, address, seen)

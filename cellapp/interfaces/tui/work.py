@@ -17,11 +17,11 @@ from cellapp.interfaces.tui.jobs import Ask, Job
 
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
+    from cellapp.commands.init.request import InitRequest
     from cellapp.commands.report.data import ReportData
     from cellapp.commands.runs.result import RunSummary
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
-    from cellapp.interfaces.tui.dialogs.own_readings import OwnReadingsRequest
 
 
 def verb_job(verb: Verb, request: Request, outputs: Outputs = NEW_ONLY) -> Job:
@@ -69,20 +69,26 @@ def whole_day(profile: Path, folder: Path, agreed: Profile) -> Job:
     return replace(job, work=work)
 
 
-def own_readings(request: OwnReadingsRequest, home: Path) -> Job:
-    """Return the job that creates profile and run from external readings; ``home`` has the folders of both."""
+def own_readings(request: InitRequest) -> Job:
+    """Return the job that creates profile and run from external readings, in the folders of both."""
+    assert request.readings is not None
+    folder = request.folder / "logs" / request.readings.stem.lower().replace(" ", "-")
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.profile import load_profile
         from cellapp.commands.import_ import import_new_run
-        from cellapp.commands.init.own_data import OwnData, write_own_data
+        from cellapp.commands.init.request import VERB as INIT
+        from cellapp.commands.init.run import InitResult, view
+        from cellapp.ground.errors import InputError
 
-        own = OwnData(request.readings, request.arm, angles=request.angles, lengths=request.lengths)
-        written = write_own_data(own, home)
-        imported = import_new_run(load_profile(written.profile), written.readings, request.run)
+        written = verb_job(INIT, request).work(listener, control, ask)
+        assert isinstance(written, InitResult)
+        if written.readings is None:  # a recording of motion
+            raise InputError(str(view(written).parts[-1]))
+        imported = import_new_run(load_profile(Path(written.profile)), Path(written.readings), folder)
         return imported.model_copy(update={"notes": (*written.notes, *imported.notes)})
 
-    return Job("import", work, request.run)
+    return Job("import", work, folder)
 
 
 def check_plan(folder: Path) -> Job:

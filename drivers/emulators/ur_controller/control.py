@@ -7,8 +7,11 @@ A request is ``ARM COMMAND [ARGUMENT ...]`` (ARM ``*``: all arms), the answer ``
     log                                   events, newest last
     drop PORT fin|rst [SECONDS]           end its connections; refuse new ones for SECONDS
     fault PORT none|silent|refuse|garbage|flood|trickle [SECONDS]
+    network DELAY [LOSS]                  messages take DELAY s each way, a share LOSS of them 0.2 s more
+    send PORT HEX                         send bytes on its connections: a malformed packet
     start-delay SECONDS                   from an uploaded program to its start, from now on
     short-packets swallow|close           reaction to RTDE data of the wrong length
+    push RAD SPEED [JOINT]                something turns a joint (1) of the arm at rest by RAD at SPEED [rad/s]
     protective now|off|speed V|travel V   stop now, or when the arm reaches V rad/s or has moved by V rad
     release                               the operator releases a protective stop
     estop | estop-release                 the emergency stop button
@@ -156,6 +159,19 @@ def _fault(arm: Emulated, arguments: Sequence[str], now_s: float) -> None:
         port.fail(fault, now_s + _number(arguments, 2, limit=_MOST_S) if len(arguments) > 2 else None)
 
 
+def _network(arm: Emulated, arguments: Sequence[str], _: float) -> None:
+    network = (_number(arguments, 0, limit=_MOST_S), _number(arguments, 1, limit=1.0, default=0.0))
+    for port in arm.ports.values():
+        port.network = network
+
+
+def _send(arm: Emulated, arguments: Sequence[str], _: float) -> None:
+    data = bytes.fromhex(arguments[1] if len(arguments) > 1 else "")
+    for port in _ports(arm, arguments):
+        for link in list(port.links):
+            link.send(data)
+
+
 def _start_delay(arm: Emulated, arguments: Sequence[str], _: float) -> None:
     arm.controller.start_delay_s = _number(arguments, 0, limit=_MOST_S)
 
@@ -174,6 +190,13 @@ def _protective(arm: Emulated, arguments: Sequence[str], _: float) -> None:
             arm.controller.arm_protective_stop(speed=_number(arguments, 1, limit=_FASTEST))
         case _:
             arm.controller.arm_protective_stop(travel=_number(arguments, 1, limit=_FASTEST))
+
+
+def _push(arm: Emulated, arguments: Sequence[str], _: float) -> None:
+    back = -1.0 if arguments and arguments[0].startswith("-") else 1.0
+    by = back * _number([arguments[0].removeprefix("-")] if arguments else [], 0, limit=_FASTEST)
+    joint = int(_number(arguments, 2, limit=6.0, default=1.0))
+    arm.controller.push(max(joint, 1) - 1, by, _number(arguments, 1, limit=_FASTEST))
 
 
 def _remote(arm: Emulated, arguments: Sequence[str], _: float) -> None:
@@ -243,6 +266,8 @@ _COMMANDS: dict[str, Callable[[Emulated, Sequence[str], float], object]] = {
     "log": lambda arm, _, __: list(arm.controller.log),
     "drop": _drop,
     "fault": _fault,
+    "network": _network,
+    "send": _send,
     "start-delay": _start_delay,
     "short-packets": _short_packets,
     "protective": _protective,
@@ -252,6 +277,7 @@ _COMMANDS: dict[str, Callable[[Emulated, Sequence[str], float], object]] = {
     "power-on": _without_arguments(Controller.power_on),
     "brake-release": _without_arguments(Controller.release_brakes),
     "power-off": _without_arguments(Controller.power_off),
+    "push": _push,
     "remote": _remote,
     "slider": _slider,
     "foreign": _foreign,

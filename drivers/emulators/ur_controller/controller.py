@@ -76,6 +76,8 @@ _MOST_STARTS = 2000
 _LEAST_RATE = 1e-6
 """Joint speeds [rad/s] or accelerations [rad/s^2] below this count as 0: the motion would take days."""
 _ZERO6: Values = (0.0,) * 6
+_PUSH_RAD_S2 = 1e4
+"""Acceleration of an arm that is pushed: it has its speed at once."""
 _COMMAND_REGISTERS = ("input_int_register_0", "input_int_register_24")
 _STOPPING: Mapping[float, str] = {15: "stopl", 16: "stopj", 33: "stopl", 34: "stopj", 255: "end of the script"}
 """Commands of ur_rtde that stop the arm."""
@@ -121,7 +123,7 @@ class Controller:
         self.payload_inertia: Values = _ZERO6
         self.tcp: Values = tuple(config.tcp)
         self.gravity: Values = (0.0, 0.0, 9.82)
-        self.slider, self.outputs = SpeedSlider(), DigitalOutputs()
+        self.slider = SpeedSlider()
         self.brakes = Brakes(config.name, motions, config.braking, config.speed, config.acceleration, clock)
         self.program: Program[Controller] | None = None
         self.log: deque[str] = deque(maxlen=200)
@@ -271,6 +273,13 @@ class Controller:
             self.motions.servo(self.name, np.array(q), rate)
             self._was_moving = True
 
+    def push(self, joint: int, by: float, speed: float) -> None:
+        """Turn a joint of the arm at rest by ``by`` [rad] at ``speed`` [rad/s], as a force from outside does."""
+        goal = self.motions.q(self.name)
+        goal[joint] += by
+        self.motions.start_move(self.name, goal, np.full(6, speed), np.full(6, _PUSH_RAD_S2))
+        self._was_moving = True
+
     def brake(self, deceleration: float | None = None) -> None:
         """Stop the arm like ``stopj`` at ``deceleration`` [rad/s^2], and forget its goal."""
         self._goal = None
@@ -298,10 +307,9 @@ class Controller:
         self._set_runtime(Runtime.PLAYING)
 
     def stop_program(self, reason: str = "") -> None:
-        """End a program that runs, is paused or is about to start; the arm brakes."""
+        """End a program that runs or is paused, not one that was uploaded and is about to start; the arm brakes."""
         if reason or self.runtime is not Runtime.STOPPED:
             self.journal.note("stop", reason or "a new program")
-        self._uploaded = None
         self._watchdog.watch(0.0, 0)
         if self.runtime in (Runtime.STOPPED, Runtime.STOPPING):
             return
@@ -366,7 +374,7 @@ class Controller:
         self.log.append("emergency stop")
         self.brakes.request("emergency")
         self.stop_program("emergency stop")
-        self._goal = None
+        self._goal = self._uploaded = None
         self._stop_trigger = StopTrigger()
         self.safety_mode = SafetyMode.ROBOT_EMERGENCY_STOP
         self.robot_mode = RobotMode.POWER_OFF
@@ -402,7 +410,7 @@ class Controller:
         """End the program and switch power off."""
         self.brakes.request("program")
         self.stop_program(how)
-        self._goal = None
+        self._goal = self._uploaded = None
         self._mode_due.clear()
         self.robot_mode = RobotMode.POWER_OFF
         self._publish_modes()
@@ -418,7 +426,7 @@ class Controller:
             self.motions.scale_speed(self.name, self.slider.scaling)
         self._publish_speed()
         self._read_drives()
-        self.outputs.cycle(self.values)
+        switched(self.values)
         while self._mode_due and self._clock_s >= self._mode_due[0][0]:
             self.robot_mode = self._mode_due.pop(0)[1]
             self._publish_modes()
@@ -560,29 +568,16 @@ class Journal:
         return [asdict(event) for event in self._events if event.at_s >= at_s]
 
 
-# -- Digital outputs of a controller: clients set them, and something may be wired to them ----------------------------
+# -- Digital outputs of a controller, which clients set ----------------------------------------------------------------
 
 
 _BITS, _MASK, _LEVELS = "actual_digital_output_bits", "standard_digital_output_mask", "standard_digital_output"
 
 
-class DigitalOutputs:
-    """Outputs with wired callbacks: number -> function that is called on a rising edge."""
-
-    def __init__(self) -> None:
-        self.wired: dict[int, Callable[[], None]] = {}
-
-    def cycle(self, values: dict[str, Values]) -> None:
-        """Set the outputs to the values that clients wrote since the last control cycle."""
-        mask = int(values[_MASK][0])
-        if not mask:
-            return
-        before = int(values[_BITS][0])
-        now = (before & ~mask) | (int(values[_LEVELS][0]) & mask)
-        values[_BITS], values[_MASK] = (now,), (0,)
-        for number, rises in self.wired.items():
-            if (now & ~before) >> number & 1:
-                rises()
+def switched(values: dict[str, Values]) -> None:
+    """Set the outputs to the values that clients wrote since the last control cycle."""
+    if mask := int(values[_MASK][0]):
+        values[_BITS], values[_MASK] = ((int(values[_BITS][0]) & ~mask) | (int(values[_LEVELS][0]) & mask),), (0,)
 
 
 # -- The speed slider of a controller: it scales every motion, also one in progress, but not the braking of a stop ----

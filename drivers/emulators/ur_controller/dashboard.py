@@ -103,7 +103,8 @@ def _questions(controller: Controller) -> dict[str, str]:
 
 
 def _program_name(controller: Controller) -> str:
-    return controller.program.name if isinstance(controller.program, ForeignProgram) else "<unnamed>"
+    """Return the name of the program; that of an uploaded one was not compared with a real controller."""
+    return "<unnamed>" if controller.program is None else controller.program.name
 
 
 def _loaded(controller: Controller) -> str:

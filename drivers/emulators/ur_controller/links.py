@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import random
 import selectors
 import socket
 import struct
+import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -23,6 +26,8 @@ _MAX_QUEUED = 1 << 20
 _MAX_STREAMED = 1 << 16
 _MAX_FD = 1000  # select() accepts at most 1024
 _TRICKLE_S = 0.05
+_SENT_AGAIN_S = 0.2
+"""After this time TCP sends a lost message again [s]."""
 _MOST_UNREAD = 64
 """Chunks that are read from a client whose connection ends; a client that keeps sending is reset."""
 
@@ -47,12 +52,14 @@ class Link:
     queued: bytearray = field(default_factory=bytearray)
     closing: bool = False
     gone: bool = False
+    travelling: deque[tuple[float, bool, bytes]] = field(default_factory=deque)
+    """Messages on the way, in order: when each arrives, whether it comes from the client, and itself."""
 
     def send(self, data: bytes) -> None:
         """Queue an answer, subject to the port's fault."""
         match self.port.fault:
             case "none":
-                self.port.push(self, data)
+                self.port.pass_on(self, data, received=False)
             case "garbage":
                 self.port.push(self, _GARBAGE)
             case "flood":
@@ -63,7 +70,7 @@ class Link:
     def stream(self, data: bytes) -> None:
         """Queue unsolicited data; dropped for a client that does not read."""
         if self.port.fault == "none" and len(self.queued) < _MAX_STREAMED:
-            self.port.push(self, data)
+            self.port.pass_on(self, data, received=False)
         elif self.port.fault == "garbage":
             self.port.push(self, _GARBAGE)
 
@@ -76,7 +83,8 @@ class Link:
 class Port:
     """One listening port, its connections and its current fault.
 
-    ``open_session`` returns the handler of a new connection.
+    ``open_session`` returns the handler of a new connection. ``network`` is the delay of every message, each way [s],
+    and the share of lost ones, which are sent again; what follows on the same connection waits for them.
     """
 
     def __init__(
@@ -93,6 +101,8 @@ class Port:
         self._listening: socket.socket | None = None
         self.links: list[Link] = []
         self.fault: Fault = "none"
+        self.network = (0.0, 0.0)
+        self._random = random.Random(number)
         self._fault_end_s: float | None = None
         self._trickle_at_s = 0.0
 
@@ -137,6 +147,10 @@ class Port:
         if self._fault_end_s is not None and now_s >= self._fault_end_s:
             with suppress(OSError):  # the port was taken meanwhile: it stays refused
                 self.fail("none")
+        for link in list(self.links):
+            while link.travelling and link.travelling[0][0] <= now_s and not link.gone:
+                _, received, data = link.travelling.popleft()
+                self._arrive(link, data, received=received)
         if self.fault == "trickle" and now_s >= self._trickle_at_s:
             self._trickle_at_s = now_s + _TRICKLE_S
             for link in list(self.links):
@@ -176,10 +190,26 @@ class Port:
             if data == b"":
                 self.drop(link)
                 return
-            if data and link.session is not None:
-                link.session.received(data)
+            if data:
+                self.pass_on(link, data, received=True)
         if events & selectors.EVENT_WRITE and not link.gone:
             self.push(link, b"")
+
+    def pass_on(self, link: Link, data: bytes, *, received: bool) -> None:
+        """Let a message from the client (``received``) or to it arrive after its way through the network."""
+        delay_s, loss = self.network
+        if not (delay_s or loss or link.travelling):
+            self._arrive(link, data, received=received)
+            return
+        arrives_s = time.monotonic() + delay_s + (_SENT_AGAIN_S if self._random.random() < loss else 0.0)
+        latest_s = link.travelling[-1][0] if link.travelling else 0.0
+        link.travelling.append((max(arrives_s, latest_s), received, data))
+
+    def _arrive(self, link: Link, data: bytes, *, received: bool) -> None:
+        if not received:
+            self.push(link, data)
+        elif link.session is not None:
+            link.session.received(data)
 
     def push(self, link: Link, data: bytes) -> None:
         """Queue bytes and send at once what the socket accepts."""

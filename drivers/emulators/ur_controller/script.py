@@ -20,6 +20,7 @@ _MAX_BYTES = 1 << 20
 _HEAD = re.compile(rb"^def[ \t]+([A-Za-z_]\w*)[ \t]*\([^)\n]*\)[ \t]*:", re.MULTILINE)
 _TAIL = re.compile(rb"^end[ \t]*\r?\n", re.MULTILINE)
 _FLOAT_OFFSET = re.compile(rb"# ?float register offset\s*\n?\s*(\d{1,9})\b")
+_FIRST_WATCHDOG = re.compile(rb'^def .*\n\s*rtde_set_watchdog\("input_int_register_(?:0|24)", ([0-9.]{1,9}), "stop"\)')
 _INT_OFFSET = re.compile(rb"# ?int register offset\s*\n?\s*(\d{1,9})\b")
 
 
@@ -56,7 +57,8 @@ def program_of(name: str, block: bytes) -> Program[Controller]:
     offsets = [pattern.search(block) for pattern in (_INT_OFFSET, _FLOAT_OFFSET)]
     numbers = [int(found.group(1)) for found in offsets if found is not None]
     if len(numbers) == 2 and all(number in (0, 24) for number in numbers):
-        return ControlScript(*numbers)
+        first = _FIRST_WATCHDOG.search(block)
+        return ControlScript(numbers[0], numbers[1], name, 0.0 if first is None else float(first.group(1)))
     return UnknownProgram(name)
 
 
@@ -106,10 +108,11 @@ _NO_TOOL = (0.0,) * 6
 class ControlScript:
     """The program that ur_rtde uploads; its registers begin at ``int_offset`` and ``double_offset``."""
 
-    name = "rtde_control"
-
-    def __init__(self, int_offset: int, double_offset: int) -> None:
-        self._i, self._d = int_offset, double_offset
+    def __init__(
+        self, int_offset: int, double_offset: int, name: str = "rtde_control", watchdog_hz: float = 0.0
+    ) -> None:
+        """``watchdog_hz``: rate of a watchdog that it sets in its first line; 0: none."""
+        self._i, self._d, self.name, self._watchdog_hz = int_offset, double_offset, name, watchdog_hz
         self._blocked = False
         self._answered = False
         self._next_move: tuple[Sequence[float], float, float] | None = None
@@ -122,6 +125,7 @@ class ControlScript:
 
     def begin(self, controller: Controller) -> None:
         """Report that the script is ready and no asynchronous motion runs."""
+        controller.set_watchdog(self._watchdog_hz, self._i)
         self._progress(controller, running=False)
         controller.set_output_int(self._i, _READY)
 

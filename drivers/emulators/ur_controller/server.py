@@ -185,10 +185,6 @@ class UrControllerServer:
     def _open_control(self, link: Link) -> ControlSession:
         return ControlSession(link.send, lambda line: execute(line, self._arms, self.cell, time.monotonic()))
 
-    def wire(self, name: str, output: int, rises: Callable[[], None]) -> None:
-        """Call ``rises``, with ``cell.lock`` held, on a rising edge of a digital output of an arm's controller."""
-        self._arms[name].controller.outputs.wired[output] = rises
-
     # -- life --------------------------------------------------------------------------------------------------------
 
     def open(self) -> Addresses:

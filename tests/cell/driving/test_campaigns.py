@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving import motion
-from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import CollectSession
 from cellapp.cell.driving.reaction import StopCause, StopReaction
 from cellapp.cell.driving.supervision import Supervisor
@@ -19,7 +18,7 @@ from cellapp.cell.run import RunFile
 from cellapp.estimation.readings import Reading
 from cellapp.ground.errors import CellappError, InputError
 from drivers.arms.protocol import ArmState
-from tests.evidence.campaigning.campaign import Bench, Campaign, campaign_profile, make_bench, run_campaign
+from tests.evidence.campaigning.campaign import Bench, Campaign, make_bench, run_campaign
 from tests.evidence.campaigning.faults import KINDS, draw_faults
 from tests.twin import PROFILES
 
@@ -147,23 +146,6 @@ def test_an_unexpected_error_is_a_failure(bench: Bench, monkeypatch: pytest.Monk
     monkeypatch.setattr(CollectSession, "_measure", broken)
     campaign, _ = run_campaign(bench, 0)
     assert any("unexpected KeyError" in str(failure) for failure in campaign.failures)
-
-
-def test_the_plants_own_check_finds_a_collision_that_was_braked_too_late() -> None:
-    profile = campaign_profile(load_profile(PROFILES / "twin.yaml"), STOPS)
-    plant = build_plant(profile, keep_motions=True, watch_clearance=True)
-    towards = {name: np.array([0.0, -0.3, 0.0, -1.6, 0.0, 0.0]) for name in plant.names}
-    for name, q in towards.items():
-        plant.start_move(name, q, np.ones(6), np.ones(6))
-    plant.advance(1.5)
-    for name in plant.names:
-        plant.stop(name)
-    plant.advance(5.0)
-    assert plant.clearance is not None
-    found = plant.executed_clearance(0.5)
-    assert found.arms_m < 0.5
-    assert found.arms_m == pytest.approx(plant.clearance.arms_m, abs=5e-3)
-    assert found.floor_m == pytest.approx(plant.clearance.floor_m, abs=5e-3)
 
 
 def test_a_profile_of_real_devices_is_refused() -> None:

@@ -38,7 +38,6 @@ from cellapp.robot.model.nominal import nominal_arm
 from cellapp.robot.paths.sweep import Sweep
 from drivers.arms.protocol import ArmError
 from drivers.arms.simulated import SimulatedArm
-from drivers.arms.ur_settings import UrSettings
 from drivers.clock import SimulatedClock
 from drivers.trackers.imperfections import Imperfections
 from drivers.trackers.protocol import StreamLimits
@@ -347,27 +346,10 @@ def test_a_cell_that_cannot_record_says_why(
         assert any(re.search(f"sweeps are left out: .*{words}", event.text) for event in run.events())
 
 
-def test_pulses_that_the_tracker_does_not_stamp_are_told(
-    planned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    end = SimulatedArm.end_recording
-    monkeypatch.setattr(
-        SimulatedArm, "end_recording", lambda arm: replace(end(arm), triggers_s=np.array([arm.state().time_s]))
-    )
-    with copied(planned, tmp_path) as run:
-        sweeps = [one for one in read_sweeps(run) if one.arm == "right"]
-        run.write_result(SWEEPS_RESULT, PlannedSweeps(sweeps=tuple(sweeps)).model_dump_json())
-        collect_run(run, opened=driven_cell())
-        assert any("the tracker stamped none" in event.text for event in run.events())
-        assert len(read_recordings_of(run, "right")[0].joints.triggers_s) == 1
-
-
 @pytest.mark.parametrize("wrong", [0.0, 1001.0, "fast"])
 def test_rates_that_no_tracker_has_are_refused_by_the_profile(wrong: object) -> None:
     with pytest.raises(ValidationError):
         Collection.model_validate({"motion_rate": wrong})
-    with pytest.raises(ValidationError):
-        UrSettings.model_validate({"host": "127.0.0.2", "trigger_output": 8})
 
 
 def test_the_rest_of_a_motion_begins_slowly_and_lies_on_it() -> None:

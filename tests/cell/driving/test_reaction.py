@@ -7,6 +7,9 @@ import json
 import os
 import socket
 import stat
+import subprocess
+import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +21,7 @@ import pytest
 from cellapp.cell.driving.cell import in_threads, one_by_one
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction
 from cellapp.cell.driving.requests import taking_requests
-from cellapp.ground.asking import JOB_FILE, JobSeen, Verb, ask_running_job, look_at_job
+from cellapp.ground.asking import JOB_FILE, JobSeen, Verb, ask_running_job, look_at_job, who_uses
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Halt, Progress, StateChange
@@ -292,7 +295,7 @@ def test_a_damaged_file_is_no_job(folder: Path, text: str) -> None:
 def test_a_stale_token_never_acts_on_a_later_job(folder: Path, job: JobControl, braked: list[str]) -> None:
     address = json.loads((folder / JOB_FILE).read_text())
     (folder / JOB_FILE).write_text(json.dumps({**address, "token": "of an earlier job"}))
-    with pytest.raises(InputError, match="no job runs in"):
+    with pytest.raises(HardwareError, match="a job that runs holds it and does not answer; if an arm moves, press"):
         ask_running_job(folder, "stop")
     assert (job.request, braked) == ("none", [])
 
@@ -302,6 +305,53 @@ def test_a_second_job_in_the_folder_is_refused(folder: Path, job: JobControl) ->
         pytest.fail("two jobs in one folder")
     ask_running_job(folder, "stop")
     assert job.request == "stop", "the first job still takes requests"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has other rights")
+def test_a_job_whose_file_says_nothing_is_no_missing_job(folder: Path, job: JobControl) -> None:
+    (folder / JOB_FILE).write_text("")
+    with pytest.raises(HardwareError, match="a job that runs holds it"):
+        ask_running_job(folder, "stop")
+    with pytest.raises(HardwareError, match="a job that runs holds it"), taking_requests(folder, JobControl()):
+        pytest.fail("two jobs in one folder")
+    assert who_uses(folder) == "a job that does not answer"
+
+
+AS_ANOTHER = """
+import os, sys
+from pathlib import Path
+from cellapp.cell.driving.requests import taking_requests
+from cellapp.ground.asking import ask_running_job, who_uses
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import CellappError
+os.setuid(65534)
+folder = Path(sys.argv[1])
+for act in (lambda: ask_running_job(folder, "stop"), lambda: taking_requests(folder, JobControl()).__enter__()):
+    try:
+        act()
+    except CellappError as error:
+        print(type(error).__name__, error)
+print(who_uses(folder))
+"""
+
+
+@pytest.mark.skipif(os.name != "posix" or os.getuid() != 0, reason="only root can act as another account")
+@pytest.mark.parametrize("mode", [0o1777, 0o777])
+def test_another_account_neither_takes_a_job_for_none_nor_replaces_it(mode: int) -> None:
+    """In a folder that both may write."""
+    control = JobControl()
+    with tempfile.TemporaryDirectory() as name, taking_requests(Path(name), control):
+        job = Path(name) / JOB_FILE
+        job.parent.chmod(mode)
+        before = job.read_bytes()
+        command = [sys.executable, "-c", AS_ANOTHER, name]
+        asked, began, used = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+        for words in (asked, began):
+            assert words.startswith(f"UnreadableJob {job}: belongs to account 'root' and cannot be read"), words
+        assert used == "a job of account 'root', if it still runs"
+        assert job.read_bytes() == before
+        assert "stopped" in ask_running_job(job.parent, "stop")
+        assert control.request == "stop"
 
 
 def test_a_job_on_another_computer_is_named(folder: Path, job: JobControl) -> None:

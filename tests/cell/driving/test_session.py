@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -170,6 +171,17 @@ def test_what_cannot_be_measured_again_is_said_and_nothing_moves(bench: Bench, s
         bench.collect(again=stops)
     assert bench.measured == measured
     assert len(bench.run.sessions()) == 1
+
+
+def test_nothing_moves_if_the_disk_cannot_take_the_whole_plan(bench: Bench) -> None:
+    unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (bench.run.path.stat().st_size + 100_000, unlimited[1]))
+    try:
+        with pytest.raises(InputError, match=r"run: collecting 11 stops needs 0.8 MB there, which cannot be written"):
+            bench.collect()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
+    assert (bench.cell, bench.run.sessions()) == (None, [])
 
 
 # -- persons ----------------------------------------------------------------------------------------------------------
@@ -444,7 +456,7 @@ def test_an_arm_that_fails_to_brake_is_named(bench: Bench, monkeypatch: pytest.M
         bench.arm("left").protective_stop()
 
     bench.before_measuring[3] = strike
-    with pytest.raises(HardwareError, match=r"NOT SEEN AT REST: arm left.*NOT SEEN AT REST: arm right"):
+    with pytest.raises(HardwareError, match=r"NOT SEEN AT REST: arm left[^N]*; arm right"):
         bench.collect()
 
 

@@ -27,7 +27,6 @@ from cellapp.cell.planning.transit_paths import (
     TransitPath,
     TransitPlanner,
     best_order,
-    random_tree_path,
 )
 from cellapp.cell.safety.bodies import place, segment_distance
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
@@ -431,15 +430,6 @@ def test_a_way_leads_round_a_pillar() -> None:
     assert way.seconds == pytest.approx(route_s(profile, here, (*way.legs, there)))
     home = home_positions(profile)
     assert way.seconds <= route_s(profile, here, (home, there)) + 1e-9
-
-
-def test_a_random_tree_leads_round_a_pillar() -> None:
-    cell = cell_bodies(with_pillar(one_arm()))
-    here, there = both_sides(cell)
-    path = random_tree_path(cell, here, there, np.random.default_rng(0))
-    assert path
-    stations = [here, *path, there]
-    assert not any(refuse_motion(cell, a, b) for a, b in pairwise(stations))
 
 
 def test_arms_that_would_meet_go_another_way() -> None:

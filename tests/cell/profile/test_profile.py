@@ -196,6 +196,7 @@ WRONG = [
     ("    base: ", "    # ", "arms.left.base", "missing; arm left has a driver"),
     ("  pose: ", "  # ", "tracker.pose", "missing; arm left has a driver"),
     ('"-90 deg", 0.0, 0.0]', '"-90 deg", 0.0]', "arms.left.home", "5 positions for 6 joints"),
+    ("name: twin", "name: ../../etc/x", "name", "is no name: files are called so"),
     ("name: twin", "name: ''", "name", "expected a text, got an empty one"),
 ]
 

@@ -23,6 +23,11 @@ CALIBRATED = (
 )
 PUBLISHED = CALIBRATED.replace("0.001", "0")
 UNKNOWN = CALIBRATED.replace("LINEARIZED", "NOT_INITIALIZED")
+OF_UR3E = (
+    '<Kinematics status="NOT_INITIALIZED"><deltaTheta value="0, 0, 0, 0, 0, 0"/>'
+    '<a value="0, -0.24355, -0.2132, 0, 0, 0"/><d value="0.15185, 0, 0, 0.13105, 0.08535, 0.0921"/>'
+    '<alpha value="1.570796327, 0, 0, 1.570796327, -1.570796327, 0"/></Kinematics>'
+)
 FOREIGN = b'<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]>\n<URProgram>&b;</URProgram>'
 GROWING = b'<!DOCTYPE a [<!ENTITY b "bb"><!ENTITY c "&b;&b;">]><URProgram>&c;</URProgram>'
 
@@ -52,6 +57,13 @@ def test_fixed_waypoints_are_targets(position: str) -> None:
     ("body", "line", "reason"),
     [
         (waypoint(ANGLES + CALIBRATED), 3, "a calibration of its own"),
+        (
+            waypoint(ANGLES + UNKNOWN.replace("-0.612", "-0.425")),
+            3,
+            "an arm of another type: its rows are those of no arm",
+        ),
+        (OF_UR3E.replace("Kinematics", "kinematics") + waypoint(ANGLES), 3, "its rows are those of ur3e"),
+        (waypoint(ANGLES + OF_UR3E), 3, "an arm of another type: its rows are those of ur3e"),
         (waypoint(ANGLES, "Variable"), 3, "type Variable"),
         (waypoint(ANGLES, "Relative"), 3, "type Relative"),
         (waypoint(""), 3, "no six joint positions"),

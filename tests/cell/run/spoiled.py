@@ -68,7 +68,7 @@ SPOILED: tuple[tuple[Callable[[Path], None], str], ...] = (
     (spoil_header_only, "is cut off: 100 bytes of"),
     (spoil_cut, "is cut off: .* restore it from a copy"),
     (spoil_middle, "is damaged .* restore it from a copy"),
-    (spoil_newer, r"newer cellapp \(schema 99, this one reads up to 10\); install the newer"),
+    (spoil_newer, r"newer cellapp \(schema 99, this one reads up to 11\); install the newer"),
     (spoil_other, "is an SQLite file, but not a run of cellapp"),
     (spoil_tables, "is damaged .*no such table"),
     (spoil_profile, "holds a profile that this cellapp cannot read"),

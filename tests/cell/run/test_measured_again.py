@@ -97,7 +97,8 @@ def test_a_file_of_the_eighth_schema_has_none_and_takes_some(run: RunFile) -> No
     with contextlib.closing(sqlite3.connect(run.path)) as connection:
         connection.execute("DROP TABLE earlier_reading")
         connection.execute("ALTER TABLE session DROP COLUMN again")
-        connection.execute("ALTER TABLE reading DROP COLUMN turning_covariance_rad2")
+        for column in ("turning_covariance_rad2", "q_spread"):
+            connection.execute(f"ALTER TABLE reading DROP COLUMN {column}")
         connection.execute("PRAGMA user_version=8")
         connection.commit()
     with RunFile.open(run.folder) as older:

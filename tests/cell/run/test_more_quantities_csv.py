@@ -124,7 +124,8 @@ def test_a_run_that_stored_torques_gives_them_back_and_keeps_its_hash(tmp_path: 
                 cell = json.dumps([float(text) if text else None for text in its]) if any(its) else None
                 connection.execute(f"UPDATE reading SET {name} = ? WHERE configuration = ?", (cell, stop))
         for table in ("reading", "earlier_reading"):
-            connection.execute(f"ALTER TABLE {table} DROP COLUMN turning_covariance_rad2")
+            for column in ("turning_covariance_rad2", "q_spread"):
+                connection.execute(f"ALTER TABLE {table} DROP COLUMN {column}")
         connection.execute("PRAGMA user_version=9")
     connection.close()
     with RunFile.open(tmp_path / "run", write=True) as run:

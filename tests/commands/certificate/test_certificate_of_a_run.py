@@ -7,19 +7,18 @@ import shutil
 import sqlite3
 import subprocess
 from contextlib import closing
-from datetime import UTC, date, datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.commands.certificate.result import CertificateResult
-from cellapp.commands.certificate.run import PAGE_FILE, PRINT_FILE, SUMS_FILE, certificate_run
+from cellapp.commands.certificate.run import PAGE_FILE, SUMS_FILE, certificate_run
 from cellapp.commands.report.result import read_results
 from cellapp.commands.stages import CERTIFICATE_FILE, append_stage, complaints_of, read_stages
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.sections import Instrument, Tolerances, Traceability
 from cellapp.ground.results import CERTIFICATE, VERIFY
 from cellapp.interfaces.page.page import certificate_page
 from cellapp.robot.model import CellModel
@@ -148,23 +147,6 @@ def test_a_changed_verification_is_called_changed(changeable: Path) -> None:
         assert read_stages(run).out_of_date[CERTIFICATE] == "the stored verification was changed"
 
 
-def test_the_print_is_certified_with_the_page(
-    finished_copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    browser = tmp_path / "chromium"
-    browser.write_text(
-        '#!/bin/sh\nfor one in "$@"; do case $one in --print-to-pdf=*) echo \'%PDF\' > "${one#*=}";; esac; done\n'
-    )
-    browser.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
-    with RunFile.open(finished_copy, write=True) as run:
-        made = certificate_run(run, certificate_page, pdf=True)
-    assert made.files == (CERTIFICATE_FILE, PAGE_FILE, PRINT_FILE, SUMS_FILE)
-    assert changed_files(finished_copy) == []
-    (finished_copy / PRINT_FILE).write_bytes(b"%PDF-1.7 it conforms")
-    assert changed_files(finished_copy) == [PRINT_FILE]
-
-
 def test_a_certificate_names_who_how_and_where(finished_copy: Path, tmp_path: Path) -> None:
     data = tmp_path / "data.yaml"
     data.write_text(
@@ -274,17 +256,10 @@ def test_a_file_completes_the_profile_and_its_errors_have_lines(finished_copy: P
         assert len(run.stage_rows()) == count
 
 
-def test_a_run_that_was_only_planned_gets_a_certificate_that_says_so(tmp_path: Path) -> None:
-    overdue = Traceability(tracker=Instrument(serial="7", due=date(2020, 1, 1)))
-    profile = small_twin().model_copy(update={"traceability": overdue, "tolerances": Tolerances(position=1e-4)})
-    with empty_run(tmp_path / "run", profile) as run:
-        found = certificate_run(run, certificate_page)
-    assert any(one.startswith("not verified") for one in found.warnings)
-    assert {one.conformity for one in found.judgements} == {"cannot say"}
-    assert {"organisation", "operator", "time of measuring"} <= set(found.missing)
-    assert "laser tracker: model, date of calibration, calibration certificate" in found.missing
-    assert found.arms["left"].expanded_mm is None
-    assert found.complaints()
+def test_a_run_in_which_nothing_was_measured_gets_no_certificate(tmp_path: Path) -> None:
+    with empty_run(tmp_path / "run", small_twin()) as run, pytest.raises(InputError, match="nothing here was measured"):
+        certificate_run(run, certificate_page)
+    assert not (tmp_path / "run" / CERTIFICATE_FILE).exists()
 
 
 def test_a_run_that_is_open_for_reading_is_left_as_it_is(finished_copy: Path) -> None:

@@ -14,12 +14,13 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.doctor.bundle import REDACTED, bundle, newest_run, redacted, run_log
 from cellapp.commands.doctor.request import DoctorRequest
-from cellapp.commands.doctor.result import DoctorResult, Finding
+from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.doctor.run import run as doctor
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import ControllerConfig, UrControllerServer, personality
+from drivers.findings import Finding
 from drivers.trackers.bridge_settings import BridgeSettings
 from tests.commands.emulated_cell import quiet_work
 from tests.loopback import own_address

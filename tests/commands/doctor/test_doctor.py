@@ -19,7 +19,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
 from cellapp.commands.doctor.result import DoctorResult
-from cellapp.commands.doctor.run import examine_run, probe_devices, repeatable_devices
+from cellapp.commands.doctor.run import examine_run
 from cellapp.commands.emulate import EmulatedArm, emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
@@ -96,6 +96,11 @@ def twin() -> Profile:
 def real() -> Profile:
     """The real cell, the left arm's serial number given."""
     return with_driver(load_profile(PROFILES / "ur10-ur5.yaml"), "left", serial="20153012345")
+
+
+@pytest.fixture(autouse=True)
+def fast_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.arms.ur_probe.time_link", lambda host, timeout_s, look: (1e-3, "round trip 1.0 ms"))
 
 
 def one_ready(host: str, timeout_s: float) -> UrProbe:
@@ -225,17 +230,6 @@ def test_what_a_device_reports_is_a_value_and_no_text(real: Profile, monkeypatch
     again = DoctorResult.from_json(result.to_json(), "doctor")
     assert again == result
     assert {finding.subject.split(":")[0] for finding in result.failed} <= {"arm right", "tracker"}
-
-
-def test_only_devices_that_nobody_else_needs_are_asked_again_and_again(
-    real: Profile, twin: Profile, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("drivers.arms.ur_probe.probe_ur", one_ready)
-    assert repeatable_devices(real) == ("arm left", "arm right")
-    assert repeatable_devices(twin) == ()
-    found = probe_devices(real, ["arm left"]).findings
-    assert {finding.subject.split(":")[0] for finding in found} == {"arm left"}
-    assert not probe_devices(real, []).findings
 
 
 def test_dead_hosts_are_asked_at_the_same_time_and_not_for_long(real: Profile) -> None:

@@ -7,9 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.arms.protocol import ArmError, ArmTimeout, EmergencyStop, LimitExceeded, LinkLost, ProtectiveStop
-from drivers.arms.simulated import CYCLE_S, SETTLE_S, SimulatedArm
+from drivers.arms.path_checks import driven
+from drivers.arms.protocol import (
+    ArmError,
+    ArmTimeout,
+    EmergencyStop,
+    LimitExceeded,
+    LinkLost,
+    MotionStopped,
+    ProtectiveStop,
+)
+from drivers.arms.simulated import CYCLE_S, SimulatedArm
 from drivers.plant.motion import braked, travel
+from drivers.plant.servo import GAIN, LOOKAHEAD_S, ServoMotion, servo_rate
 from drivers.sensors.protocol import SensorLinkLost
 from drivers.sensors.simulated import SimulatedAirSensor
 
@@ -18,7 +28,7 @@ SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 2.0)
 
 @pytest.fixture
 def plant(make_arm, make_plant):
-    return make_plant(make_arm(), make_arm("ur5", "right", 1.2))
+    return make_plant(make_arm(effects={"backlash": {"play": [2e-4] * 6}}), make_arm("ur5", "right", 1.2))
 
 
 @pytest.fixture
@@ -85,33 +95,6 @@ def test_braking_follows_the_path_and_never_passes_its_end(goal, speed, accelera
     assert again.position(np.array([again.end_s]))[0] == pytest.approx(end, abs=1e-9)
 
 
-def test_two_arms_move_at_the_same_time(plant, arm):
-    other = SimulatedArm(plant, "right")
-    other.connect()
-    arm.start_move(np.full(6, 1.0), SPEED, ACCELERATION)
-    other.start_move(np.full(6, -2.0), SPEED, ACCELERATION)
-    assert arm.state().moving
-    assert other.state().moving
-    first = arm.wait_settled(10.0)
-    assert not first.moving
-    assert np.array_equal(first.q, np.full(6, 1.0))
-    assert first.time_s == pytest.approx(1.5 + SETTLE_S)
-    assert plant.moving("right")
-    last = other.wait_settled(10.0)
-    assert last.time_s == pytest.approx(2.5 + SETTLE_S)
-    assert other.wait_settled(10.0).time_s == last.time_s
-
-
-def test_polling_the_state_sees_the_motion_end(arm):
-    arm.start_move(np.full(6, 0.3), SPEED, ACCELERATION)
-    for _ in range(200):
-        state = arm.state()
-        if not state.moving:
-            break
-    assert not state.moving
-    assert state.time_s == pytest.approx(2 * np.sqrt(0.3 / 2.0), abs=2 * CYCLE_S)
-
-
 def test_stop_brings_the_arm_to_rest_on_its_path(plant, arm):
     arm.start_move(np.full(6, 2.0), SPEED, ACCELERATION)
     plant.advance(1.0)
@@ -141,12 +124,6 @@ def test_a_goal_outside_the_limits_moves_nothing(plant, arm, q, speed, accelerat
     with pytest.raises(LimitExceeded, match=f"arm left: .*{message}"):
         arm.start_move(q, speed, acceleration)
     assert not plant.moving("left")
-
-
-def test_a_second_motion_must_wait(arm):
-    arm.start_move(np.ones(6), SPEED, ACCELERATION)
-    with pytest.raises(ArmError, match="arm left is still moving"):
-        arm.start_move(np.zeros(6), SPEED, ACCELERATION)
 
 
 def test_waiting_too_short_is_a_timeout_after_just_that_time(plant, arm):
@@ -203,15 +180,6 @@ def test_disconnecting_stops_the_arm_and_can_be_repeated(plant, arm):
         arm.state()
 
 
-def test_the_arm_reports_its_identity_and_load(plant, arm):
-    assert arm.name == "left"
-    assert arm.identify().serial == "SIM-left"
-    plant.set_payload("left", 2.5, np.zeros(3))
-    assert arm.state().payload_kg == 2.5
-    with pytest.raises(ValueError, match="no arm 'middle'; it has left, right"):
-        SimulatedArm(plant, "middle")
-
-
 def test_joints_warm_up_with_motion_and_cool_at_rest(plant, arm):
     cold = arm.state().joint_temperature_c
     assert cold == pytest.approx(plant.air_temperature_c)
@@ -261,3 +229,129 @@ def test_each_stop_misses_its_goal_by_the_repeatability(make_arm, make_plant):
     expected = 4e-10 * jacobian @ jacobian.T
     assert np.trace(np.cov(np.array(misses).T)) == pytest.approx(np.trace(expected), rel=0.3)
     assert np.abs(np.mean(misses, axis=0)).max() < 4e-6
+
+
+# -- Paths are followed with a lag, and every stop ends them -----------------------------------------------------------
+
+
+WAY = np.array([0.2, 0.1, -0.1, 0.1, 0.1, -0.2])
+
+
+def path_of(plant, duration_s=2.0, name="left"):
+    x = np.linspace(0.0, 1.0, round(duration_s / CYCLE_S) + 1)[:, None]
+    return plant.q(name) + x**3 * (10.0 - x * (15.0 - 6.0 * x)) * WAY
+
+
+def test_a_path_is_followed_late_and_to_its_end(plant, arm):
+    path = path_of(plant)
+    arm.start_recording()
+    arm.start_path(path, arm.path_period_s)
+    assert arm.state().moving
+    with pytest.raises(ArmError, match="still moving"):
+        arm.start_path(path, CYCLE_S)
+    state = arm.wait_settled(10.0)
+    np.testing.assert_array_equal(state.q, path[-1])
+    followed = arm.end_recording()
+    late = LOOKAHEAD_S / np.sqrt(GAIN / 300.0) + 0.5 * CYCLE_S  # a position holds for a cycle
+    time_s = followed.time_s - followed.time_s[0] - late
+    wanted = np.array([np.interp(time_s, CYCLE_S * np.arange(len(path)), column) for column in path.T])
+    assert np.abs(followed.q - wanted.T).max() < 5e-4
+    assert np.abs(followed.q[: len(path)] - path).max() > 3e-3
+
+
+@given(
+    away=st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array),
+    speed=st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).map(np.array),
+    rate=st.floats(5.0, 100.0),
+)
+def test_the_lag_is_a_smooth_way_to_the_goal(away, speed, rate):
+    goal = np.array([0.1, 0.2, 0.3])
+    motion = ServoMotion.towards(goal, 5.0, goal + away, speed, rate)
+    t = np.linspace(5.0, motion.end_s, 4001)
+    q, v = motion.position(t), motion.velocity(t)
+    np.testing.assert_allclose(q[0], goal + away, atol=1e-12)
+    np.testing.assert_allclose(v[0] if len(t) > 1 else speed, speed, atol=1e-12)
+    np.testing.assert_allclose(q[-2:], np.stack([goal, goal]), atol=1e-6)
+    h = t[1] - t[0]
+    middle = 0.5 * (v[1:-1] + v[:-2]) * h
+    np.testing.assert_allclose(np.diff(q, axis=0)[:-1], middle, atol=4.0 * (rate * h) ** 2 * (1.0 + rate) * h + 1e-9)
+
+
+def test_no_controller_takes_another_look_ahead():
+    with pytest.raises(ValueError, match="look-ahead"):
+        servo_rate(0.01, 300.0)
+    assert servo_rate(0.1, 1200.0) == pytest.approx(40.0)
+
+
+STOPS = {
+    "brake": (SimulatedArm.brake, MotionStopped),
+    "stop": (SimulatedArm.stop, MotionStopped),
+    "protective stop": (SimulatedArm.protective_stop, ProtectiveStop),
+    "emergency stop": (SimulatedArm.emergency_stop, EmergencyStop),
+    "lost link": (SimulatedArm.cut_link, LinkLost),
+}
+
+
+@pytest.mark.parametrize("how", STOPS, ids=STOPS)
+def test_every_stop_ends_a_path(how, plant, arm):
+    stop, error = STOPS[how]
+    path = path_of(plant)
+    arm.start_path(path, CYCLE_S)
+    plant.schedule.at(plant.clock_s + 1.0, lambda: stop(arm))
+    with pytest.raises(error):
+        arm.wait_settled(10.0)
+    plant.advance(1.0)
+    rested = plant.q("left")
+    assert 0.2 < (rested - path[0])[0] / WAY[0] < 0.95
+    plant.advance(2.0)  # no later position of the path moves it
+    np.testing.assert_array_equal(plant.q("left"), rested)
+
+
+def test_a_path_that_is_ended_early_is_left_nowhere(plant, arm):
+    path = path_of(plant)
+    arm.end_path()  # harmless at rest
+    arm.start_recording()
+    arm.start_path(path, CYCLE_S)
+    plant.schedule.at(plant.clock_s + 0.7, arm.end_path)
+    state = arm.wait_settled(10.0)
+    reached = arm.reached()
+    part = driven(path, reached)
+    assert 80 < reached < 160
+    np.testing.assert_allclose(state.q, part[-1], atol=1e-6)
+    record = arm.end_recording()
+    assert record.missing == 0
+    np.testing.assert_allclose(np.diff(record.time_s), CYCLE_S, rtol=1e-6)
+    # no joint leaves the path, and none is faster or slows down harder than on it
+    along = np.abs(record.q - path[0]) / np.abs(WAY)
+    assert np.ptp(along, axis=1).max() < 1e-3
+    assert np.abs(record.qd).max() <= np.abs(np.diff(path, axis=0)).max() / CYCLE_S
+    arm.start_move(path[0], np.full(6, 1.0), np.full(6, 1.0))
+    arm.wait_settled(10.0)
+    arm.start_path(path, CYCLE_S)
+    arm.wait_settled(10.0)
+    assert arm.reached() == np.inf
+
+
+def test_nothing_moves_where_a_path_is_wrong(plant, arm):
+    path = path_of(plant)
+    cases = {
+        "not a finite number": (np.where(np.arange(len(path))[:, None] == 9, np.nan, path), CYCLE_S),
+        "speed .* beyond its limit": (path_of(plant, 0.1), CYCLE_S),
+        "from the beginning of the path": (path + 0.01, CYCLE_S),
+        "outside its limits": (path + 20.0, CYCLE_S),
+        "takes one each": (path, 0.004),
+        "two or more rows": (path[:1], CYCLE_S),
+    }
+    for words, (wrong, period_s) in cases.items():
+        with pytest.raises(LimitExceeded, match=words):
+            arm.start_path(wrong, period_s)
+    assert not plant.moving("left")
+
+
+def test_memories_of_a_stream_are_those_of_its_turns(plant, arm):
+    there = path_of(plant)
+    arm.start_path(np.concatenate([there, there[::-1]]), CYCLE_S)
+    arm.wait_settled(10.0)
+    back = plant.targets()[0].p_M
+    wanted = plant.smr_positions("left", plant.q("left")[None], approach=-np.sign(WAY)[None])[0]
+    np.testing.assert_allclose(back, wanted, atol=2e-6)

@@ -44,6 +44,21 @@ from tests.waiting import until, within
 
 pytestmark = pytest.mark.waits
 
+MALFORMED = {
+    "size 0": ("000055", r"its RTDE client crashed \(signal 6: .*\); possible: a malformed packet came"),
+    "size 2": ("000255", r"its RTDE client crashed \(signal 6: .*\); possible: a malformed packet came"),
+    "no state": ("000455", r"a malformed packet came from the controller: its state has no safety mode"),
+}
+LATE = {
+    "commands": ((0.1,), "its controller took .* for an answer .* so the controller's watchdog .* stopped its program"),
+    "all": (
+        (0.2, 0.1),
+        "the dashboard, over which|the network is late|the network lost messages|for an answer|RTDE link",
+    ),
+}
+"""Delay [s] and share of lost messages of a network, and what is said of it."""
+FALSE_CAUSES = ("was stopped on the pendant;", "close other programs", "driver process")
+
 FAULTS: dict[str, tuple[tuple[Any, ...], type[ArmError]]] = {
     "fin": (("drop", "rtde", "fin"), LinkLost),
     "rst": (("drop", "rtde", "rst"), LinkLost),
@@ -141,6 +156,39 @@ def fault_after_a_motion(emulator: EmulatorProcess, arm: UrArm, *, fault: str) -
             arm.start_move(HOME, SPEED, ACCELERATION)
     assert_stays_at_rest(emulator, arm.name)
     go_again(emulator, arm)
+
+
+def malformed_packet(emulator: EmulatorProcess, arm: UrArm, *, kind: str) -> None:
+    packet, words = MALFORMED[kind]
+    arm.start_move(FAR, UNHURRIED, ACCELERATION)
+    until(lambda: abs(arm.state().q[0] - HOME[0]) > 0.1, "the arm moves")
+    emulator.control(arm.name, "send", "rtde", packet)
+    assert_true_cause(arm, words)
+    go_again(emulator, arm)
+
+
+def late_network(emulator: EmulatorProcess, arm: UrArm, *, kind: str) -> None:
+    arm.disconnect()
+    network, words = LATE[kind]
+    with driven(arm.name, UrSettings(host=FOUR_HOSTS[arm.name], watchdog_hz=5.0)) as watched:
+        watched.connect()
+        go(watched, AWAY)
+        emulator.control(arm.name, "network", *network)
+        assert_true_cause(watched, words)
+        emulator.control(arm.name, "network", 0)
+
+
+def assert_true_cause(arm: UrArm, words: str) -> None:
+    """Assert that the motion, or one of the next, ends with a cause that was seen, and none that was not."""
+
+    def go_to_and_fro() -> None:
+        for goal in (HOME, AWAY) * 10:
+            arm.wait_settled(LONGEST_DOUBT_S)
+            arm.start_move(goal, SPEED, ACCELERATION)
+
+    with pytest.raises(ArmError, match=words) as raised:
+        go_to_and_fro()
+    assert not [cause for cause in FALSE_CAUSES if cause in str(raised.value)], raised.value
 
 
 def protective_stop_stays(emulator: EmulatorProcess, arm: UrArm) -> None:
@@ -356,6 +404,12 @@ def killed(number: signal.Signals) -> Episode:
 
 
 ROUNDS: dict[str, dict[str, list[Episode]]] = {
+    "causes": {
+        "left": [partial(malformed_packet, kind="size 0"), partial(malformed_packet, kind="size 2")],
+        "right": [partial(malformed_packet, kind="no state")],
+        "left2": [partial(late_network, kind="commands")],
+        "right2": [partial(late_network, kind="all")],
+    },
     "faults before a motion": {
         "left": [before("rst")],
         "right": [before("fin")],

@@ -6,22 +6,23 @@ import random
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
-import numpy as np
 import pytest
 
-from drivers.arms.protocol import ArmError, MotionStopped
+from drivers.arms.protocol import LinkLost, MotionStopped
 from drivers.arms.ur import UrArm
+from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import EmulatorProcess
 from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
     AWAY,
     FOUR_HOSTS,
-    HOME,
     PATIENT_S,
     SPEED,
     Episode,
+    driven,
     drivers_of,
     emulated_cell,
     of_each_arm,
@@ -34,8 +35,9 @@ from tests.waiting import until
 pytestmark = pytest.mark.waits
 
 ENDS_WITHIN_S = 0.5
-HANGS_S = 1.0
-"""Start of a program that is uploaded: a client waits for it in one call that nothing interrupts."""
+DELAYS_S = (0.05, 0.3, 0.6, 1.0)
+"""From the upload of a program to its start. A stop before the start does not keep it from starting."""
+TIMES = 5
 
 Refuse = Callable[[UrArm], None]
 REFUSE: dict[str, Refuse] = {"refuse_motion": UrArm.refuse_motion, "brake": UrArm.brake}
@@ -58,7 +60,7 @@ def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:
     arm.disconnect()
 
 
-def interrupted(arm: UrArm, refuse: Refuse, when: Callable[[], None]) -> float:
+def interrupted(arm: UrArm, refuse: Refuse, when: Callable[[], object]) -> float:
     """Connect, refuse motion when ``when`` returns, and return how long after that the connection ended [s]."""
     asked: list[float] = []
 
@@ -87,20 +89,21 @@ def assert_nothing_runs(emulator: EmulatorProcess, arm: UrArm, for_s: float) -> 
         pause(0.01)
 
 
-def in_a_program_start(emulator: EmulatorProcess, arm: UrArm, *, how: str) -> None:
-    """The client waits for its program in a call that cannot be interrupted: its process is killed."""
-    for took in attempts(ended=ENDS_WITHIN_S, disconnected=ENDS_WITHIN_S):
-        emulator.control(arm.name, "start-delay", HANGS_S)
+def in_a_program_start(emulator: EmulatorProcess, arm: UrArm, *, how: str, delay_s: float) -> None:
+    """Its process is killed while its program is about to start; the end of the driver waits for it, and ends it."""
+    for _ in range(TIMES):
+        for took in attempts(ended=ENDS_WITHIN_S, disconnected=delay_s + ENDS_WITHIN_S):
+            emulator.control(arm.name, "start-delay", delay_s)
 
-        def uploaded() -> None:
-            until(lambda: emulator.control(arm.name, "status")["connections"]["script"] > 0, "it is being uploaded")
-            pause(0.1)
+            def uploaded() -> None:
+                until(lambda: arm._program.awaited, "it is being uploaded")
+                pause(0.02)
 
-        took["ended"] = interrupted(arm, REFUSE[how], uploaded)
-        assert_nothing_runs(emulator, arm, HANGS_S + 0.2)
-        began_s = time.monotonic()
-        arm.disconnect()
-        took["disconnected"] = time.monotonic() - began_s
+            took["ended"] = interrupted(arm, REFUSE[how], uploaded)
+            began_s = time.monotonic()
+            arm.disconnect()
+            took["disconnected"] = time.monotonic() - began_s
+            assert_nothing_runs(emulator, arm, delay_s + 0.1)
     emulator.control(arm.name, "start-delay", 0.05)
     arm.connect()
     arm.start_move(AWAY, SPEED, ACCELERATION)
@@ -119,22 +122,32 @@ def while_a_port_is_silent(emulator: EmulatorProcess, arm: UrArm, *, port: str) 
 
 
 def while_programs_are_not_read(emulator: EmulatorProcess, arm: UrArm) -> None:
-    """A program that was sent before the refusal may be read and start later: it moves nothing, and is not ignored."""
+    """A program that was sent before the refusal is read and starts later: it moves nothing, and is ended."""
+    emulator.control(arm.name, "fault", "script", "silent")
     for took in attempts(ended=ENDS_WITHIN_S):
-        emulator.control(arm.name, "fault", "script", "silent")
-        took["ended"] = interrupted(arm, UrArm.refuse_motion, lambda: pause(0.1))
-        arm.disconnect()
-        moves = emulator.control(arm.name, "status")["moves"]
+        took["ended"] = interrupted(arm, UrArm.refuse_motion, lambda: until(lambda: arm._program.awaited, "uploaded"))
+    moves = emulator.control(arm.name, "status")["moves"]
+    with ThreadPoolExecutor(1) as pool:
+        ending = pool.submit(arm.disconnect)
+        pause(0.1)
         emulator.control(arm.name, "fault", "script", "none")
-        pause(0.2)
-        status = emulator.control(arm.name, "status")
-        assert (status["moves"], status["moving"]) == (moves, False)
-        if status["runtime_state"] == "PLAYING":
-            with pytest.raises(ArmError, match="program: a program runs, and the arm may move; stop it on the pendant"):
-                arm.connect()
-            arm.disconnect()
-        emulator.control(arm.name, "power-off")  # ends the program
-        make_ready(emulator, arm)
+        ending.result()
+    assert emulator.control(arm.name, "status")["moves"] == moves
+    assert_nothing_runs(emulator, arm, 0.2)
+
+
+def not_seen_to_start(emulator: EmulatorProcess, arm: UrArm) -> None:
+    """The end waits for it as long as for a start, and says so; the program ends itself when it starts."""
+    emulator.control(arm.name, "start-delay", 2.0)
+    with driven(arm.name, UrSettings(host=FOUR_HOSTS[arm.name], startup_timeout=1.0)) as hurried:
+        interrupted(hurried, UrArm.refuse_motion, lambda: until(lambda: hurried._program.awaited, "uploaded"))
+        with pytest.raises(LinkLost, match=r"was not seen to start and end within 1 s .*; look at the pendant"):
+            hurried.disconnect()
+        status = partial(emulator.control, arm.name, "status")
+        until(lambda: status()["runtime_state"] == "PLAYING", "it starts after all")
+        until(lambda: status()["runtime_state"] == "STOPPED", "its watchdog ends it")
+        hurried._program.awaited = False
+    emulator.control(arm.name, "start-delay", 0.05)
 
 
 def at_any_moment(emulator: EmulatorProcess, arm: UrArm, *, again: bool) -> None:
@@ -173,8 +186,8 @@ def ended_after(arm: UrArm, after_s: float) -> float:
     return ended_s - asked[0]
 
 
-def start(how: str) -> Episode:
-    return partial(in_a_program_start, how=how)
+def start(how: str, delay_s: float) -> Episode:
+    return partial(in_a_program_start, how=how, delay_s=delay_s)
 
 
 def silent(port: str) -> Episode:
@@ -183,10 +196,10 @@ def silent(port: str) -> Episode:
 
 ROUNDS: dict[str, dict[str, list[Episode]]] = {
     "starts": {
-        "left": [start("refuse_motion")],
-        "right": [start("brake")],
-        "left2": [silent("dashboard"), silent("rtde")],
-        "right2": [silent("primary"), while_programs_are_not_read],
+        "left": [start("refuse_motion", DELAYS_S[0]), start("refuse_motion", DELAYS_S[1])],
+        "right": [start("brake", DELAYS_S[2]), while_programs_are_not_read],
+        "left2": [start("refuse_motion", DELAYS_S[3]), silent("dashboard")],
+        "right2": [silent("primary"), silent("rtde"), not_seen_to_start],
     },
     "any moment": {
         "left": [partial(at_any_moment, again=False)],
@@ -200,12 +213,3 @@ ROUNDS: dict[str, dict[str, list[Episode]]] = {
 @pytest.mark.parametrize("episodes", ROUNDS.values(), ids=ROUNDS)
 def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm], episodes: dict[str, list[Episode]]) -> None:
     of_each_arm(emulator, drivers, episodes, make_ready)
-
-
-def test_after_an_interruption_it_connects_and_moves(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
-    for arm in drivers.values():
-        make_ready(emulator, arm)
-        interrupted(arm, UrArm.refuse_motion, lambda: pause(0.02))
-        arm.connect()
-        arm.start_move(HOME, SPEED, ACCELERATION)
-        np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, HOME, atol=1e-6)

@@ -11,23 +11,19 @@ from contextlib import suppress
 from functools import partial
 from typing import Any
 
-import numpy as np
 import pytest
 
-from drivers.arms.protocol import ArmError, LinkLost, MotionStopped, ProtectiveStop
+from drivers.arms.protocol import ArmError, LinkLost, ProtectiveStop
 from drivers.arms.ur import UrArm
 from drivers.emulators.ur_controller import EmulatorProcess
 from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
     AWAY,
-    FAR,
     FOUR_HOSTS,
     HOME,
     PATIENT_S,
     SPEED,
-    UNHURRIED,
     Episode,
-    driven,
     drivers_of,
     emulated_cell,
     of_each_arm,
@@ -239,27 +235,3 @@ def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm], episo
 
 
 # -- refused, and interrupted -----------------------------------------------------------------------------------------
-
-
-def test_no_motion_begins_once_it_is_refused(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
-    """By one call that sends nothing; a motion that goes on is not stopped by it."""
-    for name, arm in drivers.items():
-        make_ready(emulator, arm)
-        moves = emulator.control(name, "status")["moves"]
-        arm.refuse_motion()
-        for call in (lambda arm=arm: arm.start_move(FAR, SPEED, ACCELERATION), lambda arm=arm: arm.wait_settled(1.0)):
-            with pytest.raises(MotionStopped, match="connect again when it may move"):
-                call()
-        assert emulator.control(name, "status")["moves"] == moves
-        arm.connect()
-        arm.start_move(HOME + 0.02, UNHURRIED, ACCELERATION)
-        np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, HOME + 0.02, atol=1e-6)
-        arm.disconnect()
-
-
-def test_an_unconnected_arm_refuses_too(emulator: EmulatorProcess) -> None:
-    with driven("left") as arm:
-        arm.refuse_motion()
-        with pytest.raises(LinkLost, match="not connected"):
-            arm.confirm()
-        assert not arm.live().moving

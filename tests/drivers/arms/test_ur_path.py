@@ -56,8 +56,7 @@ def emulator() -> Iterator[EmulatorProcess]:
 def drivers() -> Iterator[dict[str, UrPathArm]]:
     arms = {}
     for name, host in FOUR_HOSTS.items():
-        output = 3 if name == "right" else None
-        settings = UrSettings(host=host, watchdog_hz=WATCHDOG_HZ, settle_time=SETTLE_S, trigger_output=output)
+        settings = UrSettings(host=host, watchdog_hz=WATCHDOG_HZ, settle_time=SETTLE_S)
         arms[name] = UrPathArm(name, settings, expectation(name), rest_s=1.0)
     yield arms
     for arm in arms.values():
@@ -181,19 +180,15 @@ def path_is_ended_early(emulator: EmulatorProcess, arm: UrArm) -> None:
 
 
 def every_sample_is_recorded(emulator: EmulatorProcess, arm: UrArm) -> None:
-    """At the controller's own rate, with its stamps; a pulse of the output is seen."""
+    """At the controller's own rate, with its stamps."""
     assert isinstance(arm, UrPathArm)
     assert isinstance(arm, RecordingArm)
     arm.start_recording()
     path = smooth_path(arm.path_period_s, 1.6)
     arm.start_path(path, arm.path_period_s)
     arm.wait_settled(PATIENT_S)
-    pulsed = arm.pulse()
-    until(lambda: arm.state().q[0] < 10.0, "a state after the pulse")
     so_far, missing = arm.recorded()
     record = arm.end_recording()
-    assert pulsed == (arm._settings.trigger_output is not None)
-    assert len(record.triggers_s) == int(pulsed)
     assert record.period_s == arm.path_period_s
     steps = np.diff(record.time_s)
     assert (steps > 0.0).all()

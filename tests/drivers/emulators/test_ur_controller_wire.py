@@ -8,14 +8,12 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from drivers.emulators.ur_controller import (
     FREE_PORTS,
@@ -30,9 +28,8 @@ from drivers.emulators.ur_controller import (
 )
 from drivers.emulators.ur_controller.rtde import RtdeServer, RtdeSession
 from drivers.plant import Plant
-from drivers.plant.motion import travel
 from tests.drivers.emulators.test_ur_controller_state import Bench, control_text
-from tests.waiting import WAIT_S, until
+from tests.waiting import until
 
 pytestmark = pytest.mark.waits
 
@@ -228,18 +225,6 @@ def test_the_stream_keeps_the_requested_rate_up_to_the_controllers_own(
     assert np.diff(stamps).max() <= 1.0 / got_hz + 1.01 * bench.controller.period_s
 
 
-def test_pausing_ends_the_stream(emulator: UrControllerServer) -> None:
-    with Rtde(at(emulator, "new", "rtde")).agree() as client:
-        client.outputs(["timestamp"])
-        client.start()
-        client.state()
-        assert client.ask("P") == b"\x01"
-        assert client.ask("v")
-        client.link.settimeout(0.1)
-        with pytest.raises(TimeoutError):
-            client.receive()
-
-
 def test_other_protocol_versions_are_refused(emulator: UrControllerServer) -> None:
     with Rtde(at(emulator, "old", "rtde")) as client:
         assert client.ask("V", struct.pack(">H", 1)) == b"\x00"
@@ -247,22 +232,6 @@ def test_other_protocol_versions_are_refused(emulator: UrControllerServer) -> No
         assert client.receive()[0] == "M"
         with pytest.raises(ConnectionResetError):
             client.receive()
-
-
-@settings(deadline=None)
-@given(st.lists(st.binary(max_size=80), max_size=10))
-def test_no_bytes_break_the_rtde_server(pieces: list[bytes]) -> None:
-    sent: list[bytes] = []
-    server = RtdeServer(Bench().controller)
-    session = RtdeSession(server, sent.append, sent.append, lambda: sent.append(b"closed"))
-    session.received(struct.pack(">HBH", 5, ord("V"), 2))
-    for kind, piece in enumerate(pieces):
-        session.received(piece)
-        session.received(struct.pack(">HB", 3 + len(piece), b"VvMOISPU"[kind % 8]) + piece)
-        session.cycle()
-    session.closed()
-    assert sent[0] == struct.pack(">HBB", 4, ord("V"), 1)
-    assert not server._owners, "a closed session keeps its inputs"
 
 
 # -- the other ports ---------------------------------------------------------------------------------------------------
@@ -351,32 +320,6 @@ def commanding(server: UrControllerServer, arm: str) -> Iterator[Rtde]:
             yield client
 
 
-def test_two_arms_move_the_plant_together(make_arm, make_plant) -> None:
-    plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2))
-    configs = [replace(CB3, name="left"), replace(E_SERIES, name="right")]
-    with UrControllerServer(configs, plant, pace=3.0) as server, ExitStack() as stack:
-        clients = [stack.enter_context(commanding(server, name)) for name in ("left", "right")]
-        with server.cell.lock:
-            goals = [tuple(plant.q(name) + 0.3) for name in ("left", "right")]
-            before = {target.arm: target.p_M for target in plant.targets()}
-        for client, goal in zip(clients, goals, strict=True):
-            send_move(client, goal, 0.5, 1.0)
-        threads = [threading.Thread(target=finish_move, args=(client,)) for client in clients]
-        for thread in threads:
-            thread.start()
-        both = False
-        end_s = time.monotonic() + WAIT_S
-        while any(thread.is_alive() for thread in threads):
-            assert time.monotonic() < end_s, "the motions did not end"
-            with server.cell.lock:
-                both = both or (plant.moving("left") and plant.moving("right"))
-        assert both, "they moved at the same time"
-        assert [client.state()[3:] for client in clients] == goals
-        with server.cell.lock:
-            after = {target.arm: target.p_M for target in plant.targets()}
-        assert all(np.linalg.norm(after[name] - before[name]) > 0.05 for name in ("left", "right"))
-
-
 def test_random_draws_of_a_plant_depend_on_the_order_of_moves_only(make_arm, make_plant) -> None:
     """The same moves over the wire and without it end at the same places to the last digit, at any pace."""
 
@@ -402,18 +345,6 @@ def test_random_draws_of_a_plant_depend_on_the_order_of_moves_only(make_arm, mak
                 finish_move(client)
                 with server.cell.lock:
                     assert plant.targets()[0].p_M == pytest.approx(place, abs=1e-9)
-
-
-@pytest.mark.parametrize("pace", [1.0, 20.0])
-def test_a_move_takes_its_ideal_time_of_the_cell(pace: float) -> None:
-    motion = travel(0.0, np.zeros(6), np.full(6, 0.3), np.full(6, 2.0), np.full(6, 4.0))
-    assert motion is not None
-    with alone(E_SERIES, pace=pace) as (server, control), commanding(server, "new") as client:
-        began = client.state()[2]
-        send_move(client, tuple(q + 0.3 for q in E_SERIES.home), 2.0, 4.0)
-        finish_move(client)
-        assert client.state()[2] - began >= motion.duration_s
-        assert control("new", "status")["moves"] == 1
 
 
 def test_an_arm_moves_on_when_its_client_has_gone() -> None:
@@ -465,26 +396,6 @@ def test_a_silent_port_sends_nothing_and_recovers_by_itself() -> None:
             return stamps[-1] - stamps[-2] > 0.3
 
         client.until(missed_some)
-
-
-def test_operators_actions_over_the_control_channel() -> None:
-    quick = replace(E_SERIES, boot_s=0.05, brake_release_s=0.05)
-    with alone(quick) as (_, control):
-        control("new", "estop")
-        assert control("new", "status")["safety_mode"] == "ROBOT_EMERGENCY_STOP"
-        control("new", "estop-release")
-        control("new", "power-on")
-        control("new", "brake-release")
-        until(lambda: control("new", "status")["robot_mode"] == "RUNNING", "the brakes are released")
-        control("new", "remote", "off")
-        control("new", "protective", "now")
-        status = control("new", "status")
-        assert (status["safety_mode"], status["remote_control"]) == ("PROTECTIVE_STOP", False)
-        control("new", "release")
-        until(lambda: control("new", "status")["safety_mode"] == "NORMAL", "the safety stop is over")
-        assert control("new", "log")[-1] == "protective stop released"
-        control("new", "power-off")
-        assert control("*", "status")[0]["robot_mode"] == "POWER_OFF"
 
 
 def test_the_slider_and_the_stops_over_the_control_channel() -> None:
@@ -553,24 +464,13 @@ def test_the_true_load_is_the_operators_and_the_believed_one_the_clients(make_ar
         (("old", "drop", "rtde"), "expected one of fin, rst"),
         (("old", "drop", "usb", "fin"), "expected one of dashboard, primary, script, rtde"),
         (("old", "fault", "rtde", "silent", "soon"), "argument 3: expected a number"),
-        (("old", "start-delay", "-1"), "not between"),
-        (("old", "start-delay", "nan"), "not between"),
         (("old", "load", "1", "2"), "MASS"),
-        (("*", "pace", "0"), "pace"),
     ],
 )
 def test_commands_that_make_no_sense_are_refused(control: Control, words: tuple[str, ...], why: str) -> None:
     with pytest.raises(Refused, match=why.replace("*", r"\*")):
         control(*words)
     assert control("old", "status")["robot_mode"] == "RUNNING"
-
-
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.sampled_from(["dashboard", "primary", "script", "rtde"]), st.binary(min_size=1, max_size=200))
-def test_no_bytes_break_a_port(emulator: UrControllerServer, control: Control, port: PortName, junk: bytes) -> None:
-    with socket.create_connection(at(emulator, "new", port), PATIENT_S) as link:
-        link.sendall(junk + b"\n")
-    assert control("new", "status")["robot_mode"] in ("RUNNING", "POWER_OFF", "BOOTING", "IDLE")
 
 
 # -- the server --------------------------------------------------------------------------------------------------------
@@ -637,12 +537,3 @@ def test_waiting_for_the_cells_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.emulators.ur_controller.motion._STANDSTILL_S", 0.1)
     with pytest.raises(TimeoutError, match="its server does not run"):
         server.cell.wait(1.0)
-
-
-def test_an_emulator_in_a_separate_process_ends_with_its_handle() -> None:
-    with start_in_process([CB3], pace=2.0) as emulator:
-        address = emulator.addresses.arms["old"]["dashboard"]
-        assert talk(address, "get serial number")[1] == "20153012345"
-        assert emulator.control("old", "status")["runtime_state"] == "STOPPED"
-    with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(address, PATIENT_S)

@@ -15,13 +15,12 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant
-from drivers.plant.changes import lengthened, link_moved, zero_shifted
 from drivers.plant.clearance import segment_distances
 from drivers.plant.mechanism import nominal, with_errors
-from drivers.plant.plant import JOINT_RISE_K, JOINT_TIME_CONSTANT_S, joint_rise
 from drivers.plant.transforms import across, inverse, quaternion, rigid, transform_points
 from drivers.trackers.simulated import SimulatedTracker
 from tests.arms import OFF_AXIS, UR10, at_station, plant_of
+from tests.evidence.shared.changes import lengthened, link_moved, zero_shifted
 
 
 @settings(max_examples=40, deadline=None)
@@ -91,35 +90,6 @@ def test_a_second_arm_or_another_size_changes_no_other_draw(make_arm, make_plant
     assert np.array_equal(offset, both)
 
 
-def test_base_to_base_fits_base_to_tracker(make_arm, make_plant):
-    errors = GeometryErrors(base_length=5e-3, base_angle=5e-3)
-    plant = make_plant(make_arm(), make_arm("ur5", "right", 1.2), errors=errors)
-    expected = np.linalg.inv(plant.true_T_M_B("right")) @ plant.true_T_M_B("left")
-    assert np.abs((inverse(plant.true_T_C_B("right")) @ plant.true_T_C_B("left")) - expected).max() < 1e-13
-
-
-def test_turning_one_joint_moves_the_smr_on_a_circle_about_the_true_axis(make_plant):
-    plant = make_plant(errors=GeometryErrors(1e-3, 5e-3, 5e-3, 5e-3, 1e-3), seed=3)
-    q = np.tile(np.random.default_rng(1).uniform(-1, 1, 6), (200, 1))
-    for joint in range(6):
-        turned = q.copy()
-        turned[:, joint] = np.linspace(0, 2 * np.pi, 200, endpoint=False)
-        p = plant.smr_positions("left", turned)
-        spread = p - p.mean(axis=0)
-        radius = np.linalg.norm(spread, axis=1)
-        assert np.ptp(radius) < 1e-12
-        assert np.linalg.svd(spread, compute_uv=False)[-1] < 1e-12
-
-
-def test_rigid_is_the_rotation_vector_then_the_shift():
-    twist = np.random.default_rng(0).normal(0, 2, (50, 6))
-    twist[0] = 0.0
-    motion = rigid(twist)
-    assert np.abs(motion[:, :3, :3] - Rotation.from_rotvec(twist[:, 3:]).as_matrix()).max() < 1e-14
-    assert np.array_equal(motion[:, :3, 3], twist[:, :3])
-    assert np.abs(inverse(motion) @ motion - np.eye(4)).max() < 1e-14
-
-
 def test_a_configuration_of_the_wrong_shape_is_named(make_arm, make_config):
     with pytest.raises(ValueError, match=r"arm left: masses has shape \(5,\), expected \(6,\)"):
         make_arm(masses=np.ones(5))
@@ -139,27 +109,7 @@ def test_an_unknown_arm_is_named(make_plant):
 # -- Optional arguments of ``Plant.smr_positions`` and their effect ----------------------------------------------------
 
 Q = np.random.default_rng(4).uniform(-2.5, 2.5, (6, 6))
-DRIFT = {"shift": [1e-3, 0.0, 0.0], "turn": [0.0, 0.0, 1e-3], "law": "linear", "time": 1000.0}
 SOFT = {"joint_compliance": {"stiffness": [4e4] * 6}}
-
-
-def test_explicit_defaults_change_nothing(make_arm, make_plant):
-    effects = SOFT | {"backlash": {"play": [1e-4] * 6}, "base_drift": DRIFT}
-    plant = make_plant(make_arm(payload_mass=3.0, payload_center=[0.1, 0.0, 0.05], effects=effects))
-    plant.advance(100.0)
-    aloud = plant.smr_positions(
-        "left",
-        Q,
-        approach=np.zeros((6, 6)),
-        time_s=np.full(6, 100.0),
-        last_step=np.zeros((6, 6)),
-        since_rest_s=np.full(6, np.inf),
-        payload=np.full(6, 3.0),
-        payload_center=np.array([0.1, 0.0, 0.05]),
-        joints_c=np.tile(plant.joint_temperatures_c("left"), (6, 1)),
-        air_c=np.full(6, plant.air_temperature_c),
-    )
-    assert np.array_equal(aloud, plant.smr_positions("left", Q))
 
 
 def test_each_stop_may_have_its_own_load(make_arm, make_plant):
@@ -175,16 +125,6 @@ def test_each_stop_may_have_its_own_load(make_arm, make_plant):
     hung = make_plant(make_arm(effects=SOFT))
     hung.set_payload("left", 5.0, centers[3])
     assert np.abs(hung.smr_positions("left", Q[[3]])[0] - found[3]).max() < 1e-11
-
-
-def test_the_last_step_determines_the_approach(make_arm, make_plant):
-    plant = make_plant(make_arm(effects={"backlash": {"play": [1e-4] * 6}}))
-    step = np.random.default_rng(1).choice([-0.5, 0.5], (6, 6))
-    told = plant.smr_positions("left", Q, last_step=step)
-    assert np.array_equal(told, plant.smr_positions("left", Q, approach=np.sign(step)))
-    assert np.array_equal(
-        plant.smr_positions("left", Q, last_step=step, approach=np.zeros((6, 6))), plant.smr_positions("left", Q)
-    )
 
 
 @pytest.mark.parametrize(
@@ -221,35 +161,6 @@ def test_true_masses_differ_by_a_share_and_move_nothing_else(make_arm, make_plan
     assert 0.005 * sag < np.linalg.norm(off - nominal, axis=1).max() < 0.4 * sag
 
 
-def test_mass_errors_have_the_configured_size(make_arm, make_plant):
-    nominal = make_arm().masses
-    shares = np.array(
-        [
-            make_plant(seed=seed, errors=GeometryErrors(mass=0.08))._arm("left").mechanism.masses / nominal - 1.0
-            for seed in range(60)
-        ]
-    )
-    assert np.std(shares) == pytest.approx(0.08, rel=0.15)
-    assert np.abs(shares.mean()) < 0.02
-    double = make_plant(seed=0, errors=GeometryErrors(mass=0.16))._arm("left").mechanism.masses / nominal - 1.0
-    assert double == pytest.approx(2.0 * shares[0])
-    huge = make_plant(seed=0, errors=GeometryErrors(mass=50.0))._arm("left").mechanism.masses
-    assert (huge > 0.0).all()
-
-
-def test_a_joint_warms_up_while_it_turns_and_cools_down_at_rest():
-    keep = np.exp(-600.0 / JOINT_TIME_CONSTANT_S)
-    warm = joint_rise(np.zeros(1), np.array([0.1]), 600.0)
-    assert warm == pytest.approx(0.1 * JOINT_RISE_K * (1.0 - keep))
-    assert joint_rise(warm, np.zeros(1), 600.0) == pytest.approx(warm * keep)
-
-
-def test_joints_that_are_switched_on_become_warm_without_moving(make_plant):
-    held = make_plant(holding_k=8.0)
-    held.advance(JOINT_TIME_CONSTANT_S)
-    assert held.joint_temperatures_c("left") - held.air_temperature_c == pytest.approx(8.0 * (1.0 - np.exp(-1.0)))
-
-
 def test_a_moved_tracker_sees_the_same_cell_from_elsewhere(make_plant):
     plant, moved = make_plant(), make_plant()
     T_C_M = rigid(np.array([3.0, 0.7, 0.2, 0.1, -0.2, 2.5]))
@@ -282,15 +193,6 @@ def test_segment_distances_are_those_of_their_nearest_points(points):
     step = 0.5 * (np.linalg.norm(b - a) + np.linalg.norm(d - c)) / 200
     assert found <= slow + 1e-12
     assert found >= slow - step - 1e-12
-
-
-def test_crossing_and_parallel_segments():
-    x, y, z = np.eye(3)
-    assert segment_distances(-x, x, z - y, z + y) == pytest.approx(1.0)
-    assert segment_distances(-x, x, -y, y) == pytest.approx(0.0)
-    assert segment_distances(-x, x, z - x, z + x) == pytest.approx(1.0)
-    assert segment_distances(-x, 0 * x, x + z, 2 * x + z) == pytest.approx(np.sqrt(2.0))
-    assert segment_distances(x, x, z, z) == pytest.approx(np.sqrt(2.0))
 
 
 def _capsules(arm, frames):
@@ -338,19 +240,6 @@ def test_a_collision_between_two_safe_end_points_is_detected(make_arm, make_conf
     assert 0.2 < plant.clearance.arms_time_s < 2.0
 
 
-def test_the_floor_is_where_it_is_configured_and_a_fixed_base_is_not_counted(make_arm, make_config):
-    plant = Plant(make_config(make_arm(home=np.zeros(6)), floor=0.3), watch_clearance=True)
-    assert plant.clearance is not None
-    # stretched out flat the flange is lowest: d1 - d5 above the base at 0.5, its capsule's radius 0.05;
-    # the capsule of the base itself is lower still
-    assert plant.clearance.floor_m == pytest.approx(0.5 + 0.1273 - 0.1157 - 0.05 - 0.3)
-    assert plant.clearance.arms_m == np.inf
-
-
-def test_the_collision_monitor_is_off_by_default(make_plant):
-    assert make_plant().clearance is None
-
-
 # -- Changes of a true mechanism between two days are those of D-H parameters ------------------------------------------
 
 Q_OF_CHANGES = np.random.default_rng(4).uniform(-2.0, 2.0, (9, 6))
@@ -375,15 +264,6 @@ def test_a_change_of_the_mechanism_is_that_of_a_parameter(name, joint):
         plant.smr_positions("arm", Q_OF_CHANGES), smr_positions(geometry.with_vector(vector), Q_OF_CHANGES), atol=1e-9
     )
     assert np.abs(plant.smr_positions("arm", Q_OF_CHANGES) - before).max() > 1e-5
-
-
-def test_bodies_move_with_their_link():
-    mechanism = plant_of(UR10, OFF_AXIS).true_mechanism("arm")
-    changed = lengthened(mechanism, 2, SIZE)
-    np.testing.assert_allclose(changed.centers[:2], mechanism.centers[:2])
-    shift = np.tile(SIZE * mechanism.directions[2], (4, 1))
-    np.testing.assert_allclose(changed.centers[2:] - mechanism.centers[2:], shift, atol=1e-15)
-    np.testing.assert_allclose(changed.frames[3:, :3, 3] - mechanism.frames[3:, :3, 3], shift, atol=1e-15)
 
 
 # -- A 6-D probe on a flange of the simulated cell ---------------------------------------------------------------------
@@ -430,18 +310,3 @@ def test_noise_of_the_orientation_is_the_stated_one(
     found = np.array([tracker.measure(target.p_M, 1.0).quaternion_M for _ in range(400)])
     off = (Rotation.from_quat(np.roll(found, -1, axis=1)) * true.inv()).as_rotvec()
     assert off.std(axis=0) == pytest.approx([5e-5] * 3, rel=0.12)
-
-
-def test_a_true_probe_is_turned(make_arm: Callable[..., ArmConfig], make_plant: Callable[..., Plant]) -> None:
-    plant = make_plant(make_arm(probe=TURN), errors=GeometryErrors(smr=1e-3, probe=2e-3))
-    mechanism = plant.true_mechanism("left")
-    assert mechanism.probe is not None
-    turned = Rotation.from_matrix(mechanism.probe @ TURN.T).magnitude()
-    assert 1e-4 < turned < 1e-2
-
-
-@pytest.mark.parametrize("turn", [0.0, 0.5, 3.1, np.pi])
-def test_quaternions_are_those_of_scipy(turn: float) -> None:
-    rotation = Rotation.from_rotvec(turn * np.array([2.0, -1.0, 2.0]) / 3.0)
-    expected = np.roll(rotation.as_quat(canonical=True), 1)
-    np.testing.assert_allclose(np.abs(quaternion(rotation.as_matrix()) @ expected), 1.0, atol=1e-14)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
-from drivers.arms.protocol import ArmError, MotionStopped, ProtectiveStop
 from drivers.arms.simulated import SimulatedArm
 from drivers.plant import Plant
-from drivers.plant.motion import Motion, braked, travel
+from drivers.plant.mechanism import Bodies, inertia_torques
+from drivers.plant.motion import Motion, travel
+from drivers.plant.servo import LOOKAHEAD_S
+from drivers.plant.sweep import Recorder, SweepRecord, record_sweep, recorder_of
 from drivers.plant.transforms import rigid, transform_points
 from drivers.trackers.protocol import TargetLost, TrackerLinkLost
 from drivers.trackers.simulated import SimulatedTracker
@@ -55,28 +58,6 @@ def test_a_motion_scaled_to_zero_stands_and_goes_on() -> None:
     assert np.allclose(at(again, 20.3), at(full, 11.3))
 
 
-def test_a_scaled_motion_brakes_from_its_own_speed() -> None:
-    slow = motion().scaled(10.8, 0.5)
-    stopping = braked(slow, 11.0, np.full(2, 2.0))
-    assert stopping is not None
-    assert stopping.duration_s == pytest.approx(np.abs(speed(slow, 11.0)).max() / 2.0)
-    assert braked(motion().scaled(11.0, 0.0), 12.0, np.full(2, 2.0)) is None
-
-
-def test_a_stop_brakes_as_gently_as_asked(make_arm, make_plant) -> None:
-    rests = []
-    for deceleration in (None, np.full(6, 1.0)):
-        plant = make_plant(make_arm())
-        plant.start_move("left", plant.q("left") + 2.0, np.full(6, 1.0), np.full(6, 3.0))
-        plant.advance(1.0)
-        assert np.abs(plant.speeds("left")).max() == pytest.approx(1.0)
-        plant.stop("left", deceleration)
-        rests.append(plant.rest_s("left") - plant.clock_s)
-        plant.advance(2.0)
-        assert not plant.speeds("left").any()
-    assert rests == pytest.approx([1.0 / 3.0, 1.0])
-
-
 # -- Scheduled actions happen at their time, in the middle of what a device does ---------------------------------------
 
 SLOW = np.full(6, 0.5)
@@ -85,14 +66,6 @@ SLOW = np.full(6, 0.5)
 @pytest.fixture
 def plant() -> Plant:
     return build_plant(small_twin())
-
-
-def moving_arm(plant: Plant) -> SimulatedArm:
-    """The left arm, connected, in the middle of a motion of some seconds."""
-    arm = SimulatedArm(plant, "left")
-    arm.connect()
-    arm.start_move(plant.q("left") + 0.5, SLOW, SLOW)
-    return arm
 
 
 def test_actions_happen_at_their_times_and_in_their_order(plant: Plant) -> None:
@@ -104,51 +77,6 @@ def test_actions_happen_at_their_times_and_in_their_order(plant: Plant) -> None:
     plant.advance(2.0)
     assert seen == [("early", 0.5), ("late", 2.0), ("also late", 2.0)]
     assert plant.clock_s == 3.0
-
-
-def test_an_action_may_enter_another_one(plant: Plant) -> None:
-    seen: list[float] = []
-    plant.schedule.at(1.0, lambda: plant.schedule.at(1.5, lambda: seen.append(plant.clock_s)))
-    plant.advance(2.0)
-    assert seen == [1.5]
-
-
-def test_an_error_of_an_action_passes_through_at_its_time(plant: Plant) -> None:
-    def fail() -> None:
-        raise ArmError("now")
-
-    plant.schedule.at(1.0, fail)
-    with pytest.raises(ArmError):
-        plant.advance(2.0)
-    assert plant.clock_s == 1.0
-
-
-def test_a_fault_in_the_middle_of_a_motion_ends_the_wait(plant: Plant) -> None:
-    arm = moving_arm(plant)
-    plant.schedule.at(0.7, arm.protective_stop)
-    with pytest.raises(ProtectiveStop):
-        arm.wait_settled(10.0)
-    assert plant.clock_s == 0.7
-
-
-def test_a_brake_in_the_middle_of_a_motion_ends_the_wait(plant: Plant) -> None:
-    arm = moving_arm(plant)
-    plant.schedule.at(0.7, arm.brake)
-    with pytest.raises(MotionStopped):
-        arm.wait_settled(10.0)
-    assert plant.clock_s == 0.7
-
-
-def test_an_action_that_changes_nothing_changes_nothing(plant: Plant) -> None:
-    undisturbed = build_plant(small_twin())
-    states = []
-    for cell in (plant, undisturbed):
-        arm = moving_arm(cell)
-        if cell is plant:
-            cell.schedule.at(0.7, lambda: None)
-        states.append(arm.wait_settled(10.0))
-    assert np.array_equal(states[0].q, states[1].q)
-    assert states[0].rest_since_s == states[1].rest_since_s
 
 
 def test_what_happens_during_a_measurement_breaks_it(plant: Plant) -> None:
@@ -202,30 +130,12 @@ def test_a_uniformly_warmer_arm_is_larger(make_arm, make_plant):
     assert np.abs(found - make_plant(make_arm(rows=rows)).smr_positions("left", Q)).max() < 1e-13
 
 
-def test_at_the_reference_nothing_grows(make_arm, make_plant):
-    values = GROWTH | {"reference": 25.0, "motor": 2e-6}
-    found = _positions(
-        make_arm, make_plant, {"thermal_growth": values}, joints_c=np.full((5, 6), 25.0), air_c=np.full(5, 25.0)
-    )
-    assert np.abs(found - make_plant().smr_positions("left", Q)).max() < 1e-15
-
-
 def test_a_link_takes_its_share_of_the_rise_of_its_two_joints(make_arm, make_plant):
     joints_c = np.full((5, 6), 20.0)
     joints_c[:, 2] += 12.0  # the elbow warms both beams by half
     found = _positions(make_arm, make_plant, {"thermal_growth": GROWTH}, joints_c=joints_c, air_c=np.full(5, 20.0))
     rows = make_arm().rows.copy()
     rows[1:3, 2] *= 1.0 + 0.8 * 6.0 * 23e-6
-    assert np.abs(found - make_plant(make_arm(rows=rows)).smr_positions("left", Q)).max() < 1e-13
-
-
-def test_the_housing_of_a_warm_motor_grows_along_its_axis(make_arm, make_plant):
-    joints_c = np.full((5, 6), 20.0)
-    joints_c[:, 3] += 10.0
-    values = {"expansion": 0.0, "share": 1.0, "lag": 900.0, "motor": 2e-6}
-    found = _positions(make_arm, make_plant, {"thermal_growth": values}, joints_c=joints_c, air_c=np.full(5, 20.0))
-    rows = make_arm().rows.copy()
-    rows[3, 1] += 20e-6
     assert np.abs(found - make_plant(make_arm(rows=rows)).smr_positions("left", Q)).max() < 1e-13
 
 
@@ -342,41 +252,158 @@ def test_the_floor_sways_with_its_period(make_arm, make_plant):
     assert np.abs(found - later).max() < 1e-13
 
 
-def test_a_draught_deflects_the_beam_horizontally(make_arm, make_plant):
-    values = {"angle": 2e-5, "period": 1800.0, "phase": 0.0}
-    time_s = np.array([0.0, 450.0, 900.0, 1350.0, 1800.0])
-    found = _positions(make_arm, make_plant, {"draught": values}, time_s=time_s)
-    p_M = make_plant().smr_positions("left", Q)
-    moved = found - p_M
-    level = np.hypot(p_M[:, 0], p_M[:, 1])
-    assert np.linalg.norm(moved, axis=1) == pytest.approx(2e-5 * level * [0, 1, 0, 1, 0], abs=1e-12)
-    assert np.abs(moved[:, 2]).max() == 0.0
-    assert np.abs((moved * p_M).sum(axis=1)).max() < 1e-8
+# -- A sweep on record: lag of the joints, play along the path, two clocks, samples and beams that are lost ------------
 
 
-WALK = {"shift": SHIFT, "turn": TURN, "law": "linear", "time": 100.0}
+CYCLE_S = 0.008
+EXACT = Recorder(lost_samples=0.0, jitter_s=0.0, lost_beams_per_min=0.0)
 
 
-@pytest.mark.parametrize(
-    ("effects", "message"),
-    [
-        ({"thermal_growth": GROWTH | {"share": 1.5}}, "share must be from 0 to 1, not 1.5"),
-        ({"thermal_growth": GROWTH | {"lag": 0.0}}, "lag must be greater than 0, not 0"),
-        ({"thermal_growth": GROWTH | {"heat": 1.0}}, r"unknown parameter 'heat'; .*lag, motor \(optional\), reference"),
-        ({"joint_drift": {"drift": [1e-5] * 6}}, "parameter 'time_constant' is missing"),
-        ({"joint_drift": {"per_kelvin": [1e-5] * 6, "drift": [1e-5] * 6}}, "unknown parameter 'drift'"),
-        (
-            {"base_drift": WALK | {"law": "random"}},
-            "law must be one of linear, exponential, creep, sinusoidal, wandering, not 'random'",
-        ),
-        ({"base_drift": WALK | {"time": -1}}, "time must be greater than 0, not -1"),
-        ({"tracker_drift": WALK | {"shift": [0.0, 0.0]}}, "shift must be a list of 3 numbers"),
-        ({"base_step": {"shift": SHIFT, "turn": TURN, "time": None}}, "time must be a number in SI units, not None"),
-        ({"target_slip": {"shift": SHIFT}}, "parameter 'time' is missing"),
-        ({"base_sway": {"shift": SHIFT, "period": 0, "phase": 0}}, "period must be greater than 0"),
-        ({"draught": {"angle": True, "period": 1, "phase": 0}}, "angle must be a number in SI units, not True"),
-    ],
-)
-def test_a_wrong_parameter_is_one_clear_error(make_arm, make_plant, effects, message):
-    with pytest.raises(ValueError, match=f"arm left, effect {next(iter(effects))}: .*{message}"):
-        make_plant(make_arm(effects=effects))
+def plant_with(effects: dict[str, dict[str, object]]) -> Plant:
+    quiet = {"effects": {"left": effects, "right": {}}, "noise": False, "repeatability": 0.0}
+    return build_plant(small_twin(plant=quiet))
+
+
+def swing(plant: Plant, seconds: float = 8.0, joint: int = 0, reach: float = 0.2) -> np.ndarray:
+    """Commands of one joint that swings forth and back twice, from rest to rest."""
+    time_s = np.arange(0.0, seconds, CYCLE_S)
+    q = np.repeat(plant.q("left")[None], len(time_s), axis=0)
+    q[:, joint] += reach * np.sin(np.pi * time_s / seconds) ** 2 * np.sin(4.0 * np.pi * time_s / seconds)
+    return q
+
+
+def at_points(record: SweepRecord, recorder: Recorder) -> np.ndarray:
+    """Joint positions at the times of the points, by the clocks as they are."""
+    time_s = (record.point_time_s - recorder.offset_s) / (1.0 + 1e-6 * recorder.rate_ppm)
+    return np.column_stack([np.interp(time_s, record.joint_time_s, column) for column in record.q.T])
+
+
+def test_joints_lag_behind_their_commands_and_rest_at_both_ends() -> None:
+    plant = plant_with({})
+    commanded = swing(plant)
+    record = record_sweep(plant, EXACT, "left", commanded, CYCLE_S)
+    time_s = record.joint_time_s - record.joint_time_s[0]
+    np.testing.assert_allclose(record.q[0], commanded[0], atol=1e-9)
+    np.testing.assert_allclose(record.q[-1], commanded[-1], atol=1e-4)
+    delays = np.arange(0.0, 0.1, 0.001)
+    at = np.arange(len(commanded)) * CYCLE_S + 0.5
+    misses = [np.abs(np.interp(time_s - d, at, commanded[:, 0]) - record.q[:, 0]).max() for d in delays]
+    assert delays[int(np.argmin(misses))] == pytest.approx(LOOKAHEAD_S, abs=0.005)
+    np.testing.assert_allclose(np.gradient(record.q[:, 0], time_s), record.qd[:, 0], atol=2e-3)
+
+
+def test_points_are_those_of_the_arm_at_the_same_joints() -> None:
+    plant = plant_with({"joint_compliance": {"stiffness": [9e4, 6e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]}})
+    record = record_sweep(plant, EXACT, "left", swing(plant, seconds=24.0), CYCLE_S)  # slow: next to no inertia
+    expected = plant.smr_positions("left", at_points(record, EXACT))
+    np.testing.assert_allclose(record.p_M, expected, atol=5e-6)
+
+
+def test_inertia_is_that_of_virtual_work():
+    mechanism, rng, h = plant_with({}).true_mechanism("left"), np.random.default_rng(1), 1e-3
+    q, qd, qdd = rng.uniform(-1.0, 1.0, (3, 5, 6))
+    before, after = (q + sign * h * qd + 0.5 * h * h * qdd for sign in (-1.0, 1.0))
+    centers = [Bodies.at(mechanism, at).centers for at in (before, q, after)]
+    acceleration = (centers[0] - 2.0 * centers[1] + centers[2]) / h**2
+    found = inertia_torques(mechanism, before, q, after, h)
+    masses = Bodies.at(mechanism, q).masses
+    for joint in range(6):
+        by = 1e-5 * np.eye(6)[joint]
+        moved = (Bodies.at(mechanism, q + by).centers - Bodies.at(mechanism, q - by).centers) / 2e-5
+        work = -np.einsum("k,knx,knx->n", masses, acceleration, moved)
+        own = Bodies.at(mechanism, q).own[joint] * qdd[:, joint]
+        np.testing.assert_allclose(found[:, joint], work - own, atol=1e-4)
+
+
+def struck(plant: Plant) -> SweepRecord:
+    """A joint that is accelerated all at once, and rests after half a second."""
+    time_s = np.arange(0.0, 4.0, CYCLE_S)
+    q = np.repeat(plant.q("left")[None], len(time_s), axis=0)
+    q[:, 1] += 0.05 * np.clip(time_s, 0.0, 0.5)
+    return record_sweep(plant, EXACT, "left", q, CYCLE_S)
+
+
+def test_a_struck_arm_swings_at_its_natural_frequency_and_comes_to_rest():
+    stiffness = [9e4, 6e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]
+    plant = plant_with({"joint_vibration": {"stiffness": stiffness, "damping": 0.04}})
+    mass = Bodies.at(plant.true_mechanism("left"), plant.q("left")[None]).mass_matrix(0)
+    first_hz = np.sqrt(eigh(np.diag(stiffness), mass, eigvals_only=True)[0]) / (2.0 * np.pi)
+    record = struck(plant)
+    still = record.joint_time_s[-1] - 3.0  # the command ended half a second before
+    rests = record.point_time_s > still
+    moved = record.p_M[rests] - record.p_M[-20:].mean(axis=0)
+    along = moved @ np.linalg.svd(moved, full_matrices=False)[2][0]
+    power = np.abs(np.fft.rfft(along, 8192))
+    frequency = np.fft.rfftfreq(8192, 1.0 / EXACT.point_hz)
+    assert frequency[np.argmax(power)] == pytest.approx(first_hz, rel=0.05)
+    assert np.abs(along[:50]).max() > 5e-6
+    assert np.abs(along[-50:]).max() < 0.05 * np.abs(along[:50]).max()
+
+
+def test_a_late_drive_follows_by_its_time_constant_and_delay():
+    plant = plant_with({"drive_lag": {"time_constant": [0.02] * 6, "delay": [0.0, 0.01, 0.0, 0.0, 0.0, 0.0]}})
+    for joint, late_s in ((0, 0.0225), (1, 0.0325)):
+        record = record_sweep(plant, EXACT, "left", swing(plant, joint=joint), CYCLE_S)
+        q = at_points(record, EXACT)
+        delayed = np.column_stack([np.interp(record.point_time_s - late_s, record.point_time_s, c) for c in q.T])
+        miss = np.linalg.norm(record.p_M - plant.smr_positions("left", delayed), axis=1)
+        assert miss.max() < 0.2 * np.linalg.norm(record.p_M - plant.smr_positions("left", q), axis=1).max()
+
+
+def test_play_lags_behind_each_reversal_by_its_width() -> None:
+    play = 2e-4
+    plant = plant_with({"backlash": {"play": [play, 0.0, 0.0, 0.0, 0.0, 0.0]}})
+    record = record_sweep(plant, EXACT, "left", swing(plant), CYCLE_S)
+    q = at_points(record, EXACT)
+    signs = (np.tile([sign, 0, 0, 0, 0, 0], (len(q), 1)) for sign in (1, -1))
+    forth, back = (plant.smr_positions("left", q, approach=sign) for sign in signs)
+    loop = np.linalg.norm(forth - back, axis=1)
+    speed = np.gradient(q[:, 0])
+    crossed = np.convolve(np.abs(speed), np.ones(100), mode="same") > 3.0 * play
+    for way, expected in ((speed > 2e-5, forth), (speed < -2e-5, back)):
+        late = way & crossed & np.roll(way, 60) & np.roll(way, 30)
+        assert late.sum() > 100
+        assert np.abs(record.p_M[late] - expected[late]).max() < 0.1 * loop.max()
+
+
+def test_clocks_differ_as_stated_and_losses_are_gaps() -> None:
+    plant = plant_with({})
+    recorder = Recorder(offset_s=12.0, rate_ppm=1000.0, lost_samples=0.1, lost_beams_per_min=60.0, seed=3)
+    commanded = swing(plant)
+    record = record_sweep(plant, recorder, "left", commanded, CYCLE_S)
+    assert 0.05 < 1.0 - len(record.joint_time_s) / (9.0 * 125.0) < 0.2
+    lost = np.isnan(record.p_M).any(axis=1)
+    assert 0.0 < lost.mean() < 1.0
+    np.testing.assert_allclose(np.diff(record.point_time_s), 1.001 / recorder.point_hz, rtol=1e-9)
+    seen = ~lost
+    expected = plant.smr_positions("left", at_points(record, recorder)[seen])
+    np.testing.assert_allclose(record.p_M[seen], expected, atol=5e-5)
+    assert recorder_of(plant) == recorder_of(plant_with({}))
+
+
+def test_a_sweep_that_begins_elsewhere_or_meets_a_motion_is_refused() -> None:
+    plant = plant_with({})
+    with pytest.raises(ValueError, match="not where its sweep begins"):
+        record_sweep(plant, EXACT, "left", swing(plant) + 0.1, CYCLE_S)
+    plant.start_move("right", plant.q("right") + 0.1, np.ones(6), np.ones(6))
+    with pytest.raises(ValueError, match="no other motion"):
+        record_sweep(plant, EXACT, "left", swing(plant), CYCLE_S)
+
+
+def test_an_arm_that_swings_beside_moves_the_base_and_remembers_its_way() -> None:
+    effects = {"pedestal_coupling": {"bending": 5e5, "torsion": 5e5, "depth": 0.3}}
+    records, play = [], {"play": [2e-4] * 6}
+    for beside in (False, True):
+        quiet = {"effects": {"left": effects, "right": {"backlash": play}}, "noise": False, "repeatability": 0.0}
+        plant = build_plant(small_twin(plant=quiet))
+        commanded, other = swing(plant), np.repeat(plant.q("right")[None], 1000, axis=0)
+        other[:, 1] += 0.5 * np.sin(np.pi * np.arange(1000) / 999.0) ** 2
+        records.append(record_sweep(plant, EXACT, "left", commanded, CYCLE_S, {"right": other} if beside else {}))
+        assert not plant.moving("right")
+    alone, both = records
+    away = np.linalg.norm(both.p_M - alone.p_M, axis=1)
+    assert away[[0, -1]].max() < 1e-6 < 50e-6 < away.max() < 500e-6, "the other arm's weight tilts the base meanwhile"
+    assert not alone.beside_q
+    assert np.ptp(both.beside_q["right"][:, 1]) == pytest.approx(0.5, abs=0.01)
+    with pytest.raises(ValueError, match="arm right is not where its sweep begins"):
+        record_sweep(plant, EXACT, "left", commanded, CYCLE_S, {"right": other + 0.1})

@@ -18,11 +18,9 @@ import serial.rfc2217
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.plant import Plant
 from drivers.sensors import serial_station
 from drivers.sensors.protocol import SensorLinkLost, StaleReading
 from drivers.sensors.serial_station import LONGEST_LINE, PRESETS, LineFormat, SerialStation, parse_line
-from drivers.sensors.simulated import SimulatedAirSensor
 from tests.waiting import until
 
 PTU = PRESETS["vaisala-ptu300"]
@@ -193,12 +191,6 @@ def test_a_stale_reading_is_refused_and_silence_named(line: Line, listen: Callab
         station.read()
 
 
-def test_a_station_that_never_speaks(line: Line, listen: Callable[..., SerialStation]) -> None:
-    station = listen(line.path, timeout_s=SHORT_S)
-    with pytest.raises(SensorLinkLost, match="no reading: it is silent"):
-        station.read()
-
-
 def test_the_tail_of_a_line_is_no_reading(line: Line, listen: Callable[..., SerialStation]) -> None:
     """Joined in mid-line, "T= 1.4" may be what is left of "T= 21.4"; pieces are put together."""
     station = listen(line.path)
@@ -338,11 +330,6 @@ def test_a_station_behind_a_serial_server(listen: Callable[..., SerialStation]) 
     assert not thread.is_alive()
 
 
-def test_a_loop(listen: Callable[..., SerialStation]) -> None:
-    layout = LineFormat(PTU.pattern, poll=b"what is sent comes back\r\n" + LINE)
-    assert listen("loop://", layout, poll_every_s=0.05).read().temperature_c == 21.4
-
-
 @pytest.mark.parametrize(
     "url", ["/dev/there-is-no-such-port", "nonsense://x", "socket://127.0.0.1:1", "socket://nowhere"]
 )
@@ -365,17 +352,3 @@ def test_before_and_after(line: Line) -> None:
     assert not thread.is_alive()
     with pytest.raises(SensorLinkLost, match="not connected"):
         station.read()
-
-
-def test_the_simulated_station_reads_the_plants_air(make_plant: Callable[..., Plant]) -> None:
-    plant = make_plant(temperature_c=23.0)
-    sensor = SimulatedAirSensor(plant)
-    with pytest.raises(SensorLinkLost, match="connect first"):
-        sensor.read()
-    sensor.connect()
-    reading = sensor.read()
-    assert reading.temperature_c == plant.air_temperature_c
-    assert abs(reading.temperature_c - 23.0) <= 0.5
-    assert (reading.time_s, reading.age_s) == (plant.clock_s, 0.0)
-    plant.advance(3600.0)
-    assert sensor.read().temperature_c == plant.air_temperature_c != reading.temperature_c

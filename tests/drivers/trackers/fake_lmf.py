@@ -120,18 +120,15 @@ class Scene:
     probes: dict[str, np.ndarray] = field(default_factory=dict)
     rotation_member: str = "Value"
     hidden: set[str] = field(default_factory=set)
-    hidden_in_face2: set[str] = field(default_factory=set)
     hanging: set[str] = field(default_factory=set)
     throws: dict[str, NetException] = field(default_factory=dict)
     beam_breaks: bool = False
     precision_m: float = 4e-6
-    face2_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     temperature_c: float = 21.5
     number_accuracy: bool = False
     bool_selectable: bool = True
     ignored_settings: set[str] = field(default_factory=set)
     search_m: float = 0.1
-    tilt_rad: tuple[float, float] = (0.0, 0.0)
     flags: str = "AllOk"
     continuous: bool = True
     network: tuple[tuple[str, str, str], ...] = ()
@@ -481,8 +478,6 @@ class StationaryMeasurement3D(Net):
         scene = tracker.scene
         units = tracker.Settings.Units
         p_M = scene.targets[tracker.locked].copy()
-        if tracker.face2:
-            p_M += scene.face2_shift_m
         cartesian = tracker.Settings.CoordinateType == E["ECoordinateType"].Cartesian
         scale, name = _METRES[int(units.LengthUnit)], _METRE_NAMES[int(units.LengthUnit)]
         distance = float(np.linalg.norm(p_M))
@@ -552,37 +547,16 @@ class Face(Net):
     def Change(self) -> None:
         self._tracker.scene.command("Face.Change")
         self._tracker.face2 = not self._tracker.face2
-        if self._tracker.face2 and self._tracker.locked in self._tracker.scene.hidden_in_face2:
-            self._tracker.lose_target()
 
 
 class Monitoring(Net):
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker
         self.Active = Value(False)
-        self._initial = tracker.scene.tilt_rad
         self.seal()
 
     def Reset(self) -> None:
         self._tracker.scene.command("Monitoring.Reset")
-        self._initial = self._tracker.scene.tilt_rad
-
-    @property
-    def Initial(self) -> Any:
-        return self._tilt(self._initial)
-
-    @property
-    def Current(self) -> Any:
-        return self._tilt(self._tracker.scene.tilt_rad)
-
-    @property
-    def Threshold(self) -> ReadOnlyValue:
-        return self._tracker.angle(15e-6)
-
-    def _tilt(self, tilt: tuple[float, float]) -> Any:
-        both = Net()
-        both.X, both.Y = self._tracker.angle(tilt[0]), self._tracker.angle(tilt[1])
-        return both
 
 
 class InclinationSensor(Net):
@@ -595,15 +569,10 @@ class InclinationSensor(Net):
 
         self.InclinedToGravity = Value(persistent.get("gravity", False), changed=keep)
         self.Monitoring = Monitoring(tracker)
-        self.CurrentInclinationToGravity: Any = None
         self.seal()
 
     def GetInclinationToGravity(self) -> None:
         self._tracker.scene.command("GetInclinationToGravity")
-        tilt = Net()
-        x, y = self._tracker.scene.tilt_rad
-        tilt.InclinationRotX, tilt.InclinationRotY = self._tracker.angle(x), self._tracker.angle(y)
-        self.CurrentInclinationToGravity = tilt
 
 
 class MeteoStation(Net):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import threading
-import time
 from contextlib import ExitStack, contextmanager
 
 import numpy as np
@@ -154,77 +153,6 @@ def test_ten_thousand_damaged_lines_leave_the_holder_where_it_was(bridge):
         assert measures(raw, "measurement-1").fields == first.fields  # known already
         assert measures(raw, "measurement-2").word == "ok"
         assert bridge.tracker.measured == done + 1
-
-
-@pytest.mark.slow
-def test_ten_thousand_damaged_answers_leave_the_client_alive(make_plant):
-    """A relay damages answers for a while: the client recovers and no measurement is lost or doubled."""
-    rng = np.random.default_rng(1)
-    with TrackerBridgeEmulator(make_plant(), nests={"n": NEST}) as bridge, ExitStack() as stack:
-        noise = list(mutated(10_000, rng))
-        listening = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
-        storm = threading.Event()
-
-        def relay():
-            while True:
-                try:
-                    here = listening.accept()[0]
-                except OSError:
-                    return
-                with here, socket.create_connection((bridge.host, bridge.port), WAIT_S) as there:
-                    carry(here, there)
-
-        def carry(here, there):
-            back = threading.Thread(target=lambda: copy(here, there))
-            back.start()
-            while True:
-                try:
-                    data = there.recv(4096)
-                    if not data:
-                        break
-                    if storm.is_set():
-                        here.sendall(b"".join(noise[:1000]))
-                        del noise[:1000]
-                        if not noise:
-                            storm.clear()
-                    here.sendall(data)
-                except OSError:
-                    break
-            for end in (here, there):
-                try:
-                    end.shutdown(socket.SHUT_RDWR)
-                except OSError:
-                    continue
-            back.join(WAIT_S)
-
-        def copy(source, sink):
-            while True:
-                try:
-                    data = source.recv(4096)
-                    sink.sendall(data) if data else sink.shutdown(socket.SHUT_WR)
-                except OSError:
-                    return
-                if not data:
-                    return
-
-        thread = threading.Thread(target=relay)
-        thread.start()
-        url = f"socket://127.0.0.1:{listening.getsockname()[1]}"
-        tracker = BridgeTracker(url, timeout_s=1.0, preparation=Preparation(), patience_s=60.0)
-        tracker.connect()
-        times = [tracker.measure(NEST, 1.0).time_s]
-        storm.set()
-        end_s = time.monotonic() + 60.0
-        while storm.is_set():
-            assert time.monotonic() < end_s, "the storm did not end"
-            times.append(tracker.measure(NEST, 1.0).time_s)
-        times.append(tracker.measure(NEST, 1.0).time_s)
-        assert sorted(set(times)) == times
-        assert bridge.tracker.measured == len(times)
-        tracker.disconnect()
-        listening.shutdown(socket.SHUT_RDWR)
-        listening.close()
-        thread.join(WAIT_S)
 
 
 def test_a_client_that_receives_only_garbage_reports_a_lost_link():
@@ -391,14 +319,6 @@ def test_a_client_that_never_reads_loses_its_link_but_not_the_bridge(bridge):
             pytest.fail("the bridge never dropped it")
         with holder(bridge) as tracker:
             assert tracker.measure(NEST, 1.0).averaging_s == 1.0
-
-
-def test_faults_are_commanded_from_another_connection(bridge):
-    with holder(bridge) as tracker, Raw(bridge) as operator:
-        assert operator.ask("fault", kind="garbage").word == "ok"
-        assert operator.ask("fault", kind="flood").fields["kind"] == "bad-field"
-        assert tracker.measure(NEST, 1.0).averaging_s == 1.0
-        assert bridge.tracker.measured == 1
 
 
 def test_results_are_kept_for_a_while_not_for_ever(bridge):

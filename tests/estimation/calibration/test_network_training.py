@@ -53,6 +53,14 @@ def test_pure_noise_gets_no_network():
     assert training.left_out_rms > 0.95 * training.without_rms
 
 
+def test_the_same_seed_gives_the_same_network(trained):
+    q, training = trained
+    noise = np.random.default_rng(1).normal(0.0, 15e-6, (200, 3))
+    again = train_network(q, bend(q) + noise, seed=3, shapes=SMALL, iterations=80)
+    assert again.network is not None
+    assert json.dumps(network_to_json(again.network)) == json.dumps(network_to_json(training.network))
+
+
 def test_beyond_the_trained_ranges_the_correction_fades_to_zero(trained):
     _, training = trained
     network = training.network

@@ -73,6 +73,10 @@ def test_the_draw_depends_on_the_numbers_and_the_seed_alone(numbers, seed):
     assert draw_splits(ordered, 2, 1, 1, seed) == draw_splits(shuffled, 2, 1, 1, seed)
 
 
+def test_another_seed_gives_another_draw():
+    assert draw_splits(np.arange(400), 100, 200, 100, 0)[0] != draw_splits(np.arange(400), 100, 200, 100, 1)[0]
+
+
 def test_errors_on_a_worked_example():
     measured = np.array([[0.0, 0, 0], [1.0, 0, 0], [0, 1.0, 0]])
     computed = np.array([[0.0, 0, 0], [1.003, 0.004, 0], [0, 1.0, 0]])
@@ -83,7 +87,7 @@ def test_errors_on_a_worked_example():
     assert (summary.mean, summary.max, summary.n) == pytest.approx((2.0, 3.0, 2))
     assert summary.rms == pytest.approx(np.sqrt(5.0))
     assert summary.std == pytest.approx(np.sqrt(2.0))
-    assert evaluate(measured[:1], computed[:1]).distance_mm is None
+    assert evaluate(measured[:1], computed[:1], measured[:1]).distance_mm is None
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import pearson3
 
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
@@ -34,7 +35,7 @@ from cellapp.estimation.discovery.plan_forecast import (
     tracker_covariance,
 )
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.verdict import CHANCE, has_structure, structure_left
+from cellapp.estimation.discovery.verdict import CHANCE, has_structure, pearson3_tail, structure_left
 from cellapp.estimation.readings import Readings
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.chain import smr_positions
@@ -130,6 +131,11 @@ def test_noise_has_no_structure(noise):
     assert sorted(smallest)[1] > 0.01
 
 
+def test_the_tail_is_that_of_pearson_type_iii():
+    values, skewness = np.meshgrid(np.linspace(-6.0, 6.0, 25), [0.0, 1e-6, 1e-4, 0.01, 0.2, 1.0, 3.0])
+    np.testing.assert_allclose(pearson3_tail(values, skewness), pearson3.sf(values, skewness), rtol=1e-9, atol=1e-12)
+
+
 def test_a_few_readings_are_not_tested():
     data, fit = fitted(60)
     few = replace(data, readings=data.readings.take(np.arange(10)))
@@ -145,7 +151,7 @@ READINGS, FOLDS, SEED = 60, 5, 3
 class Data(SimpleNamespace):
     """What the cross-validation needs of the data of an arm."""
 
-    points = reading = None
+    group = np.arange(READINGS)
 
     def __len__(self) -> int:
         return READINGS

@@ -169,12 +169,13 @@ def _tracker_reboot(world: World, fault: Fault) -> None:
     world.tracker_dies()
 
 
+def _tracker_restart(world: World, fault: Fault) -> None:
+    world.tracker.reboot(0.0)
+    world.tracker_dies()
+
+
 def _tracker_halted(world: World, fault: Fault) -> None:
     world.tracker.halted_by_other()
-
-
-def _tracker_bumped(world: World, fault: Fault) -> None:
-    world.tracker.bump(100e-6 * fault.size)
 
 
 def _air_silent(world: World, fault: Fault) -> None:
@@ -273,7 +274,7 @@ KINDS: Mapping[str, Callable[[World, Fault], None]] = {
     "tracker silent": _tracker_mute,
     "tracker restarts": _tracker_reboot,
     "measurement halted": _tracker_halted,
-    "tracker bumped": _tracker_bumped,
+    "tracker restarts at once": _tracker_restart,
     "air sensor silent": _air_silent,
     "air out of limits": _air_out_of_limits,
     "disk full": _disk_full,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.plant import Plant
+from drivers.plant.motion import braked
 
 STOPPED_WITHIN_S = 0.2
 """Allowed beyond the braking time until all arms rest."""
@@ -106,8 +107,14 @@ class Monitor:
 
     def _expect_rest(self, reason: str, releases: int) -> None:
         if releases == self._releases and any(self.plant.moving(name) for name in self.plant.names):
-            allowed_s = STOPPED_WITHIN_S + max(self.plant.braking_s(name) for name in self.plant.names) + _ROUNDING_S
+            allowed_s = STOPPED_WITHIN_S + max(self._braking_s(name) for name in self.plant.names) + _ROUNDING_S
             self.plant.schedule.at(self.plant.clock_s + allowed_s, lambda: self._at_rest(reason, releases))
+
+    def _braking_s(self, name: str) -> float:
+        """Return the time that an arm would need to come to rest if it were stopped now [s]."""
+        arm = self.plant._arm(name)
+        shortened = None if arm.motion is None else braked(arm.motion, self.plant.clock_s, arm.config.acceleration)
+        return 0.0 if shortened is None else shortened.duration_s
 
     def _at_rest(self, reason: str, releases: int) -> None:
         moving = [name for name in self.plant.names if self.plant.moving(name)]

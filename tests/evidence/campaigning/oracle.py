@@ -26,9 +26,6 @@ FALSE_ALARM = 1e-12
 _PLANNED_RAD = 1e-9
 """Joint positions of a reading and of its planned stop agree but for rounding: the plant's arms are exact."""
 
-_NEAR_M = 0.02
-"""Distances below this are looked at closely: base and axes of the true arms differ by millimetres from the planned."""
-
 _ENDED_BY = {"stopped": "stop", "aborted": "abort"}
 """Outcome of a session -> the request that it records."""
 _KEEP_FROM_WRITING = ("disk", "program killed", "killed")
@@ -63,7 +60,8 @@ def judge(
         failures += _false(world, name, arm, plan[name])
     missing, unlisted = _missing(run, readings, run.profile.plan.stops)
     failures += unlisted
-    clearance = world.plant.executed_clearance(_NEAR_M)
+    clearance = world.plant.clearance
+    assert clearance is not None
     failures += _collisions(clearance)
     moving = [name for name in world.plant.names if world.plant.moving(name)]
     failures += [Failure("motion after a stop", f"arm {name} moves at the end") for name in moving]

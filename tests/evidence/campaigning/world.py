@@ -41,7 +41,7 @@ class World:
 
     def __init__(self, profile: Profile, seed: int, folder: Path, gate: Gate = refuse_motion) -> None:
         self._gate = gate
-        self.plant = build_plant(profile, keep_motions=True)
+        self.plant = build_plant(profile, watch_clearance=True)
         self.monitor = Monitor(self.plant)
         self.process = Process()
         self.arms = {name: CampaignArm(self.plant, name, self.process, self.monitor) for name in profile.arms}

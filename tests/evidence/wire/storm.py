@@ -32,7 +32,7 @@ PACE = 50.0
 """Seconds of the cell for each second: the driver's own waits and the wire's cycles then take most of the time."""
 _LARGEST_SIGMAS = 6.0
 """Largest deviation of a point from the undisturbed run, in standard deviations of the difference."""
-_SAME_RAD = 1e-6
+SAME_RAD = 1e-6
 
 
 class StormDeviation(Record):
@@ -125,7 +125,7 @@ def storm_trial(
         with new_planned_run(profile, folder, listener, cancel) as run:
             plan = read_planned_stops(run)
         listener(Progress("undisturbed run", 0, 1))
-        quiet = _undisturbed(profile, plan, parent / "undisturbed")
+        quiet = undisturbed(profile, plan, parent / "undisturbed")
         listener(Progress("undisturbed run", 1, 1))
         began_s = time.monotonic()
         with (parent / "output.txt").open("wb") as output, emulated_cell(profile, pace) as cell:
@@ -150,7 +150,7 @@ def _folder(keep: Path | None) -> Iterator[Path]:
     yield keep.absolute()
 
 
-def _undisturbed(profile: Profile, plan: PlannedStops, folder: Path) -> Path:
+def undisturbed(profile: Profile, plan: PlannedStops, folder: Path) -> Path:
     """Collect the same plan in the same cell without a fault, in this process."""
 
     def fill(run: RunFile) -> None:
@@ -174,7 +174,7 @@ def _judged(
     planned = {(stop, name) for name, q in run.read_plan().items() for stop in range(len(q))}
     listed = {(one.stop, one.arm) for one in missing if one.reason and one.kind != "not tried"}
     unexplained = planned - set(found) - listed
-    deviation = {name: _deviation(run, reference, name) for name in run.arms()}
+    deviations = {name: deviation(run, reference, name) for name in run.arms()}
     if unexplained:
         complaints.append(f"{len(unexplained)} planned readings are neither stored nor listed with a reason")
     if lost or doubled:
@@ -183,8 +183,8 @@ def _judged(
         complaints.append("the arms touched, or their distance was not observed")
     if sum(log.struck.values()) < drawn:
         complaints.append(f"only {sum(log.struck.values())} of {drawn} faults were caused before the run was complete")
-    for name, one in deviation.items():
-        if one.max_sigmas > _LARGEST_SIGMAS or one.joints_max_rad > _SAME_RAD:
+    for name, one in deviations.items():
+        if one.max_sigmas > _LARGEST_SIGMAS or one.joints_max_rad > SAME_RAD:
             complaints.append(
                 f"arm {name}: a reading differs from the undisturbed run by {one.position_max_mm:.3f} mm,"
                 f" {one.max_sigmas:.1f} standard deviations, {one.joints_max_rad:.1e} rad"
@@ -203,13 +203,13 @@ def _judged(
         motions_after_a_stop=log.motions_after_a_stop,
         latest_start_ms=1e3 * log.latest_start_s,
         clearance_mm=None if clearance_m is None else 1e3 * clearance_m,
-        deviation=deviation,
+        deviation=deviations,
         seconds=took_s,
         complaints=tuple(complaints),
     )
 
 
-def _deviation(run: RunFile, reference: RunFile, name: str) -> StormDeviation:
+def deviation(run: RunFile, reference: RunFile, name: str) -> StormDeviation:
     """Compare the readings of an arm at the stops that both runs have."""
     ours, theirs = run.readings(name), reference.readings(name)
     common, i, k = np.intersect1d(ours.configuration, theirs.configuration, return_indices=True)

@@ -19,10 +19,11 @@ import cellapp
 from cellapp.cell.run import RunFile
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import CancelToken, Listener, Progress
-from tests.evidence.wire.link_results import COMMANDED_WITHIN_S
 from tests.evidence.wire.storm_cell import StormCell
 from tests.evidence.wire.storm_faults import FAULTS, LONGEST_DELAY_S, Event, Target
 
+COMMANDED_WITHIN_S = 0.1
+"""Limit: from the first stop that a controller received to that of every other."""
 _POLL_S = 0.02
 _READ_EVERY_S = 0.2
 """Time between two looks at the run file."""

@@ -120,7 +120,7 @@ def called(patch: pytest.MonkeyPatch, *words: str) -> int:
 
 def usage(command: Command, given: str, but: str) -> list[str]:
     """The words that a command must have, each a path that is there, but one option."""
-    words = [*command.words, *(["--pdf"] if command.words == ("report",) else [])]
+    words = [*command.words]
     for one in inspect.signature(command.function, eval_str=True).parameters.values():
         info = next((it for it in get_args(one.annotation)[1:] if hasattr(it, "param_decls")), None)
         if one.default is not inspect.Parameter.empty or info is None:

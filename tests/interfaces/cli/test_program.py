@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import json
 import re
-import shutil
 import sqlite3
 import subprocess
 import sys
@@ -24,7 +23,7 @@ import cellapp
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile, import_csv
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.doctor.result import DoctorResult, Finding
+from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.export.run import export_run
 from cellapp.commands.registry import records
 from cellapp.commands.runs.history import summarise
@@ -39,6 +38,7 @@ from cellapp.ground.results import ErrorResult
 from cellapp.interfaces.page import page
 from cellapp.interfaces.page.page import page_text
 from cellapp.interfaces.tui.workspace import load_workspace
+from drivers.findings import Finding
 from tests.interfaces.cli.test_cli import call, exit_code  # noqa: F401 - a fixture
 from tests.interfaces.page.cases import calibration
 from tests.interfaces.page.parsed_page import NOON
@@ -313,18 +313,3 @@ def test_strict_fails_only_where_something_is_out_of_date(finished_copy: Path) -
     assert "'verify' is out of date" in str(ended.exception)
     assert "calibrate" in json.loads((finished_copy / "r.json").read_text("utf-8"))["out_of_date"]
     assert (finished_copy / "report.html").is_file(), "the page is written all the same"
-
-
-def test_pdf_without_a_browser(finished_copy: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(shutil, "which", lambda name: None)
-    ended = RUNNER.invoke(app, ["report", str(finished_copy), "--pdf"])
-    assert isinstance(ended.exception, InputError)
-    assert ended.exception.exit_code == 2
-    assert (finished_copy / "report.html").is_file()
-    assert not (finished_copy / "report.pdf").exists()
-
-
-def test_a_file_needs_pdf(finished_run: Path) -> None:
-    ended = RUNNER.invoke(app, ["report", str(finished_run), "--out", "x.pdf"])
-    assert isinstance(ended.exception, InputError)
-    assert "--out is the file of --pdf" in str(ended.exception)

@@ -11,7 +11,6 @@ import pytest
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.certificate.run import certificate_run
-from cellapp.ground.chromium import print_pdf
 from cellapp.interfaces.page.page import certificate_page, page_text
 from tests.interfaces.page.cases import discovery
 from tests.interfaces.page.parsed_page import NOON
@@ -162,10 +161,13 @@ def test_tables_are_copied_and_saved_with_exact_numbers(wide: Page, tmp_path: Pa
     assert exact in saved[1].split(",")
 
 
-def test_paper_has_summary_and_certificate_on_two_pages_then_the_appendix(report: Path, tmp_path: Path) -> None:
-    if not CHROMIUM.exists():
-        pytest.skip(f"no browser at {CHROMIUM}; Debian's package chromium has one")
-    print_pdf(report, tmp_path / "report.pdf", timeout_s=LONGEST_MS / 1e3)
+def test_paper_has_summary_and_certificate_on_two_pages_then_the_appendix(
+    browser: Browser, report: Path, tmp_path: Path
+) -> None:
+    page = browser.new_page()
+    page.goto(report.as_uri(), timeout=LONGEST_MS)
+    page.pdf(path=tmp_path / "report.pdf", prefer_css_page_size=True)
+    page.close()
     pages = [page.extract_text() for page in pypdf.PdfReader(tmp_path / "report.pdf").pages]
     assert "What to do next" in pages[0]
     assert "Before and after" in pages[0]

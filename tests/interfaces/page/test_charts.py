@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import gzip
-import json
-import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +17,6 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.charts_accuracy import (
     error_histogram_chart,
     joint_curve_charts,
-    residual_space_chart,
 )
 from cellapp.commands.calibrate.charts_vectors import scale_length_mm, vector_chart
 from cellapp.commands.calibrate.held_out import HeldOutArm
@@ -39,17 +33,14 @@ from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.stages import read_stages
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, bar_chart, mm, series
-from cellapp.commands.view.parts import Capsules, CellScene, ErrorVectors, SceneArm
 from cellapp.estimation.discovery.records import Picture
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import AnyObstacle
 from cellapp.ground.progress import StopReport
 from cellapp.ground.results import CALIBRATE
-from cellapp.interfaces.page import page
-from cellapp.interfaces.page.drawn import chart_svg, scene_figure
-from cellapp.interfaces.page.page import plotly_base64, plotly_notice
-from cellapp.interfaces.render.chart import chart_data, scale_of
+from cellapp.interfaces.page.drawn import chart_svg
+from cellapp.interfaces.render.chart import scale_of
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.model import PosteriorDraws
@@ -93,18 +84,6 @@ def data(single: RunFile) -> ReportData:
 @pytest.fixture
 def held_out(data: ReportData) -> HeldOutArm:
     return data.held_out["only"]
-
-
-@pytest.mark.parametrize("view", ["above", "side"])
-def test_errors_in_space_are_drawn_once_each(held_out: HeldOutArm, view) -> None:
-    chart = residual_space_chart("only", held_out, "geometry", view)
-    errors = held_out.errors_mm["geometry"]
-    assert sum(len(one.x) for one in chart.series) == len(errors)
-    worst = held_out.readings.p_M[np.argmax(errors)]
-    (largest,) = [one for one in chart.series if one.name == "larger"]
-    assert np.isclose(largest.x, worst[0]).any()
-    assert chart.equal
-    assert residual_space_chart("only", held_out, "effects", view).is_empty
 
 
 READ: TypeAdapter[dict[str, AnyObstacle]] = TypeAdapter(dict[str, AnyObstacle])
@@ -279,8 +258,6 @@ def test_whatever_the_numbers_a_chart_can_be_drawn(
     ElementTree.fromstring(svg)
     assert "nan" not in svg
     assert "inf" not in svg
-    content = json.loads(chart_data(chart))
-    assert len(content["series"][0]["y"]) == len(y)
 
 
 @given(
@@ -302,74 +279,19 @@ def test_every_axis_has_some_ticks_inside_of_it_and_not_too_many(low: float, spa
 # -- data for the script ----------------------------------------------------------------------------------------------
 
 
-def test_names_that_a_person_wrote_end_no_script_and_are_no_markup() -> None:
-    drawn = series(HOSTILE, [1.0], [2.0], "points", hints=[HOSTILE])
+def test_names_that_a_person_wrote_are_no_markup() -> None:
+    drawn = series(HOSTILE, [1.0], [2.0], "points")
     chart = Chart(HOSTILE, Axis(HOSTILE), Axis("y"), (drawn,), HOSTILE, (Limit(HOSTILE, 1.0),))
-    data = chart_data(chart)
-    assert "<" not in data
-    assert "\u2028" not in data
-    assert json.loads(data)["series"][0]["hints"] == [HOSTILE]
     assert "<b" not in chart_svg(chart)
     assert "<b" not in chart_svg(bar_chart("t", {HOSTILE: (1.0, HOSTILE)}, Axis("y"), "m"))
 
 
-def test_the_script_of_the_page_is_that_of_the_package_and_always_the_same_text() -> None:
-    text = plotly_base64()
-    script = gzip.decompress(base64.b64decode(text))
-    assert script.startswith(b"/**\n* plotly.js")
-    assert plotly_notice().startswith("plotly.js v")
-    assert "Copyright" in plotly_notice()
-    assert "MIT license" in plotly_notice()
-    plotly_base64.cache_clear()
-    assert plotly_base64() == text
-    assert "plotly" not in sys.modules
-
-
-def test_without_the_package_the_page_has_no_script_to_unpack(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(page, "find_spec", lambda name: None)
-    assert plotly_base64.__wrapped__() == ""
-    assert plotly_notice() == ""
-
-
-# -- single charts ----------------------------------------------------------------------------------------------------
-
-
-def test_arrows_have_a_round_scale_and_their_lengths_under_the_pointer() -> None:
+def test_arrows_have_a_round_scale() -> None:
     vectors = np.array([[3.0e-4, 0.0, 0.0]] * 9 + [[0.0, 9.0e-4, 0.0]])
     assert scale_length_mm(vectors) == pytest.approx(0.2)
     assert scale_length_mm(np.zeros((2, 3))) > 0.0
-    chart = vector_chart("t", [4, 5, 6], np.eye(3), vectors[:3], 2)
-    arrows, points, scale = chart.series
+    chart = vector_chart("t", np.eye(3), vectors[:3], 2)
+    arrows, _, scale = chart.series
     assert scale.name == "scale: 0.2 mm"
-    assert points.hints[1] == "stop 5: 0.300 mm"
     assert arrows.x[1] - arrows.x[0] == pytest.approx(1.5 * (scale.x[1] - scale.x[0]))
     assert "most point the same way" in chart.message
-
-
-def scene(base: list[float]) -> CellScene:
-    chain = np.array([base, [base[0], base[1], base[2] + 1.0]])
-    capsules = Capsules(chain[:1], chain[1:], np.array([0.1]))
-    errors = tuple(
-        ErrorVectors(stage, chain + 0.1, np.full((2, 3), size), np.array([1, 2]))
-        for stage, size in (("nominal", 1e-3), ("effects", 1e-5))
-    )
-    arm = SceneArm(HOSTILE, chain[0], chain, capsules, chain + 0.1, np.array([1, 2]), errors)
-    return CellScene((arm,), {HOSTILE: np.random.default_rng(0).normal(size=(9, 3))}, 100.0)
-
-
-@pytest.mark.parametrize(
-    "base", [[3.0, 1.0, -1.0], [0.0, 0.0, 2.0], [-2.0, 0.0, 0.0]], ids=("beside", "above", "behind")
-)
-def test_arms_in_space_are_drawn_wherever_they_are_mounted(base: list[float]) -> None:
-    figure = scene_figure("a", scene(base))
-    assert "nan" not in figure.svg
-    assert "<b" not in figure.svg + figure.data
-    (box,) = re.findall(r'viewBox="([^"]*)"', figure.svg)
-    assert min(float(number) for number in box.split()[2:]) > 100.0
-    layers = json.loads(figure.data)["layers"]
-    assert [layer["kind"] for layer in layers] == ["arm", "stops", "errors", "errors", "obstacles", "tracker"]
-    assert layers[2]["step_mm"][0] == [1.0, 1.0]
-    assert layers[3]["hints"][0] == "after, stop 1: 0.017 mm"
-    # the last entry has no layer of its own: it says how much longer errors are drawn
-    assert [entry.series for entry in figure.legend] == [(0,), (1,), (2,), (3,), (4,), (5,), ()]
-    assert "before and 0.017 mm (geometry and effects) after" in figure.note

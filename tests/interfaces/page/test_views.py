@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +40,6 @@ from cellapp.commands.compensate.view import targets_section
 from cellapp.commands.compensate.words import PART_WORDS, compensate_lines, verify_lines
 from cellapp.commands.discover.request import VERB as DISCOVER_VERB
 from cellapp.commands.discover.view import discovery_section
-from cellapp.commands.next_step import ArmState
 from cellapp.commands.plan.check_view import design_sentences, design_tables
 from cellapp.commands.plan.run import new_planned_run, plan_new_run, stored_plan
 from cellapp.commands.plan.view import plan_section
@@ -49,15 +47,13 @@ from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.headlines import out_of_date_lines
 from cellapp.commands.report.result import RunResults, read_results
 from cellapp.commands.report.sections import report_sections
-from cellapp.commands.runs.result import ArmFigures, RunsResult, RunSummary, StageSummary
-from cellapp.commands.runs.today import today_sentences, today_tables
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.view import overview_sentences
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import stage_in_force
 from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.words import law_words, probability_words
-from cellapp.estimation.discovery.records import BeforeAfter, DiscoverResult, LawRecord, Noise
+from cellapp.estimation.discovery.records import DiscoverResult, LawRecord, Noise
 from cellapp.estimation.monitoring.check.records import (
     CheckedArm,
     CheckedPoint,
@@ -276,7 +272,7 @@ def test_the_parts_add_up_to_the_uncertainty(whole: RunFile) -> None:
             assert math.isclose(math.hypot(*parts), target.uncertainty_mm, rel_tol=1e-9)
 
 
-# -- plans, collecting, what waits today -------------------------------------------------------------------------------
+# -- plans, collecting -----------------------------------------------------------------------------------------------
 
 
 def missing(count: int) -> tuple[MissingReading, ...]:
@@ -305,35 +301,12 @@ def collections() -> Parts:
     ]
 
 
-def today() -> Parts:
-    """Open runs, ages and errors of arms, what is overdue; nothing at all; a calibration that is out of date."""
-    arms = {"left": ArmState(type="UR10", planned=40, measured=40, splits={})}
-
-    def run(name: str, error: float, checked: str = "", **more: object) -> RunSummary:
-        stages = [StageSummary(name="calibrate", written="2026-03-01T12:00:00+00:00")]
-        stages += [StageSummary(name="check", written=checked)] if checked else []
-        figures = {"left": ArmFigures(heldout_mm=BeforeAfter(before=1.0, after=error))}
-        known = {"run": f"logs/{name}", "profile": "cell", "arms": arms, "figures": figures, "stages": tuple(stages)}
-        return RunSummary.model_validate({**known, "stops_planned": 40, "stops_measured": 40, **more})
-
-    new = run("new", 0.06, next_verb="discover", tracker_due="2026-03-30")
-    old = run("old", 0.05, checked="2026-03-21T12:00:00+00:00")
-    part = run("part", 0.05, stages=(), figures={}, interrupted=True, stops_measured=10, next_verb="collect")
-    outdated = StageSummary(name="calibrate", written="2026-03-01T12:00:00+00:00", out_of_date="readings were added")
-    broken = RunSummary(run="logs/bad", problem="logs/bad/run.sqlite is no run")
-    now = datetime(2026, 3, 31, 12, tzinfo=UTC)
-    lists = ((new, part, old), (new, broken), (old,), (), (run("a", 0.1, stages=(outdated,), next_verb="calibrate"),))
-    found = [RunsResult(folder="logs", runs=runs) for runs in lists]
-    return [part for one in found for part in ("---", *today_tables(one, now), *today_sentences(one, now))]
-
-
 VIEWS: dict[str, Callable[[], Parts]] = {
     "discovery": discoveries,
     "check": checks,
     "targets": targets,
     "plan design": lambda: [*design_sentences(plan_design()), *design_tables(plan_design())],
     "collection": collections,
-    "today": today,
 }
 
 

@@ -19,7 +19,7 @@ from cellapp.interfaces.tui.keys import KEYS, WAYS
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.controls import Entry, key_lines
-from cellapp.interfaces.tui.widgets.log_view_pane import LogField
+from cellapp.interfaces.tui.widgets.log_pane import LogField
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import (
     PROFILES,

@@ -5,11 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-import re
 import shutil
 import sys
-import threading
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -18,10 +16,9 @@ from textual.widgets import DataTable, Static, TabbedContent
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import copy_starter
-from cellapp.commands.doctor.result import DeviceReport, DoctorResult, Finding
+from cellapp.commands.doctor.result import DoctorResult
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile import Profile
 from cellapp.ground.progress import ignore
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
@@ -29,9 +26,10 @@ from cellapp.interfaces.tui.dialogs.first_run import Welcome
 from cellapp.interfaces.tui.dialogs.program import MotionQuestion
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.jobs import MotionAsked
-from cellapp.interfaces.tui.screens.cell import CellScreen, DevicesProbed
-from cellapp.interfaces.tui.widgets.cell_views import DevicesTable, FindingsTable
+from cellapp.interfaces.tui.screens.cell import CellScreen
+from cellapp.interfaces.tui.widgets.cell_views import FindingsTable
 from cellapp.interfaces.tui.workspace import Workspace, load_workspace
+from drivers.findings import DeviceReport, Finding
 from tests.interfaces.tui.pilot import (
     PROFILES,
     SIZES,
@@ -61,11 +59,6 @@ def line(app: CellApp, name: str) -> str:
     return str(app.day_screen.query_one(f"#{name}", Static).render())
 
 
-def device_rows(app: CellApp) -> list[list[str]]:
-    table = app.day_screen.query_one(DevicesTable)
-    return [[str(cell) for cell in table.get_row_at(row)] for row in range(table.row_count)]
-
-
 async def test_failed_checks_come_first_and_are_read_in_full() -> None:
     app = CellApp(PROFILES)
     long = "no answer; " + "see that the controller is switched on, " * 4
@@ -84,12 +77,6 @@ async def test_failed_checks_come_first_and_are_read_in_full() -> None:
         await pilot.pause()
         assert line(app, "cell-verdict") == "1 check failed (1 warning): arm left: link."
         await until(pilot, lambda: line(app, "cell-detail") == f"arm left: link: {long}", "the sentence in full")
-        left, right, tracker = device_rows(app)
-        assert left[1] == "✗ failed"
-        assert right[1] == "! warning"
-        assert re.fullmatch(r"now|\d+ s ago", right[2]), "a busy computer draws seconds later"
-        assert right[3:] == ["2015", "joints 25.0 to 31.0 °C", "RUNNING, NORMAL"]
-        assert tracker[2] == "never"
 
 
 async def test_a_doctor_that_is_old_or_of_another_file_is_shown_as_old(tmp_path: Path) -> None:
@@ -110,50 +97,6 @@ async def test_a_doctor_that_is_old_or_of_another_file_is_shown_as_old(tmp_path:
         app.open_profile(tmp_path / "profiles" / "ur10-real.yaml")
         await until(pilot, lambda: line(app, "cell-verdict").startswith("Not checked yet"), "another cell")
         assert app.day_screen.query_one(FindingsTable).row_count == 0
-
-
-async def test_devices_are_asked_again_and_again_but_not_while_a_job_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[str, ...]] = []
-    go_on = threading.Event()
-
-    def probe(profile: Profile, names: Collection[str]) -> DoctorResult:
-        asked.append(tuple(names))
-        assert go_on.wait(WAIT_S)
-        link = Finding(subject="arm left: link", status="ok", text="CB3", device=UR)
-        return DoctorResult(findings=(link,))
-
-    monkeypatch.setattr("cellapp.commands.doctor.run.probe_devices", probe)
-    app = CellApp(PROFILES)
-    held = HeldJob()
-    async with app.run_test(size=(120, 40)) as pilot:
-        await opened(pilot, app)
-        screen = cell_screen(app)
-        screen._tick()
-        assert asked == [], "a simulated cell is not asked"
-        app.open_profile(PROFILES / "ur10-ur5.yaml")
-        await until(pilot, lambda: app.workspace.kind == "real", "the real cell")
-        screen._tick()
-        screen._tick()  # the first question is still open
-        await until(pilot, lambda: asked == [("arm left", "arm right")], "the question")
-        go_on.set()
-        await until(pilot, lambda: device_rows(app)[0][3] == "2015", "the answer")
-        assert app.start_job(held.job())
-        screen._tick()
-        await pilot.press("r")
-        await tells(pilot, "job uses the devices")
-        assert len(asked) == 1
-        held.go_on.set()
-        await ended(pilot, app)
-        await pilot.press("r")
-        await until(pilot, lambda: len(asked) == 2, "the second question")
-        assert asked[1] == ("arm left", "arm right", "tracker")
-        await until(pilot, lambda: not screen._probing, "its answer")
-        assert app.workspace.profile is not None
-        before = device_rows(app)
-        other = app.workspace.profile.model_copy()
-        screen.post_message(DevicesProbed(other, DoctorResult(findings=())))
-        await pilot.pause()
-        assert [row[3] for row in device_rows(app)] == [row[3] for row in before]
 
 
 # -- Header and questions speak of the arms that a job moves, whatever is or was open besides --------------------------

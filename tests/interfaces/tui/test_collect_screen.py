@@ -258,7 +258,7 @@ async def test_what_a_run_stores_and_its_log_are_shown_until_a_job_begins() -> N
         await shows(pilot, "failed")
         await pilot.press("t")
         await until(pilot, lambda: "Log stored in part" in shown_text(app), "the stored log")
-        assert "the reference moved" in shown_text(app)
+        await shows(pilot, "the reference moved")
         await pilot.press("o")
         await until(pilot, lambda: "Log of this session" in shown_text(app), "the log of this session")
         await pilot.press("o")

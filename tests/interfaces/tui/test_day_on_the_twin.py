@@ -77,8 +77,6 @@ async def test_from_an_empty_folder_to_a_verified_report() -> None:
         await pilot.press("n")
         await shows(pilot, "Errors against their tolerances", "conform")
         await pilot.press("b")
-        await shows(pilot, "Page and PDF (d)")
-        await pilot.press("w")
         await shows(pilot, "report: done", "Next: Accept (key n)", wait_s=JOB_S)
     (folder,) = Path("logs").iterdir()
     assert (folder / "report.html").is_file()

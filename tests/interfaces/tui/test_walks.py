@@ -23,7 +23,7 @@ from cellapp.commands.plan.run import new_planned_run
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.target_form import FieldRow
 from cellapp.interfaces.tui.job_record import LEVELS, LogRow
-from cellapp.interfaces.tui.widgets.log_view import LogView
+from cellapp.interfaces.tui.widgets.log_pane import LogPane
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from tests.approved import assert_approved, commands_of
 from tests.arms import UR5
@@ -129,14 +129,10 @@ class Walk:
                 Path(text).parent.mkdir(exist_ok=True)
                 shutil.copy(name, text)
             case "log":  # COUNT lines of all levels, on the screen Collect
-                view = self.app.screen.query_one(LogView)
-                await until(self.pilot, lambda: view.size.width > 0, "the log on the screen")
-                view.show_rows(
-                    [
-                        LogRow(NOON, LEVELS[number % 4], f"event {number} of arm {'left' if number % 3 else 'right'}")
-                        for number in range(int(rest))
-                    ]
-                )
+                pane = self.app.screen.query_one(LogPane)
+                await until(self.pilot, lambda: pane.view.size.width > 0, "the log on the screen")
+                texts = (f"event {number} of arm {'left' if number % 3 else 'right'}" for number in range(int(rest)))
+                pane.show("A log", [LogRow(NOON, LEVELS[n % 4], text) for n, text in enumerate(texts)])
             case "clipboard":
                 return self.app.clipboard
             case "bend":  # FILE NEW: a plan whose third row is bent down into the floor

@@ -35,7 +35,7 @@ from cellapp.ground.progress import (
 )
 from cellapp.interfaces.tui import app
 from cellapp.interfaces.tui.app import CellApp, SlowCollections
-from cellapp.interfaces.tui.job_record import LEVELS, MOST_LINES, JobRecord, Level, LogRow, Pace, banner_of, strip_of
+from cellapp.interfaces.tui.job_record import LEVELS, JobRecord, LogRow, Pace, banner_of, strip_of
 from cellapp.interfaces.tui.jobs import Ask, Job
 from cellapp.interfaces.tui.plots.drawing import (
     draw,
@@ -43,89 +43,55 @@ from cellapp.interfaces.tui.plots.drawing import (
 from cellapp.interfaces.tui.plots.widget import ON_DARK, ON_LIGHT
 from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.terminal import notice_sequence, title_sequence, title_words
-from cellapp.interfaces.tui.widgets.log_view import LogView
-from cellapp.interfaces.tui.widgets.log_view_pane import LogHeading
-from cellapp.interfaces.tui.widgets.log_view_rows import LogFilter, LogRows
+from cellapp.interfaces.tui.widgets.log_pane import LogPane
 from cellapp.interfaces.tui.widgets.progress_bars import Part, _line, ending_words, parts_of
 from cellapp.interfaces.tui.workspace import Workspace
 from tests.cell.run.small_runs import planned_run
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, shows, until
 from tests.waiting import WAIT_S
 
 NOON = datetime(2026, 3, 1, 12, 0, 0)
 
 
-def rows_of(*texts: str, level: Level = "info") -> list[LogRow]:
-    return [LogRow(NOON + timedelta(seconds=number), level, text) for number, text in enumerate(texts)]
-
-
-texts = st.text(st.characters(codec="ascii", exclude_categories=["Cc"]), max_size=120)
-logs = st.lists(st.builds(LogRow, st.just(NOON), st.sampled_from(LEVELS), texts), max_size=30)
-
-
-@given(first=logs, more=logs, width=st.integers(8, 120), least=st.sampled_from(LEVELS), text=texts)
-def test_added_rows_are_laid_out_as_if_all_had_been_there(
-    first: list[LogRow], more: list[LogRow], width: int, least: Level, text: str
-) -> None:
-    wanted = LogFilter(least, text[:2])
-    grown, whole = LogRows(), LogRows()
-    grown.replace(first, dated=False)
-    grown.arrange(width, wanted)
-    grown.add(more)
-    whole.replace([*first, *more], dated=False)
-    whole.arrange(width, wanted)
-    assert grown.shown == whole.shown == [row for row in (*first, *more) if wanted.passes(row)]
-    assert grown.lines() == whole.lines()
-    assert grown.height == len(grown.lines())
-    assert sum(grown.counts.values()) == len(first) + len(more)
-    for y, line in enumerate(grown.lines()):
-        found = grown.line(y)
-        assert found is not None
-        assert found.text == line
-        start, height = grown.extent(found.number)
-        assert start <= y < start + height
-        assert found.is_first == (y == start)
-    assert grown.line(grown.height) is None
-
-
-def test_the_oldest_rows_go_where_there_are_too_many() -> None:
-    rows = LogRows()
-    for start in range(0, 3 * MOST_LINES, 500):
-        rows.add(rows_of(*(f"row {number}" for number in range(start, start + 500))))
-        assert len(rows.rows) <= MOST_LINES + 500
-    assert rows.rows[-1].text == f"row {3 * MOST_LINES - 1}"
-    assert rows.height == len(rows.shown) == sum(rows.counts.values()) == len(rows.rows)
-
-
-async def shown_log(pilot: Pilot[None], app: CellApp, rows: list[LogRow]) -> LogView:
+async def shown_log(pilot: Pilot[None], app: CellApp, rows: list[LogRow]) -> LogPane:
     """The screen Collect with a log."""
     await opened(pilot, app)
     await pilot.press("3")
-    await until(pilot, lambda: app.screen.query(LogView), "the log")
-    view = app.screen.query_one(LogView)
-    await until(pilot, lambda: view.size.width > 0, "the log on the screen")
-    view.show_rows(rows)
+    await until(pilot, lambda: app.screen.query(LogPane), "the log")
+    pane = app.screen.query_one(LogPane)
+    await until(pilot, lambda: pane.view.size.width > 0, "the log on the screen")
+    pane.show("A log", rows)
     await pilot.pause()
-    return view
+    return pane
 
 
-async def test_text_selected_with_the_mouse_is_copied() -> None:
+MANY = [
+    LogRow(NOON + timedelta(seconds=number), LEVELS[number % 4], f"event {number}, {'left' if number % 3 else 'right'}")
+    for number in range(400)
+]
+
+
+async def test_it_follows_the_end_unless_somebody_looks_up() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
-        view = await shown_log(pilot, app, rows_of("first row", "second row"))
-        heading = app.screen.query_one(LogHeading)
-        place = shown_text(app).splitlines()[heading.region.y].index("warning")
-        await pilot.click(heading, offset=(place + 1 - heading.region.x, 0))
-        assert view.rows.filter.least == "warning"
-        await pilot.press("D")
-        await pilot.mouse_down(view, offset=(11, 0))
-        await pilot.hover(view, offset=(17, 1))
-        await pilot.mouse_up(view, offset=(17, 1))
+        pane = await shown_log(pilot, app, [])
+        pane.show("Log of this session", MANY, stored=False)
+        await shows(pilot, "event 399")
+        app.say("the newest")
+        await until(pilot, lambda: "the newest" in shown_text(app).partition("event 399")[2], "the newest line")
+        await pilot.press("pageup")
+        await until(pilot, lambda: not pane.view.auto_scroll, "a look at what is above")
+        at = pane.view.scroll_offset.y
+        app.record.note("newer still")
+        await until(pilot, lambda: pane.shown[-1].text == "newer still", "a newer line")
         await pilot.pause()
-        await pilot.press("y")
-        assert app.clipboard.startswith("first row\n12:00:01")
-        assert "second" in app.clipboard
-        assert "row" not in app.clipboard.splitlines()[1]
+        assert pane.view.scroll_offset.y == at
+        assert "newer still" not in shown_text(app)
+        await pilot.press("end")
+        await shows(pilot, "newer still")
+        assert pane.view.auto_scroll
+        await pilot.resize_terminal(120, 40)
+        await shows(pilot, "newer still")
 
 
 FRESH = CellLive({"left": ArmLive(0.02, False), "right": ArmLive(0.04, True)}, 0.05, 0.1)

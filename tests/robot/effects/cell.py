@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.robot.effects import EffectColumn, EffectContext, MeasurementConditions, TemperatureRecord
+from cellapp.robot.effects import EffectColumn, EffectContext, Law, MeasurementConditions, TemperatureRecord
+from cellapp.robot.effects.data_driven import DataChannel, Variable, channels
+from cellapp.robot.effects.unknown import PAIR_ORDER, curve_families, pair_families
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, rotation_z, transform
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from tests.arms import Array, true_geometry
@@ -138,3 +140,14 @@ def offsets(column: EffectColumn) -> Array:
     assert column.joint is not None
     assert column.offset is not None
     return column.offset
+
+
+def curve_laws(context: EffectContext) -> list[Law]:
+    """Laws of all functions of one variable, in every channel."""
+    families = curve_families(context)
+    return [family.law(channel) for channel in channels(context.joints) for family in families]
+
+
+def pair_laws(context: EffectContext, channel: DataChannel, among: Collection[Variable] | None = None) -> list[Law]:
+    """Laws of all functions of two variables, of those ``among`` them if given, in one channel."""
+    return [family.law(channel) for family in pair_families(context, among, (PAIR_ORDER,))]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +13,8 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.commands.discover.tables import accepted_table
-from cellapp.estimation.discovery.accepted import accepted_effect, contradictions
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.outcome import Discovery
-from cellapp.estimation.discovery.records import Contradiction, DiscoverResult, Noise, Place, TermDescription
-from cellapp.estimation.discovery.verdict import remaining_structure
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import (
     EFFECTS,
@@ -34,7 +30,6 @@ from cellapp.robot.effects import (
     LawForm,
     Linear,
     MeasurementConditions,
-    NeighbouringPauses,
     Scaled,
     Tuned,
     own_law,
@@ -44,8 +39,6 @@ from cellapp.robot.effects import (
     term_to_json,
 )
 from cellapp.robot.effects.data_driven import Quantity, Variable, channels, form_of
-from cellapp.robot.effects.effect import form_without_bounds
-from cellapp.robot.effects.modulation import Modulation
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm
@@ -119,33 +112,6 @@ def test_a_constant_without_a_declaration_is_refused() -> None:
     form = LawForm("some", "somehow", (Constant("width", "rad", Scaled(1.5), "width {} rad"),))
     with pytest.raises(ValueError, match="law 'some' declares no constant 'taper'"):
         form.law({"width": 1.0, "taper": 2.0})
-
-
-def test_tuning_follows_the_declarations() -> None:
-    width = Constant("width", "rad", Scaled(1.5), "width {} rad")
-    knee = Constant("knee", "Nm", Scaled(2.0), "knee at {}", "{} Nm for joint {}", per_joint=True)
-    form = LawForm("some", "somehow", (width, knee, Constant("mean", "degC", FIXED)))
-    law = form.law({"width": 1.0, "mean": 20.0, "knee2": 8.0})
-    found = [dict(one.constants) for one in law.nearby(CONTEXT, 1.0)]
-    assert found == [
-        {"width": pytest.approx(1.0 / 1.5), "mean": 20.0, "knee2": 8.0},
-        {"width": pytest.approx(1.5), "mean": 20.0, "knee2": 8.0},
-        {"width": 1.0, "mean": 20.0, "knee2": pytest.approx(4.0)},
-        {"width": 1.0, "mean": 20.0, "knee2": pytest.approx(16.0)},
-    ]
-    closer = law.nearby(CONTEXT, 0.5)
-    assert closer[1].constants["width"] == pytest.approx(math.sqrt(1.5))
-    assert law.words([0, 1]) == "somehow, width 1 rad; knee at 8 Nm for joint 2"
-    assert law.words([0]) == "somehow, width 1 rad"
-
-
-def test_an_onset_moves_to_neighbouring_pauses() -> None:
-    time_s = CONTEXT.conditions.time_s
-    assert time_s is not None
-    pauses = (time_s[1:] + time_s[:-1]) / 2.0
-    tuning = NeighbouringPauses(reach=2, margin=7)
-    assert tuning.nearby(float(pauses[20]), CONTEXT, 1.0) == pytest.approx(pauses[18:23].tolist())
-    assert tuning.nearby(float(pauses[7]), CONTEXT, 1.0) == pytest.approx(pauses[7:10].tolist())
 
 
 class Silent(Effect):
@@ -283,72 +249,10 @@ def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discover
     assert row["law"] == f"{effect.forms[0].words}, taut beyond {math.degrees(slack):.3g} deg"
 
 
-def test_what_discovery_knows_about_its_findings_survives_json(discovery: Discovery) -> None:
-    ((accepted,), (its,)) = discovery.result.accepted, discovery.terms
-    structure = remaining_structure({"joints": 0.4, "order": 0.02}, chance=0.01)
-    form = form_without_bounds(EFFECTS["backlash"], EFFECTS["backlash"].form("constant"))
-    sentence = "behaves like backlash of the opposite sign at joint 2: check the approach convention"
-    term = EffectTerm(
-        "unknown", ("half_play2",), np.array([-4e-5]), np.array([1e-6]), ("rad",), form.law(), note=sentence
-    )
-    described = TermDescription(
-        channel="joint 2",
-        variables=("approach",),
-        size_um=31.4,
-        formula="",
-        gain_over_curve=None,
-        sentence=f"{sentence}; 31 µm rms at the SMR",
-    )
-    second = Place(joints=(2,), acts_on=("joint 2",))
-    wrong = accepted_effect(term, second, accepted.evidence, 0.9, description=described)
-    modulation = Modulation(its.law_names[0], Variable(Quantity.PAYLOAD), 1, low=0.5, high=5.0)
-    free = replace(
-        its,
-        names=(*its.law_names, modulation.name),
-        values=np.append(its.values[: len(its.law_names)], 1e-6),
-        standard_errors=np.append(its.standard_errors[: len(its.law_names)], 1e-7),
-        units=(*its.units[: len(its.law_names)], "rad"),
-        modulations=(modulation,),
-        law_misfit=0.12,
-    )
-    named = accepted_effect(free, accepted.where, accepted.evidence, 0.97)
-    found = discovery.result.model_copy(
-        update={
-            "accepted": (named, wrong),
-            "contradictions": contradictions((free, term), (named, wrong)),
-            "noise_mm": Noise(rms=0.017, source="estimated"),
-            "candidates": {HOSE: 0.97, "backlash": 0.01},
-            "structure": structure,
-        }
-    )
-    written = DiscoverResult(arms={"left": found}).to_json()
-    arm = DiscoverResult.from_json(written, "here").arms["left"]
-    assert (arm.accepted[0].posterior, arm.accepted[0].law_misfit) == (0.97, 0.12)
-    assert tuple(arm.accepted[0].parameters) == its.law_names, "not those of the free part"
-    assert arm.accepted[0].meaning is not None
-    assert arm.accepted[0].meaning.check == EFFECTS[HOSE].meaning.at("each of joints 1 and 2").check
-    assert (arm.noise_mm, arm.candidates) == (found.noise_mm, found.candidates)
-    assert arm.structure == structure
-    assert arm.contradictions == (Contradiction(effect="backlash", joints=(2,), size_um=31.4, sentence=sentence),)
-    meaning = arm.accepted[1].meaning
-    assert meaning is not None
-    assert "Check the approach convention of the readings." in meaning.check
-    assert "Measure 10 poses twice" in meaning.settle[0]
-    uncertain = accepted_effect(free, accepted.where, accepted.evidence, math.nan)
-    assert uncertain.posterior is None, "what was not computed is not claimed"
-
-
 def a_term() -> EffectTerm:
     """A pull of joint 2."""
     law = EFFECTS[HOSE].law("own", {"slack": 1.0})
     return EffectTerm(HOSE, ("pull2",), np.array([3e-4]), np.array([1e-6]), ("rad/rad",), law)
-
-
-def test_an_effect_of_a_plugin_survives_json(plugin: None) -> None:
-    term = a_term()
-    again = term_from_json(term_to_json(term), EFFECTS)
-    assert again.law == term.law
-    np.testing.assert_array_equal(again.values, term.values)
 
 
 def test_a_term_of_a_plugin_that_was_removed_is_refused(tmp_path: Path) -> None:

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from cellapp.robot.effects import EFFECTS, Channel, EffectTerm, Law, MeasurementConditions, displacement
-from cellapp.robot.effects.data_driven import channels, data_driven_form, variables
-from tests.robot.effects.cell import NOTHING, by_name, chain, context_of, rows_of, under
-from tests.robot.effects.data_driven_laws import curve_laws, pair_laws
+from cellapp.robot.effects.data_driven import channels, variables
+from tests.robot.effects.cell import NOTHING, by_name, chain, context_of, curve_laws, pair_laws, rows_of, under
 
 CONTEXT = context_of()
 CONDITIONS: Any = CONTEXT.conditions
@@ -75,30 +74,13 @@ def close(columns, others, rows=slice(None), other_rows=slice(None), atol=1e-14)
 
 
 def test_the_vocabulary_is_complete_and_in_order():
-    assert list(EFFECTS) == [
-        "joint_compliance",
-        "payload_compliance",
-        "encoder_eccentricity",
-        "transmission_error",
-        "backlash",
-        "friction_windup",
-        "unsettled_measurement",
-        "joint_axis_wobble",
-        "joint_axis_runout",
-        "thermal_growth",
-        "joint_drift",
-        "base_drift",
-        "base_step",
-        "target_slip",
-        "pedestal_compliance",
-        "pedestal_coupling",
-        "link_bending",
-        "tracker_scale",
-        "tracker_distance_offset",
-        "tracker_angle_error",
-        "target_incidence",
-        "unknown",
-    ]
+    vocabulary = (
+        "joint_compliance payload_compliance encoder_eccentricity transmission_error backlash "
+        "friction_windup unsettled_measurement joint_axis_wobble joint_axis_runout thermal_growth "
+        "joint_drift base_drift base_step target_slip pedestal_compliance pedestal_coupling link_bending "
+        "tracker_scale tracker_distance_offset tracker_angle_error target_incidence unknown"
+    )
+    assert list(EFFECTS) == vocabulary.split()
     for slug, effect in EFFECTS.items():
         assert effect.slug == slug
         assert effect.title
@@ -131,16 +113,6 @@ def test_columns_are_well_formed(slug, law):
             assert values.shape == (len(CONTEXT),)
             assert column.where == f"joint {column.joint + 1}"
             assert column.unit in ("rad", "rad/Nm", "rad/N", "rad/rad", "rad/K")
-
-
-@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
-def test_not_all_blocks_refine(slug, law):
-    """At least one block is the effect by itself."""
-    columns = EFFECTS[slug].columns(CONTEXT, law)
-    refining = {column.block for column in columns if column.refines}
-    main = {column.block for column in columns if not column.refines}
-    assert main
-    assert not main & refining, "a block refines as a whole"
 
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
@@ -181,17 +153,6 @@ def test_unknown_in_a_row_is_unknown_in_that_row_only(slug, law):
 
 
 @pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
-def test_requested_columns_are_present_and_equal(slug, law):
-    columns = by_name(EFFECTS[slug].columns(CONTEXT, law))
-    wanted = {min(columns), max(columns)}
-    some = by_name(EFFECTS[slug].columns(CONTEXT, law, wanted))
-    assert wanted <= set(some) <= set(columns)
-    for name, column in some.items():
-        assert same(column, columns[name])
-        np.testing.assert_allclose(values_of(column), values_of(columns[name]), rtol=0.0, atol=1e-12)
-
-
-@pytest.mark.parametrize(("slug", "law"), ALL, ids=label)
 def test_a_law_survives_json(slug, law):
     assert all(type(value) is float for value in law.constants.values())
     again = EFFECTS[slug].law(law.name, json.loads(json.dumps(dict(law.constants))), law.tried)
@@ -207,37 +168,10 @@ def test_no_two_effects_share_a_parameter_name():
             assert owner.setdefault(column.name, slug) == slug, column.name
 
 
-def test_data_driven_terms_have_names_of_their_own():
-    """Only the directions of a vector are those of its channels, and a time has many periods."""
-    named = {law.name: list(by_name(EFFECTS["unknown"].columns(CONTEXT, law))) for law in WHOLE}
-    vectors = ("base shift", "tool")
-    single = {law.name for law in WHOLE if data_driven_form(law).channel.name not in vectors}
-    names = [name for law, found in named.items() if law in single for name in found]
-    assert len(names) == len(set(names))
-    for channel in vectors:
-        for variable in VARIABLES:
-            parts = [name for axis in "xyz" for name in named[f"{channel} {axis}|{variable}"]]
-            assert named[f"{channel}|{variable}"] == parts
-    oscillating = {column.name for law in OSCILLATIONS for column in EFFECTS["unknown"].columns(CONTEXT, law)}
-    assert not oscillating & set(names)
-
-
 @pytest.mark.parametrize("slug", [slug for slug in EFFECTS if slug != "unknown"])
 def test_a_law_of_another_version_is_refused(slug):
     with pytest.raises(ValueError, match=f"effect {slug} has no law 'of tomorrow'"):
         EFFECTS[slug].law("of tomorrow", EFFECTS[slug].laws(CONTEXT)[0].constants)
-
-
-def test_units_are_per_unit_of_what_varies():
-    """Checked by hand: 1e-5 rad/Nm times the torque; 20e-6 1/K of 0.612 m is 12 um per kelvin."""
-    torque = CONTEXT.torques[:, 1]
-    term = term_of("joint_compliance", EFFECTS["joint_compliance"].law("linear"), {"compliance2": 1e-5})
-    np.testing.assert_allclose(displacement([term], EFFECTS, CONTEXT).joints[:, 1], 1e-5 * torque)
-    law = next(law for law in EFFECTS["thermal_growth"].laws(CONTEXT) if law.name == "air_links")
-    warm = replace(CONTEXT.conditions, air_c=np.full(len(CONTEXT), law.constants["mean_c"] + 1.0))
-    term = term_of("thermal_growth", law, {"growth2": 20e-6})
-    moved = displacement([term], EFFECTS, under(CONTEXT, warm)).shift_M
-    np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 20e-6 * 0.612, rtol=1e-3)
 
 
 def test_displacements_of_terms_add_up():
@@ -296,29 +230,6 @@ def test_missing_data_are_reported(slug, conditions, words):
     assert EFFECTS[slug].missing_data(CONTEXT) == ""
 
 
-def test_missing_properties_of_an_arm_are_reported():
-    weightless = replace(
-        CONTEXT,
-        bodies=replace(CONTEXT.bodies, masses=np.zeros(6), payload_mass=0.0),
-        conditions=NOTHING,
-    )
-    assert EFFECTS["joint_compliance"].missing_data(weightless) == "gravity turns no joint (no masses)"
-    assert EFFECTS["link_bending"].missing_data(weightless) == "no masses"
-    assert EFFECTS["pedestal_compliance"].missing_data(weightless) == "no masses"
-    blind = replace(CONTEXT, smr_normal=None)
-    assert EFFECTS["target_incidence"].missing_data(blind) == "the SMR viewing direction is not known"
-    always = ("encoder_eccentricity", "transmission_error", "joint_axis_wobble", "tracker_scale", "tracker_angle_error")
-    for slug in (*always, "tracker_distance_offset"):
-        assert EFFECTS[slug].missing_data(under(CONTEXT, NOTHING)) == ""
-
-
-def test_few_readings_have_no_onset():
-    few = rows_of(CONTEXT, np.arange(15))
-    assert EFFECTS["base_step"].missing_data(few) == "fewer than 16 readings"
-    assert EFFECTS["base_step"].laws(few) == []
-    assert EFFECTS["base_step"].missing_data(rows_of(CONTEXT, np.arange(16))) == ""
-
-
 def test_laws_follow_what_is_known():
     def names(slug, conditions):
         return list(dict.fromkeys(law.name for law in EFFECTS[slug].laws(under(CONTEXT, conditions))))
@@ -354,15 +265,3 @@ def term_of(slug, law, values):
         units=("",) * len(values),
         law=law,
     )
-
-
-FREE_MASSES = EFFECTS["joint_compliance"].law("smooth", {"amplitude": 1e-4})
-
-
-@pytest.mark.parametrize(("slug", "law"), [*NAMED, ("joint_compliance", FREE_MASSES)], ids=label)
-def test_a_term_can_be_evaluated_at_any_single_posture(slug: str, law: Law) -> None:
-    """Columns that vanish at a posture, such as a torque of an upright arm, are columns of the term all the same."""
-    names = frozenset(by_name(EFFECTS[slug].columns(CONTEXT, law)))
-    for q in (CONTEXT.q[:1], np.zeros((1, 6)), np.array([[0.0, -np.pi / 2.0, 0.0, -np.pi / 2.0, 0.0, 0.0]])):
-        alone = replace(rows_of(CONTEXT, np.array([0])), q=q)
-        assert names <= set(by_name(EFFECTS[slug].columns(alone, law, names)))

@@ -12,7 +12,6 @@ import pytest
 from cellapp.robot.effects import (
     EFFECTS,
     Channel,
-    EffectColumn,
     EffectTerm,
     MeasurementConditions,
     displacement,
@@ -20,19 +19,37 @@ from cellapp.robot.effects import (
     term_to_json,
 )
 from cellapp.robot.effects.data_driven import (
+    FIELD,
+    FIELD_LENGTH,
+    POSITION,
     DataDrivenForm,
     Quantity,
-    Variable,
+    box_of,
     channels,
     data_driven_form,
+    field_frequencies,
+    field_functions,
+    field_variances,
     form_named,
+    position_in_base,
     variables,
 )
+from cellapp.robot.effects.law import AMPLITUDE
 from cellapp.robot.effects.modulation import OWN_SIZE, FreeDriver, modulations, with_modulations
-from cellapp.robot.effects.unknown import PAIR_ORDER, own_angles, pair_families
 from cellapp.robot.kinematics.transforms import rotation_z
-from tests.robot.effects.cell import EYE, NOTHING, by_name, chain, context_of, offsets, shifts, slope, under
-from tests.robot.effects.data_driven_laws import curve_laws, pair_laws
+from tests.robot.effects.cell import (
+    EYE,
+    NOTHING,
+    by_name,
+    chain,
+    context_of,
+    curve_laws,
+    offsets,
+    pair_laws,
+    shifts,
+    slope,
+    under,
+)
 
 CONTEXT = context_of(40)
 CONDITIONS: Any = CONTEXT.conditions
@@ -59,10 +76,6 @@ def pairs_of(channel, names):
     """Pairs of one channel among variables, by their names."""
     (one,) = (one for one in channels(6) if one.name == channel)
     return pair_laws(CONTEXT, one, [known for known in variables(CONTEXT) if known.name in names])
-
-
-def pairs_among(*names):
-    return [known for known in variables(CONTEXT) if known.name in names]
 
 
 def law_of(channel, variable, context=CONTEXT):
@@ -111,19 +124,6 @@ def test_a_form_is_read_back_from_its_name(channel):
     assert pair is not None
     assert names_of(pair.drivers) == ("q2", "time")
     assert (pair.channel.channel is Channel.JOINT) == (pair.channel.joint is not None)
-
-
-def test_shifts_in_any_direction_are_about_the_same_motion():
-    subjects = {one.name: one.subject.name for one in channels(6)}
-    assert {name for name, subject in subjects.items() if subject == "base shift"} == {
-        "base shift",
-        "base shift x",
-        "base shift y",
-        "base shift z",
-    }
-    assert subjects["tool y"] == subjects["tool"] == "tool"
-    assert subjects["base turn x"] == "base turn x"
-    assert subjects["tracker radial"] == "tracker radial"
 
 
 def test_a_variable_that_is_unknown_or_constant_is_not_tried():
@@ -178,19 +178,6 @@ def test_a_channel_moves_the_smr_as_declared(channel):
         np.testing.assert_allclose(shifts(column)[row], expected, atol=1e-8)
 
 
-@pytest.mark.parametrize("channel", VECTORS)
-def test_a_vector_is_its_three_directions_in_one_block(channel):
-    found = columns(law_of(channel, "q5"))
-    parts: dict[str, EffectColumn] = {}
-    for axis in "xyz":
-        parts |= columns(law_of(f"{channel} {axis}", "q5"))
-    assert list(found) == list(parts)
-    assert len(found) == 3 * 8
-    for name, column in found.items():
-        assert (column.block, column.unit, column.where) == (channel, "m", channel.split()[0])
-        np.testing.assert_array_equal(shifts(column), shifts(parts[name]))
-
-
 def test_an_oscillation_has_one_of_the_periods_that_the_run_resolves():
     time = CONDITIONS.time_s
     run_s = time[-1] - time[0]
@@ -209,18 +196,6 @@ def test_an_oscillation_has_one_of_the_periods_that_the_run_resolves():
     for name, column in columns(law, under(CONTEXT, NOTHING)).items():
         np.testing.assert_allclose(offsets(column), offsets(found[name])[-1], err_msg="now is the end of the run")
         np.testing.assert_allclose(offsets(later[name]), offsets(column), err_msg="constant beyond the run")
-
-
-def test_time_is_linear_and_half_cycles_over_the_run():
-    law = law_of("base shift x", "time")
-    time = CONDITIONS.time_s
-    assert law.constants == {"order": 20.0, "low": time[0], "high": time[-1], "typical": time[-1]}
-    found = columns(law_of("joint 1", "time"))
-    assert len(found) == 21
-    x = (time - time[0]) / (time[-1] - time[0])
-    np.testing.assert_allclose(offsets(found["joint_1.linear_time"]), 2.0 * x - 1.0)
-    for k in range(1, 21):
-        np.testing.assert_allclose(offsets(found[f"joint_1.cos{k}_time"]), np.cos(np.pi * k * x), atol=1e-12)
 
 
 @pytest.mark.parametrize("variable", ["torque2", "step3", "dwell", "temperature", "range", "elevation", "incidence"])
@@ -251,42 +226,11 @@ def test_other_variables_are_polynomials_on_their_range(variable):
         np.testing.assert_allclose(offsets(found[f"joint_2.p{m}_{variable}"]), polynomial, atol=1e-9)
 
 
-def test_a_payload_of_two_values_is_a_straight_line():
-    found = columns(law_of("tool x", "payload"))
-    assert list(found) == ["tool_x.p1_payload"]
-    assert law_of("tool x", "payload").constants["typical"] == CONTEXT.bodies.payload_mass
-
-
 def test_beyond_its_range_a_variable_is_held_at_its_limit():
     law = law_of("joint 2", "temperature")
     hot = under(CONTEXT, MeasurementConditions(air_c=np.full(40, 80.0)))
     for column in columns(law, hot).values():
         np.testing.assert_allclose(offsets(column), 1.0)
-
-
-@pytest.mark.parametrize(
-    ("variable", "known"),
-    [
-        ("time", MeasurementConditions(time_s=np.full(40, CONDITIONS.time_s[-1]))),
-        ("step3", MeasurementConditions(step=np.zeros((40, 6)))),
-        ("dwell", MeasurementConditions(dwell_s=np.full(40, np.median(CONDITIONS.dwell_s)))),
-        ("payload", MeasurementConditions(payload_kg=np.full(40, CONTEXT.bodies.payload_mass))),
-        ("temperature", MeasurementConditions(air_c=np.full(40, CONDITIONS.air_c.mean()))),
-    ],
-)
-def test_an_unknown_variable_has_its_default(variable, known):
-    law = law_of("joint 2", variable)
-    unknown, usual = columns(law, under(CONTEXT, NOTHING)), columns(law, under(CONTEXT, known))
-    for name, column in unknown.items():
-        np.testing.assert_allclose(offsets(column), offsets(usual[name]), atol=1e-12)
-
-
-def test_an_unknown_angle_of_the_other_arm_is_left_out():
-    law = law_of("joint 2", "other q3")
-    found = columns(law)
-    np.testing.assert_allclose(offsets(found["joint_2.cos2_other_q3"]), np.cos(2.0 * CONDITIONS.other_q[:, 2]))
-    for column in columns(law, under(CONTEXT, NOTHING)).values():
-        assert not offsets(column).any()
 
 
 def test_azimuth_has_no_jump_where_the_tracker_counts_from_half_a_turn():
@@ -318,64 +262,6 @@ def test_two_angles_make_all_waves_up_to_the_third_order():
     assert np.linalg.matrix_rank(design) == 25, "all of them differ"
 
 
-def test_two_other_variables_make_products_up_to_the_third_order():
-    (law,) = pairs_of("joint 4", {"torque2", "temperature"})
-    assert law.name == "joint 4|torque2|temperature"
-    first, second = law_of("joint 4", "torque2"), law_of("joint 4", "temperature")
-    a, b = columns(first), columns(second)
-    found = columns(law)
-    assert len(found) == 3 + 3 + 3
-    np.testing.assert_allclose(
-        offsets(found["joint_4.p1_torque2*p2_temperature"]),
-        offsets(a["joint_4.p1_torque2"]) * offsets(b["joint_4.p2_temperature"]),
-    )
-    (mixed,) = pairs_of("joint 4", {"q2", "temperature"})
-    found = columns(mixed)
-    np.testing.assert_allclose(
-        offsets(found["joint_4.sin2_q2*p1_temperature"]),
-        np.sin(2.0 * CONTEXT.q[:, 1]) * offsets(b["joint_4.p1_temperature"]),
-    )
-
-
-def test_pairs_are_of_all_variables_or_of_those_asked_for_in_any_channel():
-    of_all = pair_laws(CONTEXT, channels(6)[-4])
-    assert {data_driven_form(law).channel.name for law in of_all} == {"tool z"}
-    assert len(of_all) == len(EVERY) * (len(EVERY) - 1) / 2
-    of_angles = pair_families(CONTEXT, own_angles(CONTEXT), (PAIR_ORDER,))
-    assert len(of_angles) == 15
-    drivers = [driver for family in of_angles for driver in family.drivers]
-    assert {driver.quantity for driver in drivers} == {Quantity.JOINT_ANGLE}
-    forms = [data_driven_form(family.law(channel)) for family in of_angles for channel in channels(6)]
-    assert {form.channel for form in forms} == set(channels(6))
-    assert {form.drivers for form in forms} == {family.drivers for family in of_angles}
-
-
-def test_pairs_of_a_lower_order_have_some_of_the_functions():
-    lower, higher = (family.law(channels(6)[3]) for family in pair_families(CONTEXT, pairs_among("q2", "time")))
-    assert (lower.constants["order"], higher.constants["order"]) == (2.0, 3.0)
-    assert lower.name == higher.name == "joint 4|q2|time"
-    few, many = columns(lower), columns(higher)
-    assert len(few) < len(many)
-    for name, column in few.items():
-        np.testing.assert_array_equal(offsets(column), offsets(many[name]))
-    of_angles = [family.law(channels(6)[0]) for family in pair_families(CONTEXT, pairs_among("q1", "q2"))]
-    assert [len(columns(law)) for law in of_angles] == [12, 24, 48]
-
-
-def test_a_curve_of_one_variable_can_be_found_again():
-    """A sag of |sin q5| and an oscillation of 47 minutes are fitted to 15 % of their size."""
-    context = context_of(300, seed=8)
-    time_s: Any = context.conditions.time_s
-    for channel, variable, truth in (
-        ("joint 1", "q5", np.abs(np.sin(context.q[:, 4]))),
-        ("joint 1", "time", np.sin(2.0 * np.pi * time_s / (47.0 * 60.0) / 2.0)),
-    ):
-        found = columns(law_of(channel, variable, context), context)
-        design = np.column_stack([np.ones(300), *(offsets(column) for column in found.values())])
-        left = truth - design @ np.linalg.lstsq(design, truth, rcond=None)[0]
-        assert np.std(left) < 0.15 * np.std(truth)
-
-
 @pytest.mark.parametrize("name", ["joint 9|q1", "nonsense|q1", "joint 1", "joint 1|q1|q2|q3", "base turn z|q1"])
 def test_a_name_that_is_no_term_is_refused(name):
     with pytest.raises(ValueError, match="effect unknown has no law"):
@@ -389,20 +275,6 @@ COMPLIANCE = EFFECTS["joint_compliance"]
 STIFF = [column for column in COMPLIANCE.columns(CONTEXT_OF_MODULATION, COMPLIANCE.law()) if not column.refines][1:3]
 
 
-def test_a_driver_is_that_of_the_columns_own_joint():
-    found = modulations(FreeDriver(Quantity.JOINT_ANGLE), STIFF, CONTEXT_OF_MODULATION)
-    assert [one.name for one in found[:4]] == [
-        "compliance2*cos1(q2)",
-        "compliance2*sin1(q2)",
-        "compliance2*cos2(q2)",
-        "compliance2*sin2(q2)",
-    ]
-    assert {one.driver for one in found} == {Variable(Quantity.JOINT_ANGLE, 1), Variable(Quantity.JOINT_ANGLE, 2)}
-    column = found[3].column(STIFF[0], CONTEXT_OF_MODULATION)
-    assert (column.block, column.joint, column.cycles, column.refines) == (STIFF[0].block, 1, None, True)
-    np.testing.assert_allclose(offsets(column), np.sin(2.0 * CONTEXT_OF_MODULATION.q[:, 1]) * offsets(STIFF[0]))
-
-
 def test_a_response_out_of_proportion_depends_on_the_columns_own_size():
     found = modulations(OWN_SIZE, STIFF[:1], CONTEXT_OF_MODULATION)
     size = np.abs(offsets(STIFF[0]))
@@ -412,37 +284,6 @@ def test_a_response_out_of_proportion_depends_on_the_columns_own_size():
         offsets(found[2].column(STIFF[0], CONTEXT_OF_MODULATION)), np.cos(3.0 * np.pi * u) * offsets(STIFF[0])
     )
     assert found[2].name == "compliance2*cos3(own size)"
-
-
-def test_shifts_are_modulated_as_well():
-    drift = EFFECTS["base_drift"]
-    base = drift.columns(CONTEXT_OF_MODULATION, drift.laws(CONTEXT_OF_MODULATION)[0])[:1]
-    first = modulations(FreeDriver(Quantity.TIME), base, CONTEXT_OF_MODULATION)[0]
-    time_s = CONTEXT_OF_MODULATION.conditions.time_s
-    assert time_s is not None
-    u = (time_s - time_s.min()) / np.ptp(time_s)
-    expected = np.cos(np.pi * u)[:, None] * shifts(base[0])
-    np.testing.assert_allclose(shifts(first.column(base[0], CONTEXT_OF_MODULATION)), expected, atol=1e-12)
-
-
-def test_short_steps_are_resolved_more_finely():
-    play = EFFECTS["backlash"].columns(CONTEXT_OF_MODULATION, EFFECTS["backlash"].law())[:1]
-    first = modulations(FreeDriver(Quantity.STEP, absolute=True), play, CONTEXT_OF_MODULATION)[0]
-    sizes = np.abs(CONTEXT_OF_MODULATION.step[:, 0])
-    assert first.scale == pytest.approx(np.median(sizes))
-    along = np.arccos(first.values(play[0], CONTEXT_OF_MODULATION)) / np.pi
-    order = np.argsort(sizes)
-    assert (np.diff(along[order]) >= 0.0).all()
-    assert np.interp(np.median(sizes), sizes[order], along[order]) > 0.55, "half of the range below more than half of u"
-
-
-def test_an_unknown_driver_modulates_nothing():
-    drift = EFFECTS["base_drift"]
-    base = drift.columns(CONTEXT_OF_MODULATION, drift.laws(CONTEXT_OF_MODULATION)[0])[:1]
-    first = modulations(FreeDriver(Quantity.TIME), base, CONTEXT_OF_MODULATION)[0]
-    nowhere = under(CONTEXT_OF_MODULATION, MeasurementConditions())
-    assert not first.values(base[0], nowhere).any()
-    assert modulations(FreeDriver(Quantity.TIME), base, nowhere) == ()
 
 
 def term() -> EffectTerm:
@@ -486,9 +327,56 @@ def test_a_free_part_needs_its_base_column():
         with_modulations(STIFF, [free], CONTEXT_OF_MODULATION)
 
 
-def test_every_effect_has_drivers_that_its_columns_can_have():
-    for slug, effect in EFFECTS.items():
-        for law in effect.laws(CONTEXT_OF_MODULATION)[:1]:
-            columns = effect.columns(CONTEXT_OF_MODULATION, law)
-            for driver in effect.free_drivers:
-                assert modulations(driver, columns[:1], CONTEXT_OF_MODULATION), (slug, driver)
+# -- A field over the workspace ----------------------------------------------------------------------------------------
+
+
+CONTEXT_OF_FIELD = context_of(60)
+
+
+def law_of_of_field(amplitude=1e-4, length=0.6):
+    box = box_of(position_in_base(CONTEXT_OF_FIELD))
+    return FIELD.law({**box, AMPLITUDE.name: amplitude, FIELD_LENGTH.name: length})
+
+
+def test_positions_are_those_of_the_smr_in_the_base_frame():
+    rotations, origins = CONTEXT_OF_FIELD.frames
+    x, y, z = (variable.values(CONTEXT_OF_FIELD) for variable in POSITION)
+    again = origins[0] + np.einsum("nab,nb->na", rotations[0], np.stack([x, y, z], axis=1))
+    np.testing.assert_allclose(again, CONTEXT_OF_FIELD.p_M, atol=1e-12)
+    assert not set(POSITION) & set(variables(CONTEXT_OF_FIELD)), "no curve over one coordinate"
+
+
+def test_functions_are_of_unit_mean_square_and_orthogonal_over_their_box():
+    position = np.random.default_rng(2).uniform(-1.0, 1.0, (40_000, 3))
+    # the box is wider than the readings by 15 % of each side at either end
+    constants = box_of(np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]) / 1.3)
+    phi = np.array(list(field_functions(position, constants).values()))[:20]
+    np.testing.assert_allclose(phi @ phi.T / 40_000, np.eye(20), atol=0.04)
+
+
+def test_columns_shift_along_the_axes_of_the_base_with_the_priors_of_the_law():
+    law = law_of_of_field(amplitude=2e-4)
+    columns = UNKNOWN.columns(CONTEXT_OF_FIELD, law)
+    values = list(field_functions(position_in_base(CONTEXT_OF_FIELD), law.constants).values())
+    assert len(columns) == 3 * len(values)
+    sd = 2e-4 * np.sqrt(field_variances(0.6, field_frequencies(law.constants)))
+    for direction in range(3):
+        column = columns[direction * len(values) + 5]
+        assert column.shift_M is not None
+        np.testing.assert_allclose(column.shift_M, values[5][:, None] * CONTEXT_OF_FIELD.base_twists[direction])
+        assert column.prior_sd == pytest.approx(sd[5])
+
+
+def test_the_law_is_found_again_by_its_name():
+    assert form_named("base shift|x|y|z") is FIELD
+    for name in ("joint 1|x|y|z", "base shift|x|y", "base shift|x", "tool|z"):
+        assert form_named(name) is None
+    law = law_of_of_field()
+    columns = UNKNOWN.columns(CONTEXT_OF_FIELD, law)[:7]
+    names = tuple(column.name for column in columns)
+    ones = np.arange(7.0)
+    term = EffectTerm("unknown", names, ones, ones, ("m",) * 7, law)
+    again = term_from_json(json.loads(json.dumps(term_to_json(term))), EFFECTS)
+    assert again.law == law
+    meaning = UNKNOWN.meaning_of(law).at("the base")
+    assert "tracker station" in meaning.settle[0]

@@ -202,24 +202,6 @@ def test_draws_spread_as_the_covariance_of_the_prediction():
     assert not model.uncertainty(q).any(), "no draws, no uncertainty"
 
 
-def test_the_second_moment_of_draws_of_few_parameters_is_the_covariance_itself():
-    Sigma = covariance(np.random.default_rng(5))
-    drawn = draws_of(Sigma, 1)
-    values = np.hstack([drawn.geometry, *drawn.terms])
-    size = np.sqrt(np.diag(Sigma))
-    found = values.T @ values / DRAWS
-    np.testing.assert_allclose(found / size / size[:, None], Sigma / size / size[:, None], atol=1e-9)
-
-
-def test_a_parameter_that_is_certain_stays():
-    Sigma = covariance(np.random.default_rng(2))
-    Sigma[3], Sigma[:, 3] = 0.0, 0.0
-    drawn = draws_of(Sigma, 0)
-    assert np.abs(drawn.geometry[:, 3]).max() < 1e-12
-    assert drawn.geometry.shape == (DRAWS, len(COLUMNS))
-    assert [one.shape for one in drawn.terms] == [(DRAWS, 2)]
-
-
 def test_draws_survive_json():
     drawn = draws_of(covariance(np.random.default_rng(4)), 0)
     back = posterior_from_json(json.loads(json.dumps(posterior_to_json(drawn))))

@@ -333,14 +333,6 @@ def test_it_begins_and_ends_at_rest_at_its_center() -> None:
     np.testing.assert_allclose(motion.at(ends, 1), 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("order", [1, 2, 3])
-def test_derivatives_are_those_of_differences(order: int) -> None:
-    motion, step = drawn(), 1e-5
-    time_s = np.linspace(0.3, 11.0, 50)
-    differences = (motion.at(time_s + step, order - 1) - motion.at(time_s - step, order - 1)) / (2.0 * step)
-    np.testing.assert_allclose(motion.at(time_s, order), differences, rtol=1e-5, atol=1e-6)
-
-
 def test_slowed_keeps_the_path_and_the_limits() -> None:
     motion = drawn()
     limits = np.full(6, 0.5), np.full(6, 0.4), np.full(6, 2.0)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet
-from cellapp.estimation.calibration.quantities import states_nothing
+from cellapp.estimation.calibration.quantities import conditions_of_arms, states_nothing
 from cellapp.estimation.calibration.weights import excess_variance, mean_variance, with_excess
 from cellapp.estimation.monitoring.check.records import CheckedArm, CheckVerdict, FoundChange
 from cellapp.estimation.prior.belief import Measured, Posterior, design, is_smooth
@@ -52,15 +52,13 @@ class ArmBelief:
 
     Attributes
     ----------
-    stored : ArmModel
-        The calibration itself, which targets are compensated with.
     model : ArmModel
-        Mean of the posterior, near ``stored``, without a network. Its last terms are watched effects that the
-        calibration does not have: their values are zero.
+        Mean of the posterior, without a network. Its last terms are watched effects that the calibration does not
+        have: their values are those that explain its readings best.
     columns : tuple of int, length K
         Geometric parameters, as indices into ``parameter_names``: base, D-H rows and tool.
     covariance : array, shape (p, p)
-        Posterior covariance of the geometric parameters, then of the values of all terms; zero for watched ones.
+        Posterior covariance of the geometric parameters, then of the values of all terms.
     scatter_m : float
         Standard deviation of a measured coordinate beyond the stated uncertainty of the tracker [m], from held-out
         readings.
@@ -73,11 +71,12 @@ class ArmBelief:
     measured : Measured
         The readings of the calibration without gross errors, in the frame of ``model``: positions, then orientations
         where the check measures them.
+    unexplained : array, shape (n, 3)
+        Of the residuals of ``measured``, what a stop that is measured again is expected to show again [m, rad].
     scatter_rad, noise_rad : float
         As ``scatter_m`` and ``noise_m``, of a component of an orientation [rad]; zero where none is measured.
     """
 
-    stored: ArmModel
     model: ArmModel
     columns: tuple[int, ...]
     covariance: Array
@@ -86,6 +85,7 @@ class ArmBelief:
     day_m: float
     promised_m: float
     measured: Measured
+    unexplained: Array
     scatter_rad: float = 0.0
     noise_rad: float = 0.0
 
@@ -230,6 +230,8 @@ class Conclusion:
         return float(np.degrees(np.arctan2(sine, 0.5 * (np.trace(R) - 1.0))))
 
 
+_REPEATS = 0.5
+"""Share of the unexplained that a stop shows again: all of what depends on the position, nothing of what on the way."""
 _FEWEST_HELD_OUT = 20
 """Fewest held-out readings with which their scatter is estimated."""
 
@@ -270,9 +272,18 @@ def check_belief(
     own = {
         name: readings[name] if name in turned else replace(readings[name], quaternion_M=None) for name in model.arms
     }
-    bare = {name: _without_network(model.arms[name], its) for name, its in own.items()}
-    found = {name: calibration_posterior(profile, name, model.arms, bare) for name in own}
-    arms = {name: arm_belief(model.arms[name], *found[name]) for name in own}
+    conditions = conditions_of_arms(model.arms, own)
+    # What the model left unexplained at calibration is no change: the belief expects it where watched effects can.
+    bare = {name: replace(arm, network=None) for name, arm in model.arms.items()}
+    models = {name: _watching(arm, Measured.of(own[name], conditions[name])) for name, arm in bare.items()}
+    learned = {name: its.take(_learned(its)) for name, its in own.items()}
+    arms = {
+        name: arm_belief(
+            *calibration_posterior(profile, name, models, own),
+            calibration_posterior(profile, name, models, learned)[0].model,
+        )
+        for name in own
+    }
     if T_new_old is None:
         return CheckBelief(arms, station_free)
     return CheckBelief({name: _relocated(arm, T_new_old) for name, arm in arms.items()}, station_free, T_new_old)
@@ -296,32 +307,29 @@ def watched_terms(model: ArmModel, measured: Measured) -> tuple[EffectTerm, ...]
     return tuple(found)
 
 
-def network_shift(model: ArmModel, q: Array) -> Array:
-    """Compute the network's correction (n, 3) [m] in the tracker frame at ``q`` (n, N) [rad]; zero without one."""
-    if model.network is None:
-        return np.zeros((len(q), 3))
-    return np.asarray(model.network.correct(q) @ model.geometry.T_M_B()[:3, :3].T)
+def _learned(readings: Readings) -> NDArray[np.intp]:
+    """Return the rows that are not held out; all where too few are."""
+    rows = np.setdiff1d(np.arange(len(readings)), readings.in_split("validate"))
+    return rows if len(readings) - len(rows) >= _FEWEST_HELD_OUT else np.arange(len(readings))
 
 
-def _without_network(model: ArmModel, readings: Readings) -> Readings:
-    """Subtract the network's correction from readings, so that geometry and effects alone are judged."""
-    return readings if model.network is None else replace(readings, p_M=readings.p_M - network_shift(model, readings.q))
+def _watching(model: ArmModel, measured: Measured) -> ArmModel:
+    """Return the model with the watched terms that it lacks."""
+    return replace(model, effects=(*model.effects, *watched_terms(model, measured)))
 
 
-def arm_belief(stored: ArmModel, found: Posterior, measured: Measured) -> ArmBelief:
-    """Build the belief of one arm from its calibration ``stored`` and the posterior from its readings."""
-    watched = watched_terms(found.model, measured)
-    model = replace(found.model, effects=(*found.model.effects, *watched))
-    added = sum(len(term.names) for term in watched)
+def arm_belief(found: Posterior, measured: Measured, learned: ArmModel) -> ArmBelief:
+    """Build the belief of one arm from the posterior of its readings, and the model of those that are not held out."""
+    model = _watching(found.model, measured)
+    added = sum(len(term.names) for term in model.effects) - sum(len(term.names) for term in found.model.effects)
     p = len(found.values)
     covariance = np.zeros((p + added, p + added))
     covariance[:p, :p] = found.covariance
-    promised, turned, sigma = _promised(stored, found, measured), measured.turned, found.measured.sigma
+    promised, turned, sigma = _promised(found, measured), measured.turned, found.measured.sigma
     points = measured.points
-    excess = _held_out_excess(stored, found, measured, promised, points)
-    of_turns = 0.0 if turned is None else _held_out_excess(stored, found, measured, promised, turned)
+    excess = _held_out_excess(learned, found, measured, promised, points)
+    of_turns = 0.0 if turned is None else _held_out_excess(learned, found, measured, promised, turned)
     return ArmBelief(
-        stored=stored,
         model=model,
         columns=found.prior.columns,
         covariance=covariance,
@@ -330,25 +338,30 @@ def arm_belief(stored: ArmModel, found: Posterior, measured: Measured) -> ArmBel
         day_m=_day_m(found.model, measured.positions),
         promised_m=math.sqrt(float(np.mean(np.trace(promised[points], axis1=1, axis2=2)))),
         measured=measured,
+        unexplained=_unexplained(found, excess, of_turns),
         scatter_rad=math.sqrt(found.scatter_rad**2 + of_turns),
         noise_rad=0.0 if turned is None else math.sqrt(mean_variance(sigma[turned]) + of_turns),
     )
 
 
-def _promised(stored: ArmModel, found: Posterior, measured: Measured) -> Array:
+def _unexplained(found: Posterior, excess: float, of_turns: float) -> Array:
+    """Return what of the residuals (n, 3) is expected again: a share of what is not the tracker's noise."""
+    share = np.empty(len(found.measured))
+    points, sigma = found.measured.points, found.measured.sigma
+    for rows, scatter, more in ((points, found.scatter_m, excess), (~points, found.scatter_rad, of_turns)):
+        if rows.any():
+            share[rows] = (scatter**2 + more) / (mean_variance(sigma[rows]) + more)
+    return np.asarray(_REPEATS * share[:, None] * found.left_M)
+
+
+def _promised(found: Posterior, measured: Measured) -> Array:
     """Compute the covariance (n, 3, 3) [m^2, rad^2] of predictions at the readings of the calibration."""
     X = design(found.model, measured, found.prior.columns).reshape(-1, 3, len(measured))
-    covariance = np.einsum("pan,pq,qbn->nab", X, found.covariance, X, optimize=True)
-    if stored.network is None:
-        return np.asarray(covariance)
-    spread = stored.network.spread(measured.readings.q)
-    if measured.turned is not None:
-        spread[measured.turned] = 0.0
-    return np.asarray(covariance + spread[:, :, None] ** 2 * np.eye(3))
+    return np.asarray(np.einsum("pan,pq,qbn->nab", X, found.covariance, X, optimize=True))
 
 
 def _held_out_excess(
-    stored: ArmModel, found: Posterior, measured: Measured, promised: Array, kind: NDArray[np.bool_]
+    learned: ArmModel, found: Posterior, measured: Measured, promised: Array, kind: NDArray[np.bool_]
 ) -> float:
     """Estimate the excess variance [m^2, rad^2] of a coordinate of held-out readings beyond ``promised``.
 
@@ -359,7 +372,7 @@ def _held_out_excess(
     if len(rows) < _FEWEST_HELD_OUT:
         return 0.0
     held_out = measured.take(rows)
-    left_M = held_out.left(replace(stored, network=None))
+    left_M = held_out.left(learned)
     sigma = found.measured.sigma[rows]
     noise = sigma if sigma.ndim == 3 else sigma[:, None, None] ** 2 * np.eye(3)
     return excess_variance(left_M, noise + promised[rows], 3 * len(rows))
@@ -417,7 +430,6 @@ def _relocated(arm: ArmBelief, T: Array) -> ArmBelief:
     stated = its.stated if its.stated is None or its.stated.ndim == 1 else R @ its.stated @ R.T
     return replace(
         arm,
-        stored=relocated(CellModel({"": arm.stored}), T).arms[""],
         model=model,
         covariance=model.covariance,
         measured=replace(

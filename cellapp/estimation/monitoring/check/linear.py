@@ -31,7 +31,6 @@ from cellapp.estimation.monitoring.check.belief import (
     ChangeKind,
     CheckBelief,
     measured_vectors,
-    network_shift,
     noise_covariance,
 )
 from cellapp.estimation.prior.belief import Measured, design, is_own, is_smooth, term_columns
@@ -172,6 +171,8 @@ def _growth(name: str, arm: ArmBelief, rows: Array) -> list[Direction]:
 _STATION_M = 0.01
 """Prior standard deviation of a tracker's motion about its fitted pose if it was set up anew [m, and rad at 1 m]: far
 above the noise, so that the points determine it, yet small enough that the factor of K stays accurate."""
+_SAME_STOP_RAD = 0.01
+"""Distance in joint space within which a stop is one of the calibration."""
 _DEPENDENT = 1e-6
 """Ratio to the largest singular value below which a direction depends on the others."""
 
@@ -237,8 +238,14 @@ def expected(belief: CheckBelief, readings: Mapping[str, Readings]) -> dict[str,
 
 def _computed(arm: ArmBelief, its: Measured) -> Array:
     """Predict vectors (n, 3) by the calibration; orientations as rotation vectors from the measured to the expected."""
-    shift = network_shift(arm.stored, its.readings.q) * its.points[:, None]
-    return np.asarray(arm.model.predict(its.readings.q, conditions=its.conditions) + shift)
+    computed = arm.model.predict(its.readings.q, conditions=its.conditions)
+    known = arm.measured
+    for asked, kind in ((its.points, known.points), (~its.points, ~known.points)):
+        if asked.any() and kind.any():
+            distance, nearest = scipy.spatial.KDTree(known.readings.q[kind]).query(its.readings.q[asked])
+            again = np.where(distance < _SAME_STOP_RAD, 1.0, 0.0)[:, None]
+            computed[asked] += again * arm.unexplained[kind][nearest]
+    return np.asarray(computed)
 
 
 def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions: Sequence[Direction]) -> StopRows:

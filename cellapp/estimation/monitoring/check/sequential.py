@@ -201,6 +201,8 @@ _VERDICTS: Mapping[str, CheckVerdict] = {
 }
 
 
+_MOST_UNSEEN = 3.0
+"""Steps of a visible change that stops may miss while the calibration is still called valid; the notes name it."""
 _MOST_NEEDED = 1e4
 """Upper bound of the search for a non-centrality: a hundred standard errors, above any that is needed."""
 
@@ -266,7 +268,9 @@ def judgement(
     nothing = Explanation((), 1.0, np.eye(4))
     if not state.changed:
         weak = () if state.valid else _weak(design, Moments.of(stops))
-        return ("cannot say" if weak else "valid"), nothing, weak, None
+        steps = {(one.arm, one.what): one.step for one in design.directions}
+        unseen = any(one.detected > _MOST_UNSEEN * steps[one.arm, one.what] for one in weak)
+        return ("cannot say" if unseen else "valid"), nothing, weak, None
     found = explain(design, stops)
     if found.holds:
         return _VERDICTS[found.causes[0].alternative.kind], found, (), None

@@ -10,18 +10,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
-from textual import on
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
 from textual.suggester import Suggester
-from textual.widgets import Button, Input, OptionList, Static
+from textual.widgets import Button, Input, Static
 
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
 from cellapp.interfaces.tui.dialogs.question import FieldsQuestion
 
 _MOST_SHOWN = 200
+_MOST_NAMED = 5
 
 
 class PathSuggester(Suggester):
@@ -88,8 +88,38 @@ class PathField(Input):
         self.focus()
 
 
-class FilePicker(FieldsQuestion[Path]):
-    """Dialog for a path. Returns it; None if the dialog is closed.
+class PathQuestion(FieldsQuestion[Path]):
+    """Dialog for a path, which Tab completes. Returns it; None if the dialog is closed."""
+
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", "Complete", priority=True)]
+    DOES: ClassVar[str] = "Open"
+
+    def __init__(self, title: str, start: str, wanted: Callable[[Path], bool] = lambda path: True) -> None:
+        super().__init__()
+        self._title, self._start, self._wanted = title, start, wanted
+
+    def body(self) -> ComposeResult:
+        yield Static(self._title, classes="title", markup=False)
+        yield PathField(self._start, self._wanted)
+        words = f"Tab completes, Enter {self.DOES.lower()}s, {self.closing_key} closes."
+        yield Static(words, id="why", classes="text", markup=False)
+        with Horizontal(classes="answers"):
+            yield Button(self.DOES, id=self.DOES.lower(), variant="success", compact=True)
+            yield Button("Close", id="close", compact=True)
+
+    def on_mount(self) -> None:
+        """Focus the field."""
+        field = self.query_one("#path", Input)
+        field.focus()
+        field.cursor_position = len(field.value)
+
+    def action_complete(self) -> None:
+        """Complete to the longest common prefix of all candidates; a single candidate completely."""
+        self.query_one(PathField).complete()
+
+
+class FilePicker(PathQuestion):
+    """Dialog for a file that is there.
 
     Parameters
     ----------
@@ -98,63 +128,12 @@ class FilePicker(FieldsQuestion[Path]):
     start : Path
         The folder or file at which to begin.
     wanted : callable
-        Which files are listed.
+        Which files are completed.
     """
 
-    BINDINGS: ClassVar[list[BindingType]] = [
-        Binding("tab", "complete", "Complete", priority=True),
-        Binding("down", "into_list", "List", show=False),
-    ]
-
     def __init__(self, title: str, start: Path, wanted: Callable[[Path], bool]) -> None:
-        super().__init__()
-        self._title, self._start, self._wanted = title, start, wanted
-
-    def body(self) -> ComposeResult:
-        yield Static(self._title, classes="title", markup=False)
-        text = str(self._start) + (os.sep if self._start.is_dir() and str(self._start) != os.sep else "")
-        yield PathField(text, self._wanted)
-        yield OptionList(id="found", markup=False, compact=True)
-        yield Static(f"Tab completes, Enter opens, {self.closing_key} closes.", id="why", classes="text", markup=False)
-        with Horizontal(classes="answers"):
-            yield Button("Open", id="open", variant="success", compact=True)
-            yield Button("Close", id="close", compact=True)
-
-    def on_mount(self) -> None:
-        """Focus the field."""
-        field = self.query_one("#path", Input)
-        field.focus()
-        field.cursor_position = len(field.value)
-        self._show_found(field.value)
-
-    @on(Input.Changed)
-    def list_files(self, event: Input.Changed) -> None:
-        """List the possible completions of the text."""
-        self._show_found(event.value)
-
-    def _show_found(self, text: str) -> None:
-        found = self.query_one("#found", OptionList)
-        found.clear_options()
-        found.add_options(completions(text, self._wanted))
-
-    def action_complete(self) -> None:
-        """Complete to the longest common prefix of all candidates; a single candidate completely."""
-        self.query_one(PathField).complete()
-
-    def action_into_list(self) -> None:
-        """Focus the list below the field."""
-        self.query_one("#found").focus()
-
-    @on(OptionList.OptionSelected)
-    def take(self, event: OptionList.OptionSelected) -> None:
-        """Put the path into the field; a file is opened at once."""
-        event.stop()
-        field = self.query_one("#path", Input)
-        field.value = str(event.option.prompt)
-        field.cursor_position = len(field.value)
-        field.focus()
-        if not field.value.endswith(os.sep):
-            self.action_send()
+        folder = start.is_dir() and str(start) != os.sep
+        super().__init__(title, str(start) + (os.sep if folder else ""), wanted)
 
     def action_send(self) -> None:
         """Close with the file, if there is one."""
@@ -162,10 +141,12 @@ class FilePicker(FieldsQuestion[Path]):
         if path.is_file():
             self.dismiss(path)
             return
-        self.explain(f"{path}: no such file. Tab completes, {self.closing_key} closes.")
+        found = ", ".join(map(os.path.basename, completions(self.typed("path"), self._wanted)[:_MOST_NAMED]))
+        said = f" There are: {found}." if found else ""
+        self.explain(f"{path}: no such file.{said} Tab completes, {self.closing_key} closes.")
 
 
-class SaveAs(FieldsQuestion[Path]):
+class SaveAs(PathQuestion):
     """Save a text in a chosen file. Returns the path; None if the dialog is closed.
 
     Parameters
@@ -178,28 +159,12 @@ class SaveAs(FieldsQuestion[Path]):
         Initial path.
     """
 
-    BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", "Complete", priority=True)]
+    DOES = "Save"
 
     def __init__(self, what: str, text: str | None, proposed: Path) -> None:
-        super().__init__()
-        self._what, self._text, self._proposed = what, text, proposed
+        super().__init__(f"Save {what} as", str(proposed))
+        self._text = text
         self._replace: Path | None = None
-
-    def body(self) -> ComposeResult:
-        yield Static(f"Save {self._what} as", classes="title", markup=False)
-        yield PathField(str(self._proposed), _anything)
-        yield Static(f"Tab completes, Enter saves, {self.closing_key} closes.", id="why", classes="text", markup=False)
-        with Horizontal(classes="answers"):
-            yield Button("Save", id="save", variant="success", compact=True)
-            yield Button("Close", id="close", compact=True)
-
-    def on_mount(self) -> None:
-        """Focus the field."""
-        self.query_one("#path").focus()
-
-    def action_complete(self) -> None:
-        """Complete to the longest common prefix of all candidates."""
-        self.query_one(PathField).complete()
 
     def action_send(self) -> None:
         """Save to the typed path; replace an existing file at the second attempt."""
@@ -216,7 +181,3 @@ class SaveAs(FieldsQuestion[Path]):
             self.explain(str(error))
             return
         self.dismiss(path)
-
-
-def _anything(path: Path) -> bool:
-    return True

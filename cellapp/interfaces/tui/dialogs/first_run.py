@@ -10,10 +10,12 @@ from pathlib import Path
 from textual.app import SuspendNotSupported
 
 from cellapp.cell.profile.starters import copy_starter
+from cellapp.commands.record import Request
 from cellapp.ground.errors import InputError
 from cellapp.ground.starters import TWIN
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
 
 NEW_PROFILE = "my-cell.yaml"
@@ -79,16 +81,20 @@ def write_profile(app: Host) -> None:
 
 def take_own_readings(app: Host) -> None:
     """Ask for external readings; create their profile and run, and open the run."""
+    from cellapp.commands.init.request import VERB as INIT
+    from cellapp.commands.init.request import InitRequest
     from cellapp.interfaces.tui import work
-    from cellapp.interfaces.tui.dialogs.own_readings import OwnReadings, OwnReadingsRequest
 
-    home = app.profiles.parent
+    def begin(request: Request | None) -> None:
+        if isinstance(request, InitRequest):
+            app.start_job(work.own_readings(request))
 
-    def begin(request: OwnReadingsRequest | None) -> None:
-        if request is not None:
-            app.start_job(work.own_readings(request, home))
-
-    app.push_screen(OwnReadings(home), begin)
+    text = (
+        "A text file with a row of names, joint positions and points. Separators, decimal commas and units are found"
+        " out. A profile and a run, named after the file, are written; nothing moves."
+    )
+    answers = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
+    app.push_screen(VerbQuestion(INIT, text, answers, {"folder": app.profiles.parent}), begin)
 
 
 def edit_profile(app: Host, path: Path) -> None:

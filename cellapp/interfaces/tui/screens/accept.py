@@ -29,7 +29,7 @@ from cellapp.commands.report.result import RunResults
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, StageName
 from cellapp.interfaces.tui import work
-from cellapp.interfaces.tui.dialogs.question import Answer, Choice
+from cellapp.interfaces.tui.dialogs.question import Answer
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words, ask_of_calibrated
@@ -42,13 +42,6 @@ from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 if TYPE_CHECKING:
     from cellapp.commands.report.summary import RunVerdict
     from cellapp.commands.view.parts import Parts
-
-
-_PAGES = (
-    Answer("page", "Page", "w", "success"),
-    Answer("pdf", "Page and PDF", "d"),
-    Answer("no", "Not now", "n"),
-)
 
 
 class ScreenOfResults(DayScreen):
@@ -121,18 +114,10 @@ def ask_certificate(screen: ScreenOfResults) -> None:
     screen.app.push_screen(dialog, begin)
 
 
-def ask_report(screen: ScreenOfResults) -> None:
-    """Ask for page or page and PDF, then write."""
-    if (calibrated := screen.calibrated_run()) is None:
-        return
-    folder, _, _ = calibrated
-
-    def begin(answer: str | None) -> None:
-        if answer in ("page", "pdf"):
-            screen.start(work.job_of(REPORT, folder=folder, pdf=answer == "pdf"))
-
-    text = f"Write report.html in {folder}; an installed Chromium prints it to report.pdf."
-    screen.app.push_screen(Choice("Write the report?", text, _PAGES), begin)
+def write_report(screen: ScreenOfResults) -> None:
+    """Write the report of the open run."""
+    if (calibrated := screen.calibrated_run()) is not None:
+        screen.start(work.job_of(REPORT, folder=calibrated[0]))
 
 
 def _sent(label: str, key: str) -> tuple[Answer, Answer]:
@@ -203,13 +188,13 @@ of the profile, and in red whatever is out of date.
   calibrated one, or both.
 - *Certificate*: **{export}** writes the certificate, all that it rests on, and the sums of these files. What nobody
   gave stands there as not given; the profile's section *traceability* takes it.
-- **{go}** writes the report: the page, and on request its print as PDF.
+- **{go}** writes the report: the page.
 
 The check and the tests ask first, and real arms ask again with the first path. The handbook's chapters *check*,
 *iso9283* and *certificate* explain the figures.
 """
     BINDINGS: ClassVar[list[BindingType]] = [
-        bind("go", "report", "Report", "write the page, and its PDF if asked to"),
+        bind("go", "report", "Report", "write the page"),
         bind("check", "check", "Check", "does the calibration still hold? THE ARMS MOVE"),
         bind("measure", "iso9283", "ISO 9283", "measure by ISO 9283: THE ARMS MOVE"),
         bind("export", "certificate", "Certificate", "write the certificate; nothing moves"),
@@ -267,8 +252,8 @@ The check and the tests ask first, and real arms ask again with the first path. 
         ask_certificate(self)
 
     def action_report(self) -> None:
-        """Ask for page or page and PDF, then write."""
-        ask_report(self)
+        """Write the report."""
+        write_report(self)
 
     def action_next_tab(self) -> None:
         """Show the next tab."""

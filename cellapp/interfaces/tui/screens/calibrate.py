@@ -27,8 +27,6 @@ from cellapp.commands.calibrate import request
 from cellapp.commands.calibrate.charts_accuracy import (
     error_histogram_chart,
     pair_histogram_chart,
-    residual_joint_chart,
-    residual_space_chart,
     stage_chart,
 )
 from cellapp.commands.calibrate.view import calibration_tables, merged_sentences, parameter_tables, tracker_sentences
@@ -109,7 +107,7 @@ class ExportArms(VerbQuestion):
             super().action_answer(value)
 
 
-_PLOTS = ("stages", "errors", "joints", "space")
+_PLOTS = ("stages", "errors")
 
 
 class DataRead(Message):
@@ -132,8 +130,6 @@ held out. Nothing moves.
 
 - *Stages*: held-out errors of the nominal model, of the identified geometry, with the network, with named effects.
 - *Errors*: how many held-out stops have which error, by stage.
-- *Joints*: the error over the angle of one joint: a wave there is an effect without a name.
-- *Space*: where in the cell the errors are large, from above or from the side.
 - *Parameters*: what was identified, with standard errors.
 
 **{import}** calibrates with an earlier run of the same arms as prior: base and tool are found anew, the arms are
@@ -147,9 +143,6 @@ tables; chapter *exports*.
         bind("import", "begin_with_prior", "With prior", "calibrate with an earlier run as prior", show=False),
         bind("add", "begin_in_batches", "All readings", "calibrate with a network from all readings", show=False),
         bind("arm", "other_arm", "Other arm", "show the plots of the other arm"),
-        bind("before", "joint(-1)", "Joint before", show=False),
-        bind("after", "joint(1)", "Next joint"),
-        bind("look", "turn", "View", "errors in space from above or from the side"),
         bind("plots", "plots", "Plots", "show the plots; again: the next one"),
         bind("tab", "next_tab", "Next tab"),
         bind("export", "export", "Export", "write the calibrated arms for other programs"),
@@ -157,7 +150,7 @@ tables; chapter *exports*.
 
     def __init__(self) -> None:
         super().__init__()
-        self._arm, self._joint, self._from_above = 0, 0, True
+        self._arm = 0
         self._data: ReportData | None = None
         self._drawn: Workspace | None = None
 
@@ -168,14 +161,9 @@ tables; chapter *exports*.
                 with Vertical(id="beside-stages"):
                     yield ChartPlot(id="stage-plot")
                     yield ChartPlot(id="stage-errors")
-                    yield ChartPlot(id="stage-space")
             with TabPane("Errors", id="errors"), Horizontal():
                 yield ChartPlot(id="arm-errors")
                 yield ChartPlot(id="pair-errors")
-            with TabPane("Joints", id="joints"):
-                yield ChartPlot(id="joint-plot")
-            with TabPane("Space", id="space"):
-                yield ChartPlot(id="space-plot")
             with TabPane("Parameters", id="parameters"):
                 yield TablesView(id="parameter-tables")
 
@@ -212,19 +200,7 @@ tables; chapter *exports*.
 
     def action_other_arm(self) -> None:
         """Show the next arm."""
-        self._arm, self._joint = self._arm + 1, 0
-        self._draw_plots()
-
-    def action_joint(self, step: int) -> None:
-        """Show the errors over another joint."""
-        self._joint += step
-        self.query_one("#calibration", TabbedContent).active = "joints"
-        self._draw_plots()
-
-    def action_turn(self) -> None:
-        """Switch between the views from above and from the side."""
-        self._from_above = not self._from_above
-        self.query_one("#calibration", TabbedContent).active = "space"
+        self._arm += 1
         self._draw_plots()
 
     def action_plots(self) -> None:
@@ -311,17 +287,12 @@ tables; chapter *exports*.
         names = list(data.held_out)
         name = names[self._arm % len(names)]
         arm = data.held_out[name]
-        joint = self._joint % arm.readings.q.shape[1] + 1
         shown = data.calibrate if data.discover is None else with_effects(data.calibrate, data.discover)
-        stage = list(arm.errors_mm)[-1]
         charts: dict[str, Chart] = {
             "stage-plot": stage_chart(name, shown.arms[name]),
             "arm-errors": (errors := error_histogram_chart(name, arm.errors_mm, shown.arms[name].tracker_mm)),
             "pair-errors": pair_histogram_chart(shown),
-            "joint-plot": residual_joint_chart(name, arm, joint),
-            "space-plot": (space := residual_space_chart(name, arm, stage, "above" if self._from_above else "side")),
             "stage-errors": errors,
-            "stage-space": space,
         }
         for place, chart in charts.items():
             self.query_one(f"#{place}", ChartPlot).chart = chart

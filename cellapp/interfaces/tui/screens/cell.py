@@ -3,53 +3,41 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
-from contextlib import suppress
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from rich.text import Text
-from textual import on, work
+from textual import on
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical
-from textual.message import Message
 from textual.widgets import DataTable, OptionList, Static, TabbedContent, TabPane
 
 from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.doctor.request import DoctorRequest
-from cellapp.ground.errors import CellappError
 from cellapp.ground.starters import offered_profiles
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import SHOWN, bind
-from cellapp.interfaces.tui.screens.base import READING_RUNS, DayScreen
+from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.cell_views import (
     CellMap,
-    DevicesTable,
-    DeviceState,
     FindingsTable,
     age_words,
-    device_state,
-    devices_of,
 )
-from cellapp.interfaces.tui.widgets.tables import TextTable, WrappedTables, explain_tabs, show_next_tab
+from cellapp.interfaces.tui.widgets.tables import TextTable, explain_tabs, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.doctor.result import DoctorResult
     from cellapp.commands.plan.result import StopsResult
-    from cellapp.commands.runs.result import RunsResult
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
 
 _REFRESH_S = 5.0
-"""Interval of device queries: slow enough for any controller, fast enough to show that a stop was released."""
-_TODAY_AFTER_S = 0.6
-"""Delay of reading today's work, so that the first screen is drawn before it."""
-_NO_RUNS = "No run is there yet: the day begins with a profile and a plan (key 2)."
+"""Interval of drawing the age of the doctor's verdict."""
 _OLD = timedelta(minutes=10)
 """Age from which the doctor's findings count as old: in that time somebody may have pressed a stop."""
 
@@ -64,27 +52,9 @@ Which cell is calibrated, what the profile says of it, what its devices say, and
 - Choose a profile in the list (Enter while a run is open), or open one by its path.
 - The doctor asks every device and makes every check; nothing moves. The line above the tables is its verdict; failed
   checks come first, and the sentence below the table is that of the selected row, in full.
-- *Today* is what waits: open runs, and for each arm how old its calibration and its check are, and what is due.
-- *Devices* shows what each device said last. UR controllers are asked again every 5 s while no job runs.
 - *Profile* is the profile in words, or what is wrong with it, line by line; your editor opens it, and it is checked
   again when you come back. *Map* shows where bases and tracker stand.
 """
-
-
-class DevicesProbed(Message):
-    """Devices of a profile have answered."""
-
-    def __init__(self, profile: Profile, result: DoctorResult) -> None:
-        super().__init__()
-        self.profile, self.result = profile, result
-
-
-class TodayRead(Message):
-    """The folder of runs was read, for the work that waits today."""
-
-    def __init__(self, found: RunsResult) -> None:
-        super().__init__()
-        self.found = found
 
 
 class CellScreen(DayScreen):
@@ -94,7 +64,6 @@ class CellScreen(DayScreen):
     HELP: ClassVar[str] = HELP
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "doctor", "Doctor", "check devices and placement; nothing moves"),
-        bind("again", "refresh_devices", "Ask devices", "ask every device for its state; nothing moves"),
         bind("open", "open", "Open profile", "open a profile by its path"),
         bind("edit", "edit", "Edit profile", "change the profile in $EDITOR, then check it again"),
         bind("import", "own_readings", "Own readings", "calibrate readings that were recorded elsewhere", show=False),
@@ -127,8 +96,6 @@ class CellScreen(DayScreen):
         self._doctor_at = datetime.now()
         self._written_ns = self._read_ns = 0
         self._problem = ""
-        self._states: dict[str, DeviceState] = {}
-        self._probing = self._today = False
         self._drawn: tuple[Profile | None, StopsResult | None] = (None, None)
 
     def body(self) -> ComposeResult:
@@ -136,15 +103,9 @@ class CellScreen(DayScreen):
             yield _tipped(OptionList(id="profiles", markup=False, compact=True), "Profiles of the folder; Enter opens")
             with Vertical(id="cell-middle"):
                 yield Static("", id="cell-verdict", markup=False)
-                with TabbedContent(id="cell-tabs", initial="tab-today" if self._has_runs else "tab-profile"):
-                    with TabPane("Today", id="tab-today"):
-                        yield WrappedTables(READING_RUNS if self._has_runs else _NO_RUNS, id="today")
+                with TabbedContent(id="cell-tabs", initial="tab-profile"):
                     with TabPane("Profile", id="tab-profile"):
                         yield _tipped(TextTable(id="cell-words", cursor_type="row"), "What the profile says")
-                    with TabPane("Devices", id="tab-devices"):
-                        yield _tipped(
-                            DevicesTable(id="devices"), f"What each device said last; {SHOWN['again']} asks again"
-                        )
                     with TabPane("Doctor", id="tab-doctor"):
                         yield _tipped(
                             FindingsTable(id="findings"), f"Checks, failed ones first; {SHOWN['go']} asks again"
@@ -170,8 +131,7 @@ class CellScreen(DayScreen):
                 "warning",
             )
         profiles.focus()
-        self.set_interval(_REFRESH_S, self._tick)
-        self.set_timer(_TODAY_AFTER_S, self._read_today)
+        self.set_interval(_REFRESH_S, self._draw_doctor)
 
     def _highlight_first(self) -> None:
         profiles = self.query_one("#profiles", OptionList)
@@ -236,35 +196,6 @@ class CellScreen(DayScreen):
 
         take_own_readings(self.cell_app)
 
-    @property
-    def _has_runs(self) -> bool:
-        """Whether the folder of runs is not empty: waiting work is then shown first."""
-        with suppress(OSError):
-            return any(self.cell_app.logs.iterdir())
-        return False
-
-    @work(thread=True, exclusive=True, group="today")
-    def _read_today(self) -> None:
-        from cellapp.commands.runs.history import list_runs
-
-        logs = self.cell_app.logs
-        try:
-            if logs.is_dir():
-                self.post_message(TodayRead(list_runs(logs)))
-        except CellappError:
-            return  # the screen Runs says why
-
-    @on(TodayRead)
-    def show_today(self, event: TodayRead) -> None:
-        """Draw the work that waits."""
-        from cellapp.commands.runs.today import today_sentences, today_tables
-
-        now = datetime.now(UTC)
-        self.query_one("#today", WrappedTables).show(
-            today_tables(event.found, now), after=today_sentences(event.found, now)
-        )
-        self._today = True
-
     def action_map(self) -> None:
         """Show the map."""
         self.query_one("#cell-tabs", TabbedContent).active = "tab-map"
@@ -284,55 +215,6 @@ class CellScreen(DayScreen):
         self._asked_path = path
         self.start(verbs.verb_job(DOCTOR, DoctorRequest(profile=path)))
 
-    def action_refresh_devices(self) -> None:
-        """Query the state of every device."""
-        profile = self.workspace.profile
-        if profile is None:
-            self.say("No profile is open: choose one in the list.", "warning")
-        elif self.cell_app.jobs.running:
-            self.say("A job uses the devices; they are asked again when it has ended.", "warning")
-        elif not self._probing:
-            self.query_one("#cell-tabs", TabbedContent).active = "tab-devices"
-            self._ask(profile, devices_of(profile))
-
-    def _tick(self) -> None:
-        """Redraw ages; query the devices that allow repeated probes, while no job uses them."""
-        if not self.is_current:
-            return
-        self._draw_doctor()
-        self._draw_devices()
-        profile = self.workspace.profile
-        if profile is None or self._probing or self.cell_app.jobs.running:
-            return
-        from cellapp.commands.doctor.run import repeatable_devices
-
-        if names := repeatable_devices(profile):
-            self._ask(profile, names)
-
-    def _ask(self, profile: Profile, names: Collection[str]) -> None:
-        self._probing = True
-        self._probe(profile, names)
-
-    @work(thread=True, group="probe")
-    def _probe(self, profile: Profile, names: Collection[str]) -> None:
-        from cellapp.commands.doctor.result import DoctorResult, Finding
-        from cellapp.commands.doctor.run import probe_devices
-
-        try:
-            result = probe_devices(profile, names)
-        except (CellappError, OSError, ValueError) as error:  # an unforeseen answer must not end everything
-            failed = [Finding(subject=name, status="failed", text=f"could not be asked: {error}") for name in names]
-            result = DoctorResult(findings=tuple(failed))
-        self.post_message(DevicesProbed(profile, result))
-
-    @on(DevicesProbed)
-    def show_probed(self, event: DevicesProbed) -> None:
-        """Draw the answers of the devices, unless another profile was opened meanwhile."""
-        self._probing = False
-        if event.profile is self._profile:
-            self._take_states(event.result)
-            self._draw_devices()
-
     def show_result(self, result: Result) -> None:
         """Draw the doctor's findings."""
         from cellapp.commands.doctor.result import DoctorResult
@@ -342,14 +224,6 @@ class CellScreen(DayScreen):
             self._written_ns = _written_ns(self._doctor_path)
             self.query_one(FindingsTable).show(result)
             self.query_one("#cell-tabs", TabbedContent).active = "tab-doctor"
-            self._take_states(result)
-
-    def _take_states(self, result: DoctorResult) -> None:
-        now = datetime.now()
-        for name in self._states:
-            state = device_state(name, result.findings, now)
-            if state is not None:
-                self._states[name] = state
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
@@ -361,13 +235,10 @@ class CellScreen(DayScreen):
             self._show_profile(workspace.profile, workspace.problem)
         drawn = (workspace.profile, workspace.stops)
         if drawn != self._drawn:
-            if self._today:
-                self._read_today()
             self._drawn = drawn
             for plot in self.query(CellMap):
                 plot.show_cell(workspace.profile, () if workspace.stops is None else workspace.stops.stops)
         self._draw_doctor()
-        self._draw_devices()
         self._draw_detail()
 
     def show_job(self, record: JobRecord) -> None:
@@ -389,12 +260,9 @@ class CellScreen(DayScreen):
 
             for row in (*cell_words(profile), *constraint_words(profile)):
                 words.add_row(*map(Text, row))
-        if changed:
-            names = () if profile is None else devices_of(profile)
-            self._states = {name: DeviceState(name) for name in names}
-            if self._doctor is not None and self.workspace.profile_path != self._doctor_path:
-                self._doctor = None
-                self.query_one(FindingsTable).show(None)
+        if changed and self._doctor is not None and self.workspace.profile_path != self._doctor_path:
+            self._doctor = None
+            self.query_one(FindingsTable).show(None)
 
     def _draw_doctor(self) -> None:
         verdict, kind = self._verdict()
@@ -422,9 +290,6 @@ class CellScreen(DayScreen):
             return f"Old, from {age_words(age.total_seconds())}: {words} {SHOWN['go']} checks again.", "old"
         return words, "failed" if self._doctor.failed else "ready"
 
-    def _draw_devices(self) -> None:
-        self.query_one(DevicesTable).show(list(self._states.values()), datetime.now())
-
     @on(DataTable.RowHighlighted)
     @on(TabbedContent.TabActivated)
     def _draw_detail(self) -> None:
@@ -434,8 +299,6 @@ class CellScreen(DayScreen):
         text = ""
         if active == "tab-doctor":
             text = self.query_one(FindingsTable).selected_text
-        elif active == "tab-devices":
-            text = self.query_one(DevicesTable).selected_text
         elif active == "tab-profile" and words.row_count:
             text = ": ".join(str(cell) for cell in words.get_row_at(words.cursor_row))
         self.query_one("#cell-detail", Static).update(text)

@@ -52,8 +52,7 @@ from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import since_words
 from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel, residual_line
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
-from cellapp.interfaces.tui.widgets.log_view_pane import LogPane
-from cellapp.interfaces.tui.widgets.log_view_rows import as_text
+from cellapp.interfaces.tui.widgets.log_pane import LogPane, as_text
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
 from cellapp.interfaces.tui.widgets.tables import WrappedTables
 from cellapp.interfaces.tui.workspace import Step, Workspace
@@ -173,7 +172,7 @@ and what you can do now. **{go}** begins, or goes on with what is left; real arm
 - **{mark}** marks a stop, **{again}** measures the marked ones again, all arms, as they were planned. What was measured
   before is kept and not used; a calibration is out of date then.
 
-Log: up and down choose a line, with Shift more; **End** follows the newest line.
+Log: **{search}** shows only lines with a text; **End** follows the newest line.
 """
     VERTICAL_BREAKPOINTS = [(0, "-low"), (34, "-tall")]  # noqa: RUF012 - as Textual declares it
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -182,12 +181,12 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         bind("again", "measure_again", "Measure again", "visit the marked stops again: THE ARMS MOVE", show=False),
         bind("plots", "view('plots')", "Plots", "show the plots; again: the next one"),
         bind("tab", "next_tab", "Next tab", "from the log to the plots, the stops, the tables"),
-        bind("search", "search", "Search", "search in the log"),
-        bind("filter", "filter", "Filter", "show only lines of the log with a text", show=False),
-        bind("save", "save", "Save log", "save the lines that are shown, or the marked ones", show=False),
+        bind("search", "search", "Search", "show only lines of the log with a text"),
+        bind("save", "save", "Save log", "save the lines that are shown", show=False),
+        bind("copy", "copy", "Copy log", "copy the lines that are shown", show=False),
         bind("open", "other_log", "Other log", "log of this session, or the stored one", show=False),
-        bind("after", "next_match(1)", "Next match", "go to the next match, in plots to the next stop", show=False),
-        bind("before", "next_match(-1)", "Match before", "go to the match or stop before", show=False),
+        bind("after", "step(1)", "Next stop", "go to the next stop of the list", show=False),
+        bind("before", "step(-1)", "Stop before", "go to the stop before", show=False),
         *(bind(level, f"least('{level}')", f"Log: {level}", KEYS[level].meaning, show=False) for level in LEVELS),
     ]
     DEFAULT_CSS = """
@@ -338,33 +337,25 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         self.action_view(_VIEWS[(_VIEWS.index(shown) + 1) % len(_VIEWS)])
 
     def action_search(self) -> None:
-        """Search in the log."""
+        """Show only log lines that contain a text."""
         self.action_view("log")
-        self.query_one(LogPane).ask("search")
+        self.query_one(LogPane).ask()
 
     def leave_field(self) -> None:
         """Close the input field of the log."""
         self.query_one(LogPane).leave()
 
-    def action_filter(self) -> None:
-        """Show only log lines that contain a text."""
-        self.action_view("log")
-        self.query_one(LogPane).ask("filter")
-
-    def action_next_match(self, step: int) -> None:
-        """Go to the next or previous match in the log; in the other views, to another stop."""
-        if self.has_class("plots") or self.has_class("stops"):
-            self.query_one(CollectedStops).step(step)
-        else:
-            self.query_one(LogPane).next_match(step)
+    def action_step(self, step: int) -> None:
+        """Go to another stop of the list."""
+        self.query_one(CollectedStops).step(step)
 
     def action_least(self, level: str) -> None:
         """Show a level of the log and the more important ones."""
         self.query_one(LogPane).show_from(level_of(level))
 
     def action_save(self) -> None:
-        """Save the marked lines of the log, or else the shown ones."""
-        rows = self.query_one(LogPane).view.chosen()
+        """Save the shown lines of the log."""
+        rows = self.query_one(LogPane).shown
         proposed = (self.workspace.folder or Path()) / "log.txt"
 
         def saved(path: Path | None) -> None:
@@ -372,6 +363,12 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
                 self.notify(f"{counted(len(rows), 'line')} saved as {path}")
 
         self.app.push_screen(SaveAs(f"{counted(len(rows), 'line')} of the log", as_text(rows), proposed), saved)
+
+    def action_copy(self) -> None:
+        """Copy the shown lines of the log."""
+        rows = self.query_one(LogPane).shown
+        self.app.copy_to_clipboard(as_text(rows))
+        self.notify(f"{counted(len(rows), 'line')} copied")
 
     # -- the stored log ------------------------------------------------------------------------------------------------
 
@@ -407,7 +404,7 @@ Log: up and down choose a line, with Shift more; **End** follows the newest line
         if event.problem:
             self.say(event.problem, "warning")
         elif event.rows:
-            pane.show_stored(f"Log stored in {event.folder.name}", event.rows)
+            pane.show(f"Log stored in {event.folder.name}", event.rows)
         else:
             pane.show_session(self.cell_app.record)
 

@@ -44,7 +44,7 @@ from cellapp.interfaces.tui.widgets.tables import explain_tabs, show_next_of, sh
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
-    from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult, ViewResult
+    from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
     from cellapp.commands.plan.result import StopsResult
     from cellapp.commands.view.charts import Chart
     from cellapp.commands.view.table import Table
@@ -168,8 +168,7 @@ HELP = """\
 
 Which stops the arms will visit, before anything moves.
 
-- A new plan makes a new run of the profile; you may change the proposed folder. What the tracker sees of each arm's
-  workspace can be looked at before.
+- A new plan makes a new run of the profile; you may change the proposed folder.
 - The check runs the safety gate again over every stop and every way of the open run's plan.
 - The forecast foresees what the plan gives: time, joint ranges used, expected standard errors, and for each effect
   whether the plan can show it and from which size on.
@@ -180,15 +179,14 @@ Sizes and errors *alone* are for the tracker's noise alone; *with scatter* adds 
 in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload let more effects be seen.
 """
 _PLOTS = ("tab-design", "tab-above", "tab-tracker")
-_NO_VIEW = f"{SHOWN['look']} looks at what the tracker sees of each arm's workspace; nothing is planned."
 _NO_FORECAST = f"Not foreseen yet: {SHOWN['forecast']} computes time, expected errors and visible effects."
 
 
 class Drawn(Message):
-    """The content of a view was made in a thread: charts, tables and sentences; ``of`` is the object they describe."""
+    """The design was drawn in a thread: charts, tables and sentences; ``of`` are the stops that they describe."""
 
     def __init__(
-        self, of: StopsResult | ViewResult, charts: Sequence[Chart], tables: Sequence[Table], sentences: Sequence[str]
+        self, of: StopsResult, charts: Sequence[Chart], tables: Sequence[Table], sentences: Sequence[str]
     ) -> None:
         super().__init__()
         self.of, self.charts, self.tables, self.sentences = of, charts, tables, sentences
@@ -201,7 +199,6 @@ class PlanScreen(PlanEdits):
     HELP: ClassVar[str] = HELP
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "plan", "New plan", "make a new run with a plan"),
-        bind("look", "view", "View", "what the tracker sees of each arm's workspace, before planning"),
         bind("check", "check", "Check", "run the safety gate over all stops and ways again; nothing moves"),
         bind("forecast", "forecast", "Forecast", "time, joint ranges, expected errors, effects that can be seen"),
         bind("mark", "mark", "Mark", "mark the selected stop"),
@@ -233,7 +230,6 @@ class PlanScreen(PlanEdits):
         self._check: PlanCheckResult | None = None
         self._forecast: PlanForecastResult | None = None
         self._file_check: PlanCheckResult | None = None
-        self._view: ViewResult | None = None
 
     def body(self) -> ComposeResult:
         with Horizontal():
@@ -260,8 +256,6 @@ class PlanScreen(PlanEdits):
                         yield CellMap("above", id="plan-above")
                     with TabPane("Tracker", id="tab-tracker"):
                         yield CellMap("tracker", id="plan-tracker")
-                    with TabPane("View", id="tab-view"):
-                        yield ChartsView(_NO_VIEW, id="plan-view")
                 yield Static("", id="plan-detail", markup=False)
             with Vertical(id="plan-side"):
                 yield CellMap("above", id="side-above")
@@ -293,13 +287,6 @@ class PlanScreen(PlanEdits):
                 self.start(verbs.job_of(PLAN, profile=path, folder=folder))
 
         self.app.push_screen(NewRunQuestion(text, new_folder(profile)), begin)
-
-    def action_view(self) -> None:
-        """Compute and show what the tracker sees."""
-        if self.workspace.file_profile is None or self.workspace.profile_path is None:
-            self.say(self.state.no_profile, "warning")
-            return
-        self.start(verbs.job_of(PLAN, profile=self.workspace.profile_path, view=True))
 
     def action_check(self) -> None:
         """Check the plan of the open run."""
@@ -336,14 +323,9 @@ class PlanScreen(PlanEdits):
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_result(self, result: Result) -> None:
-        """Draw a view, a check or a forecast."""
-        from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult, ViewResult
+        """Draw a check or a forecast."""
+        from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 
-        if isinstance(result, ViewResult):
-            self._view = result
-            if self.workspace.file_profile is not None:
-                self._make_view(self.workspace.file_profile, result)
-            return
         tabs = self.query_one("#plan-tabs", TabbedContent)
         if isinstance(result, PlanCheckResult) and result.file is not None:
             self._file_check = result
@@ -422,23 +404,11 @@ class PlanScreen(PlanEdits):
             sentences = (*load_sentences(stops.loads), *sweep_sentences(stops.sweeps))
             self.post_message(Drawn(stops, charts, tables, sentences))
 
-    @work(thread=True, exclusive=True, group="view")
-    def _make_view(self, profile: Profile, view: ViewResult) -> None:
-        from cellapp.commands.plan.charts import view_charts
-        from cellapp.commands.plan.check_view import view_sentences, view_tables
-
-        self.post_message(Drawn(view, view_charts(profile, view), view_tables(view), view_sentences(view)))
-
     @on(Drawn)
     async def show_drawn(self, event: Drawn) -> None:
-        """Show the design, unless another run was opened meanwhile; or what the tracker sees."""
+        """Show the design, unless another run was opened meanwhile."""
         if event.of is self._stops:
             await self.query_one("#plan-design", ChartsView).show(event.charts, event.tables, event.sentences)
-        elif event.of is self._view:
-            view = self.query_one("#plan-view", ChartsView)
-            await view.show(event.charts, event.tables, event.sentences)
-            self.query_one("#plan-tabs", TabbedContent).active = "tab-view"
-            view.focus()
 
     def _draw_results(self) -> None:
         """Draw check and forecast, or which keys start them."""

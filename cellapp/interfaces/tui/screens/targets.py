@@ -27,7 +27,6 @@ from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.targets.target_text import new_texts, targets_text, typed_texts
 from cellapp.cell.targets.targets import Target, list_problems, load_targets
 from cellapp.commands.compensate.charts import target_charts
-from cellapp.commands.compensate.details import place_lines, target_details
 from cellapp.commands.compensate.request import VERB as COMPENSATE
 from cellapp.commands.compensate.tables import all_measured_tables, stored_tables
 from cellapp.commands.compensate.target_list import (
@@ -38,6 +37,7 @@ from cellapp.commands.compensate.target_list import (
     target_states,
     target_words,
 )
+from cellapp.commands.compensate.view import target_parts
 from cellapp.commands.compensate.words import compensate_summary, unknown_lines, verify_summary
 from cellapp.commands.correct import ENDINGS, correct_table
 from cellapp.commands.correct import VERB as CORRECT
@@ -46,6 +46,7 @@ from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Request
 from cellapp.commands.report.result import RunResults
+from cellapp.commands.view.table import Table
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -60,7 +61,6 @@ from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, WRITE, arms_words, a
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.charts_view import ChartsView
 from cellapp.interfaces.tui.widgets.tables import TablesView, TextTable, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
@@ -383,7 +383,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
                     yield ChartPlot()
                     yield ChartPlot()
             with TabPane("Target", id="target"):
-                yield ChartsView(_NO_TARGET, id="details")
+                yield TablesView(_NO_TARGET, id="details")
             with TabPane("Measured", id="measured"), Horizontal():
                 yield ChartPlot(id="first-plot")
                 yield ChartPlot(id="second-plot")
@@ -644,20 +644,21 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
         words = target_words(self._edits.targets[self._index], self._results) if self._rows else ""
         self.query_one("#about-target", Static).update(words)
         if self.query_one("#targets", TabbedContent).active == "target":
-            self.call_next(self._draw_details)
+            self._draw_details()
 
     @on(TabbedContent.TabActivated, "#targets")
-    async def _draw_details(self) -> None:
-        """Draw all details of the target under the cursor, while its tab is shown."""
-        view = self.query_one("#details", ChartsView)
+    def _draw_details(self) -> None:
+        """Draw all that the run knows of the target under the cursor, while its tab is shown."""
+        view = self.query_one("#details", TablesView)
         if self.query_one("#targets", TabbedContent).active != "target":
             return
         if not self._rows:
-            await view.say(_NO_TARGET)
+            view.show([])
             return
-        target = self._edits.targets[self._index]
-        details = target_details(target_state(target, self._results))
-        await view.show(details.charts, details.tables, [*place_lines(target), *details.sentences])
+        target, results = self._edits.targets[self._index], self._results
+        known = [] if results is None else target_parts(results, target_state(target, results))
+        tables = [one for one in known if isinstance(one, Table)]
+        view.show(tables, [target_words(target, results)], [one for one in known if isinstance(one, str)])
 
     def _shown_rows(self) -> list[int]:
         """Return the indices of the shown targets."""

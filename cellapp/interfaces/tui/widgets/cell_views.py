@@ -1,25 +1,22 @@
 """A map of the cell. The chart is made in a thread: the kinematics of the arms takes half a second to load.
 
-Tables of the screen Cell: the doctor's findings, and the current state of each device.
+Table of the screen Cell: the doctor's findings.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import datetime
 from typing import TYPE_CHECKING, Literal
 
 from rich.text import Text
 from textual import on, work
 from textual.message import Message
 
-from cellapp.interfaces.tui.keys import SHOWN
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.widgets.tables import TextTable
 
 if TYPE_CHECKING:
-    from cellapp.commands.doctor.result import DoctorResult, Finding
+    from cellapp.commands.doctor.result import DoctorResult
     from cellapp.commands.plan.result import PlannedStop
     from cellapp.commands.view.charts import Chart
     from cellapp.ground.profile import Profile
@@ -120,77 +117,6 @@ class FindingsTable(TextTable):
     def selected_text(self) -> str:
         """The whole sentence of the row under the cursor."""
         return self._texts[self.cursor_row] if self.cursor_row < len(self._texts) else ""
-
-
-@dataclass(frozen=True)
-class DeviceState:
-    """Answer of one device, and its time; None if it was not asked yet."""
-
-    name: str
-    status: str = ""
-    serial: str = ""
-    state: str = f"not asked yet: {SHOWN['go']} asks the doctor, {SHOWN['again']} asks the devices"
-    temperatures: str = ""
-    asked: datetime | None = None
-
-
-def devices_of(profile: Profile) -> tuple[str, ...]:
-    """Return the devices of a cell, with their names in findings."""
-    air = () if profile.sensors.air is None else ("sensor air",)
-    return (*(f"arm {name}" for name in profile.arms), "tracker", *air)
-
-
-def device_state(name: str, findings: Sequence[Finding], asked: datetime) -> DeviceState | None:
-    """Return the state of a device from its findings; None if it has none."""
-    from cellapp.commands.doctor.view import device_words
-
-    own = [finding for finding in findings if finding.subject == name or finding.subject.startswith(f"{name}: ")]
-    own = [finding for finding in own if finding.subject != f"{name}: SMR"]  # a matter of placement, not of devices
-    if not own:
-        return None
-    worst = min(own, key=lambda finding: _ORDER[finding.status])
-    told = next((finding for finding in own if finding.device is not None), own[0])
-    _, serial, state, temperatures = device_words(told)
-    if worst.status == "failed":
-        state = worst.text
-    return DeviceState(name, worst.status, serial, state, temperatures, asked)
-
-
-class DevicesTable(TextTable):
-    """The devices of the profile with their last answers and their times."""
-
-    def on_mount(self) -> None:
-        """Create the columns."""
-        self.cursor_type = "row"
-        self._states: list[DeviceState] = []
-        self.add_columns("device", "status", "asked", "serial", "temperatures", "state")
-
-    def show(self, states: Sequence[DeviceState], now: datetime) -> None:
-        """Draw the states; the cursor stays in its row."""
-        row = self.cursor_row
-        self.clear()
-        self._states = list(states)
-        for state in states:
-            mark = _mark(state.status) if state.status else Text("?")
-            asked = "never" if state.asked is None else age_words((now - state.asked).total_seconds())
-            self.add_row(
-                Text(state.name),
-                mark,
-                Text(asked),
-                Text(state.serial),
-                Text(state.temperatures),
-                Text(state.state),
-            )
-        self.move_cursor(row=row)
-
-    @property
-    def selected_text(self) -> str:
-        """All that is known about the device under the cursor."""
-        if self.cursor_row >= len(self._states):
-            return ""
-        state = self._states[self.cursor_row]
-        serial = f"serial {state.serial}" if state.serial else ""
-        return f"{state.name}: " + "; ".join(word for word in (state.state, serial, state.temperatures) if word)
 
 
 def age_words(seconds: float) -> str:

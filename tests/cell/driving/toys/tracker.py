@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.findings import Finding
 from drivers.quantities import Length
-from drivers.trackers.protocol import Inclination, Point, Preparation, TrackerIdentity, TwoFace
+from drivers.trackers.protocol import Point, Preparation, TrackerIdentity
 from drivers.trackers.settings import TrackerContext, TrackerSettings
 
 
@@ -54,14 +54,7 @@ class ToyTracker:
     def data_age_s(self) -> float:
         return 0.0
 
-    def inclination(self) -> Inclination | None:
-        return None
-
     def measure(self, expected_M: NDArray[np.float64], averaging_s: float) -> Point:
         p_M = expected_M + np.array([self._shift_m, 0.0, 0.0])
         covariance_M = self._sigma_m**2 * np.eye(3)
         return Point(p_M, covariance_M, time.monotonic(), averaging_s, temperature_c=None)
-
-    def measure_two_face(self, expected_M: NDArray[np.float64], averaging_s: float) -> TwoFace:
-        point = self.measure(expected_M, averaging_s)
-        return TwoFace(point, point)

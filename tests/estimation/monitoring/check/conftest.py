@@ -86,7 +86,7 @@ def cell_of(arms: dict[str, Geometry], seed: int, readings: int = 150) -> Simula
         precision = np.diag([0.0 if column < 6 or column >= 6 + 5 * nominal.joints else 1e6 for column in columns])
         prior = Prior(columns, nominal, np.zeros(len(columns)), precision)
         found = posterior(model_of(nominal, nominal), measured, prior)
-        beliefs[name] = arm_belief(found.model, found, measured)
+        beliefs[name] = arm_belief(found, measured, found.model)
     return SimulatedCell(true, CheckBelief(beliefs), candidates)
 
 

@@ -301,7 +301,7 @@ def profile() -> Profile:
 def stored(pair: SimulatedCell) -> tuple[CellModel, dict[str, Readings]]:
     """The pair as a calibration in a run."""
     arms = pair.belief.arms
-    return CellModel({name: arm.stored for name, arm in arms.items()}), {
+    return CellModel({name: arm.model for name, arm in arms.items()}), {
         name: arm.measured.readings for name, arm in arms.items()
     }
 
@@ -347,9 +347,10 @@ def test_expected_errors_are_those_of_new_readings(pair: SimulatedCell) -> None:
 
 def posterior_of(pair: SimulatedCell, readings: Readings, conditions: MeasurementConditions) -> CheckBelief:
     arm = pair.belief.arms["left"]
-    prior = Prior(arm.columns, arm.stored.nominal, np.zeros(len(arm.columns)), 1e6 * np.eye(len(arm.columns)))
+    bare = replace(arm.model, effects=())
+    prior = Prior(arm.columns, bare.nominal, np.zeros(len(arm.columns)), 1e6 * np.eye(len(arm.columns)))
     measured = Measured.of(readings, conditions)
-    return CheckBelief({"left": arm_belief(arm.stored, posterior(arm.stored, measured, prior), measured)})
+    return CheckBelief({"left": arm_belief(posterior(bare, measured, prior), measured, bare)})
 
 
 def test_readings_that_were_not_learned_from_show_the_scatter(pair: SimulatedCell) -> None:
@@ -370,19 +371,19 @@ def test_drift_of_the_day_hides_as_large_a_motion_of_the_base(pair: SimulatedCel
     its = arm.measured.readings
     conditions = MeasurementConditions(approach=its.approach, time_s=np.linspace(0.0, 4000.0, len(its)))
     effect = EFFECTS["base_drift"]
-    context = arm.stored.context(its.q, conditions=conditions)
+    context = arm.model.context(its.q, conditions=conditions)
     law = effect.laws(context)[0]
     columns = effect.columns(context, law)[:3]
     values = np.full(3, 1e-4)
     term = EffectTerm(
         "base_drift", tuple(c.name for c in columns), values, 0 * values, tuple(c.unit for c in columns), law
     )
-    drifting = replace(arm.stored, effects=(term,))
-    readings = replace(its, p_M=its.p_M + drifting.predict(its.q, conditions=conditions) - arm.stored.predict(its.q))
+    drifting = replace(arm.model, effects=(term,))
+    readings = replace(its, p_M=its.p_M + drifting.predict(its.q, conditions=conditions) - arm.model.predict(its.q))
     measured = Measured.of(readings, conditions)
     count = len(arm.columns) + 3
-    prior = Prior(arm.columns, arm.stored.nominal, np.zeros(count), np.diag(np.r_[np.full(count - 3, 1e6), 0, 0, 0]))
-    belief = arm_belief(drifting, posterior(drifting, measured, prior), measured)
+    prior = Prior(arm.columns, arm.model.nominal, np.zeros(count), np.diag(np.r_[np.full(count - 3, 1e6), 0, 0, 0]))
+    belief = arm_belief(posterior(drifting, measured, prior), measured, drifting)
     assert belief.day_m == pytest.approx(1e-4, rel=0.2)  # sqrt(3) 0.1 mm at the end, a third of its square on average
     still, moved = CheckBelief({"left": arm}), CheckBelief({"left": belief})
     here = {"left": pair.measured([1, 20, 40, 60], 0)["left"]}

@@ -1,4 +1,4 @@
-"""Effects that move frames: every column against a chain that is displaced, heated or bent numerically."""
+"""Every column of an effect against a chain that is displaced, heated, loaded or bent numerically."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.robot.effects import EFFECTS, MeasurementConditions, TemperatureRecord
+from cellapp.robot.effects import EFFECTS, Effect, EffectContext, Law, MeasurementConditions, TemperatureRecord, Wave
+from cellapp.robot.effects.law import AMPLITUDE, LENGTH
+from cellapp.robot.effects.periodic import LINES_MAX
 from cellapp.robot.effects.time_functions import lagged
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, transform
-from tests.robot.effects.cell import EYE, by_name, chain, context_of, shifts, slope, under
+from tests.robot.effects.cell import EYE, by_name, chain, context_of, offsets, shifts, slope, under
 
 GRAVITY = 9.80665
 CONTEXT = context_of(10)
@@ -53,36 +55,6 @@ def test_an_axis_tilts_twice_a_turn(joint, letter, axis, wave, function):
     assert len(found) == 24
 
 
-@pytest.mark.parametrize("joint", [1, 4, 6])
-@pytest.mark.parametrize(("letter", "axis"), [("x", EYE[0]), ("y", EYE[1])])
-@pytest.mark.parametrize("cycles", [1, 3, 6])
-def test_an_axis_tilts_with_any_cycles_of_its_joint(joint, letter, axis, cycles):
-    def moved(row, h):
-        return chain(CONTEXT, row, twist={joint - 1: h * np.sin(cycles * CONTEXT.q[row, joint - 1]) * axis}).smr
-
-    found = columns("joint_axis_wobble", laws("joint_axis_wobble", "harmonics")[0])
-    column = found[f"wobble_{letter}{joint}_sin{cycles}"]
-    assert (column.block, column.cycles, column.where) == (f"joint {joint} {cycles} cycles", cycles, f"joint {joint}")
-    assert column.refines == (cycles == 1), "one cycle is in part geometry"
-    np.testing.assert_allclose(shifts(column), each_row(moved), atol=1e-9)
-    assert len(found) == 6 * 6 * 4
-
-
-@pytest.mark.parametrize("joint", [1, 4, 6])
-@pytest.mark.parametrize(("letter", "axis"), list(zip("xyz", EYE, strict=True)))
-@pytest.mark.parametrize("cycles", [1, 2, 5])
-def test_an_axis_shifts_with_its_angle(joint, letter, axis, cycles):
-    rotations, _ = CONTEXT.frames
-    along = rotations[joint - 1] @ axis
-    found = columns("joint_axis_runout", EFFECTS["joint_axis_runout"].law())
-    column = found[f"runout_{letter}{joint}_cos{cycles}"]
-    way = "axial" if letter == "z" else "radial"
-    assert (column.block, column.where) == (f"joint {joint} {way} {cycles} cycles", f"joint {joint}")
-    assert column.refines == (cycles == 1 and letter != "z")
-    np.testing.assert_allclose(shifts(column), np.cos(cycles * CONTEXT.q[:, joint - 1])[:, None] * along, atol=1e-12)
-    assert len(found) == 6 * 6 * 6
-
-
 # -- thermal ---------------------------------------------------------------------------------------------------------
 
 
@@ -105,26 +77,6 @@ def test_links_grow_with_the_air():
         )
 
 
-def test_links_grow_with_the_joints_at_their_ends():
-    joints = CONDITIONS.joints_c - CONDITIONS.joints_c.mean(axis=0)
-    ends = np.array([[(row[i] + row[min(i + 1, 5)]) / 2.0 for i in range(6)] for row in joints])
-    whole = columns("thermal_growth", laws("thermal_growth", "joints")[0])["growth"]
-    np.testing.assert_allclose(shifts(whole), grown(lambda row: ends[row]), atol=1e-9)
-    links = columns("thermal_growth", laws("thermal_growth", "joints_links")[0])
-    np.testing.assert_allclose(shifts(links["growth3"]), grown(lambda row: ends[row] * np.eye(6)[2]), atol=1e-9)
-
-
-def test_links_grow_while_warming_up():
-    found = laws("thermal_growth", "warm_up")
-    assert [law.constants["tau_s"] for law in found] == [900.0, 1800.0, 3600.0, 7200.0, 14400.0]
-    assert {law.tried for law in found} == {5}
-    time = CONDITIONS.time_s
-    strain = 1.0 - np.exp(-(time - time[0]) / 3600.0)
-    column = columns("thermal_growth", found[2])["growth"]
-    assert column.unit == "m/m"
-    np.testing.assert_allclose(shifts(column), grown(lambda row: np.full(6, strain[row])), atol=1e-9)
-
-
 def test_a_lag_follows_a_ramp_at_its_distance():
     """A first-order lag follows a ramp of slope b, from rest, with b (t - tau (1 - exp(-t / tau)))."""
     rng = np.random.default_rng(2)
@@ -137,27 +89,6 @@ def test_a_lag_follows_a_ramp_at_its_distance():
         found = lagged((t[:, None] * slopes + 25.0)[mixed], t[mixed], tau)
         np.testing.assert_allclose(found, expected[mixed], atol=5e-3)
     np.testing.assert_allclose(lagged(np.full((5, 1), 21.5), np.arange(5.0) * 600.0, 900.0), 21.5)
-
-
-def test_links_follow_their_joints_and_the_air_and_housings_grow():
-    """Each column grows its own part of the arm, by its temperature above the mean."""
-    law = laws("thermal_growth", "conduction_links")[2]
-    conditions = CONDITIONS
-    joints = conditions.joints_c - conditions.joints_c.mean(axis=0)
-    air = conditions.air_c - conditions.air_c.mean()
-    ends = np.array([[(row[i] + row[min(i + 1, 5)]) / 2.0 for i in range(6)] for row in joints - air[:, None]])
-    behind = lagged(np.column_stack([ends, air]), conditions.time_s, law.constants["lag_s"])
-    found = columns("thermal_growth", law)
-    np.testing.assert_allclose(shifts(found["growth3"]), grown(lambda row: behind[row, 2] * np.eye(6)[2]), atol=1e-9)
-    np.testing.assert_allclose(shifts(found["growth_air"]), grown(lambda row: np.full(6, behind[row, 6])), atol=1e-9)
-    housings = each_row(
-        lambda row, h: chain(CONTEXT, row, shift={j: h * joints[row, j] * EYE[2] for j in range(6)}).smr
-    )
-    np.testing.assert_allclose(shifts(found["growth_housings"]), housings, atol=1e-9)
-    whole = columns("thermal_growth", laws("thermal_growth", "conduction")[2])
-    np.testing.assert_allclose(
-        shifts(whole["growth_joints"]), sum(shifts(found[f"growth{i}"]) for i in range(1, 7)), atol=1e-12
-    )
 
 
 @pytest.mark.parametrize("name", ["conduction", "conduction_links"])
@@ -180,29 +111,6 @@ def test_the_record_of_a_run_gives_link_temperatures_at_any_stop(name):
     expected = RUN.link_growth.sum(axis=0) * warmer[:, None]
     np.testing.assert_allclose(shifts(settled["growth_air"]), expected, atol=1e-12)
     assert not np.allclose(shifts(whole["growth_air"]), expected, atol=0.1), "the lag is seen"
-
-
-def test_between_two_moments_of_the_record_link_temperatures_are_interpolated():
-    law = laws("thermal_growth", "conduction", RUN)[2]
-    conditions = RUN_CONDITIONS
-    times = np.array(
-        [conditions.time_s[7], conditions.time_s[7:9].mean(), conditions.time_s[8], conditions.time_s[-1], 1e9]
-    )
-    still = replace(
-        RUN, q=np.tile(RUN.q[0], (5, 1)), conditions=MeasurementConditions(time_s=times, record=conditions.record)
-    )
-    grown_by_air = shifts(columns("thermal_growth", law, still)["growth_air"])
-    np.testing.assert_allclose(grown_by_air[1], (grown_by_air[0] + grown_by_air[2]) / 2.0, rtol=1e-9)
-    np.testing.assert_allclose(grown_by_air[4], grown_by_air[3])
-
-
-def test_a_short_link_has_no_column_unless_requested():
-    rows = CONTEXT.geometry.rows.copy()
-    rows[5, 1] = 0.02
-    context = replace(CONTEXT, geometry=replace(CONTEXT.geometry, rows=rows))
-    law = laws("thermal_growth", "air_links")[0]
-    assert "growth6" not in columns("thermal_growth", law, context)
-    assert "growth6" in by_name(EFFECTS["thermal_growth"].columns(context, law, {"growth6"}))
 
 
 # -- base and tool ---------------------------------------------------------------------------------------------------
@@ -247,16 +155,6 @@ def test_a_target_slips_in_the_flange(axis):
     )
 
 
-@pytest.mark.parametrize("slug", ["base_step", "target_slip"])
-def test_a_step_is_permanent(slug):
-    law = EFFECTS[slug].laws(RUN)[0]
-    after = EFFECTS[slug].columns(under(RUN, MeasurementConditions(time_s=np.full(60, 1e9))), law)
-    for time_s in (None, np.full(60, np.nan)):
-        for now, later in zip(EFFECTS[slug].columns(under(RUN, MeasurementConditions(time_s=time_s)), law), after):
-            np.testing.assert_array_equal(shifts(now), shifts(later))
-            assert shifts(now).any()
-
-
 @given(st.lists(st.sampled_from([0.0, 1.0, 2.5, 7.0, 8.0, 100.0, 250.0]), min_size=1, max_size=60), st.integers(0, 400))
 def test_onsets_leave_readings_on_both_sides(moments, more):
     time = np.array([*moments, *np.linspace(0.0, 300.0, more)])
@@ -269,16 +167,6 @@ def test_onsets_leave_readings_on_both_sides(moments, more):
     for onset in onsets:
         assert np.count_nonzero(time < onset) >= 8
         assert np.count_nonzero(time >= onset) >= 8
-
-
-def test_onsets_reach_from_end_to_end():
-    time = np.arange(400.0) * 45.0
-    context = replace(RUN, q=np.zeros((400, 6)), conditions=MeasurementConditions(time_s=time))
-    onsets = [law.constants["onset_s"] for law in EFFECTS["base_step"].laws(context)]
-    assert len(onsets) == 120
-    assert onsets[0] == 7.5 * 45.0
-    assert onsets[-1] == 391.5 * 45.0
-    assert np.diff(onsets).max() <= 4 * 45.0
 
 
 # -- pedestals -------------------------------------------------------------------------------------------------------
@@ -315,58 +203,6 @@ def test_a_pedestal_tilts_with_the_arms_moment():
     np.testing.assert_allclose(
         sum(shifts(column) for column in parts.values()), shifts(found["pedestal_tilt"]), atol=1e-9
     )
-
-
-def test_a_pedestal_tilts_each_way_with_its_own_moment():
-    """The arm's own x and y, made horizontal."""
-    axes = CONTEXT.geometry.T_M_B()[:3, :3]
-    x = axes[:, 0] - (axes[:, 0] @ CONTEXT.up_M) * CONTEXT.up_M
-    x /= np.linalg.norm(x)
-    y = np.cross(CONTEXT.up_M, x)
-    assert y @ axes[:, 1] > 0.99
-    for letter, way in (("x", x), ("y", y)):
-        for_one = [way * (own_moment(row) @ way) for row in range(len(CONTEXT))]
-        origin = CONTEXT.geometry.T_M_B()[:3, 3]
-        expected = each_row(
-            lambda row, h, o=origin, w=for_one: chain(CONTEXT, row, outside=about(o, h * w[row])).smr, h=1e-7
-        )
-        found = columns("pedestal_compliance", EFFECTS["pedestal_compliance"].law("tilt"))[f"pedestal_tilt_{letter}"]
-        np.testing.assert_allclose(shifts(found), expected, atol=1e-5)
-
-
-def test_a_frame_also_turns_across_the_moment_and_shifts():
-    found = columns("pedestal_compliance", EFFECTS["pedestal_compliance"].law("general"))
-    assert len(found) == 15
-    main = [name for name, column in found.items() if not column.refines]
-    assert main == ["pedestal_tilt_x", "pedestal_tilt_y"]
-    assert {found[name].block for name in set(found) - set(main)} == {"base turns", "base shifts", "base weight"}
-    base = CONTEXT.geometry.T_M_B()[:3, :3]
-    lever = CONTEXT.p_M - CONTEXT.geometry.T_M_B()[:3, 3]
-    up = base.T @ CONTEXT.up_M
-    x = np.array([1.0, 0.0, 0.0]) - up[0] * up
-    x = base @ (x / np.linalg.norm(x))
-    moment_M = CONTEXT.loads.beyond(0)[1]
-    expected = (moment_M @ x)[:, None] * np.cross(CONTEXT.up_M, lever)
-    np.testing.assert_allclose(shifts(found["pedestal_turn_z_x"]), expected, atol=1e-9)
-    y = np.cross(CONTEXT.up_M, x)
-    np.testing.assert_allclose(
-        shifts(found["pedestal_turn_x_y"]), (moment_M @ y)[:, None] * np.cross(x, lever), atol=1e-9
-    )
-    weight = CONTEXT.loads.masses.sum(axis=0) * GRAVITY
-    np.testing.assert_allclose(shifts(found["pedestal_weight_x"]), weight[:, None] * np.cross(x, lever), atol=1e-9)
-    np.testing.assert_allclose(shifts(found["pedestal_shift_y_x"]), (moment_M @ x)[:, None] * base[:, 1], atol=1e-9)
-
-
-def test_a_pedestal_tilts_about_a_pivot_below():
-    height = 0.7
-    base = CONTEXT.geometry.T_M_B()
-    pivot = base[:3, 3] - height * base[:3, 2]
-    expected = each_row(lambda row, h: chain(CONTEXT, row, outside=about(pivot, h * own_moment(row))).smr, h=1e-7)
-    found = columns("pedestal_compliance", EFFECTS["pedestal_compliance"].law("pivot"))
-    assert [column.unit for column in found.values()] == ["rad/Nm", "rad/Nm", "m/Nm", "m/Nm"]
-    tilted = shifts(found["pedestal_tilt_x"]) + shifts(found["pedestal_tilt_y"])
-    swayed = shifts(found["pedestal_sway_x"]) + shifts(found["pedestal_sway_y"])
-    np.testing.assert_allclose(tilted + height * swayed, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("turn", [rotation_x(np.pi), rotation_x(np.pi / 2.0), rotation_y(np.pi / 2.0)])
@@ -415,12 +251,6 @@ def test_a_pedestal_tilts_with_the_other_arm():
         (above @ x)[:, None] * np.cross(np.cross(level, x), CONTEXT.p_M - origin),
         atol=1e-9,
     )
-
-
-def test_an_unknown_pose_of_the_other_arm_counts_as_the_mean():
-    for law in EFFECTS["pedestal_coupling"].laws(CONTEXT):
-        for column in columns("pedestal_coupling", law, under(CONTEXT, MeasurementConditions())).values():
-            assert not shifts(column).any()
 
 
 # -- beams -----------------------------------------------------------------------------------------------------------
@@ -473,35 +303,6 @@ def test_a_link_bends_and_twists_as_a_beam(link, own_weight):
         assert np.abs(expected).max() > 1.0
 
 
-def test_bending_under_the_own_weight_may_be_a_parameter_of_its_own():
-    free = columns("link_bending", EFFECTS["link_bending"].law("bending_torsion_free_weight"))
-    own = columns("link_bending", EFFECTS["link_bending"].law("bending_torsion_own_weight"))
-    bare = columns("link_bending", EFFECTS["link_bending"].law("bending_torsion"))
-    for link in (2, 3):
-        column = free[f"own_weight{link}"]
-        assert (column.block, column.refines) == (f"link {link} own weight", True)
-        assert free[f"flexibility{link}"].block == free[f"torsion{link}"].block == f"link {link}"
-        bent = shifts(own[f"flexibility{link}"]) - shifts(bare[f"flexibility{link}"])
-        np.testing.assert_allclose(shifts(column), bent, atol=1e-9)
-        assert np.abs(bent).max() > 0.1
-        np.testing.assert_allclose(shifts(free[f"flexibility{link}"]), shifts(bare[f"flexibility{link}"]), atol=1e-12)
-        np.testing.assert_allclose(shifts(free[f"torsion{link}"]), shifts(own[f"torsion{link}"]), atol=1e-12)
-
-
-def test_the_long_links_bend():
-    """Upper arm and forearm of a UR; the others are short and stiff."""
-    for arm in ("left", "right"):
-        context = context_of(5, arm=arm)
-        assert list(columns("link_bending", EFFECTS["link_bending"].law("bending"), context)) == [
-            "flexibility2",
-            "shear2",
-            "flexibility3",
-            "shear3",
-        ]
-        torsion = columns("link_bending", EFFECTS["link_bending"].law("bending_torsion"), context)
-        assert list(torsion) == [f"{name}{link}" for link in (2, 3) for name in ("flexibility", "shear", "torsion")]
-
-
 def test_a_horizontal_cantilever_hangs_down():
     """Textbook: F L^3 / 3 EI at the end of a beam with a load there, seen at the joint beyond."""
     rows = CONTEXT.geometry.rows.copy()
@@ -548,15 +349,6 @@ def test_a_scale_stretches_all_distances():
     np.testing.assert_allclose(shifts(column), misread(stretched=lambda az, el: 1.0), atol=1e-9)
 
 
-def test_a_scale_may_follow_the_air():
-    law = next(law for law in EFFECTS["tracker_scale"].laws(CONTEXT) if law.name == "air")
-    column = columns("tracker_scale", law)["scale_air"]
-    air_c = CONTEXT.conditions.air_c
-    assert air_c is not None
-    assert column.unit == "1/K"
-    np.testing.assert_allclose(shifts(column), (air_c - air_c.mean())[:, None] * CONTEXT.p_M, atol=1e-12)
-
-
 def test_a_distance_offset_lengthens_all_distances():
     column = columns("tracker_distance_offset", EFFECTS["tracker_distance_offset"].law())["distance_offset"]
     assert column.unit == "m"
@@ -581,12 +373,6 @@ def looking(towards):
     return replace(CONTEXT, smr_normal=CONTEXT.frames[0][-1][0].T @ towards)
 
 
-def test_a_target_that_faces_the_tracker_has_no_error():
-    back = -CONTEXT.p_M[0] / np.linalg.norm(CONTEXT.p_M[0])
-    for column in columns("target_incidence", EFFECTS["target_incidence"].law("lateral"), looking(back)).values():
-        np.testing.assert_allclose(shifts(column)[0], 0.0, atol=1e-12)
-
-
 @pytest.mark.parametrize("degrees", [5.0, 20.0, 50.0, 89.0])
 def test_an_inclined_target_has_radial_and_lateral_errors(degrees):
     beam = CONTEXT.p_M[0] / np.linalg.norm(CONTEXT.p_M[0])
@@ -602,6 +388,250 @@ def test_an_inclined_target_has_radial_and_lateral_errors(degrees):
     np.testing.assert_allclose(shifts(found["incidence_lateral"])[0], np.sin(angle) * aside, atol=1e-12)
 
 
-def test_the_simplest_law_of_incidence_is_radial():
-    assert list(columns("target_incidence", EFFECTS["target_incidence"].law("radial"))) == ["incidence_radial"]
-    assert [law.name for law in EFFECTS["target_incidence"].laws(CONTEXT)] == ["radial", "lateral"]
+# -- Effects in the joints: compliance, eccentricity, drives, backlash, friction, settling, drift ----------------------
+
+
+CONTEXT_OF_JOINTS = context_of(12)
+CONDITIONS_OF_JOINTS: Any = CONTEXT_OF_JOINTS.conditions
+
+
+def laws_of_joints(slug, name, context=CONTEXT_OF_JOINTS):
+    return [law for law in EFFECTS[slug].laws(context) if law.name == name]
+
+
+def columns_of_joints(slug, law, context=CONTEXT_OF_JOINTS):
+    return by_name(EFFECTS[slug].columns(context, law))
+
+
+def energy(row, joints, masses, payload):
+    """Potential energy [J] of bodies and payload, with the joints displaced."""
+    walked = chain(CONTEXT_OF_JOINTS, row, joints=joints)
+    heights = [
+        CONTEXT_OF_JOINTS.up_M @ (pose[:3, :3] @ center + pose[:3, 3])
+        for pose, center in zip(walked.frames[1:], CONTEXT_OF_JOINTS.bodies.centers, strict=True)
+    ]
+    end = walked.frames[-1]
+    load = CONTEXT_OF_JOINTS.up_M @ (end[:3, :3] @ CONTEXT_OF_JOINTS.bodies.payload_center + end[:3, 3])
+    return GRAVITY * (masses @ np.array(heights) + payload * load)
+
+
+def torques(masses, payload):
+    """Negative gradient of the energy by each joint (n, N) [Nm]; ``masses`` (N,), ``payload`` (n,)."""
+    h = 1e-5
+    return np.array(
+        [
+            [
+                -(energy(row, h * step, masses, payload[row]) - energy(row, -h * step, masses, payload[row])) / (2 * h)
+                for step in np.eye(6)
+            ]
+            for row in range(len(CONTEXT_OF_JOINTS))
+        ]
+    )
+
+
+def test_compliance_follows_the_torque_of_arm_and_payload():
+    expected = torques(CONTEXT_OF_JOINTS.bodies.masses, CONDITIONS_OF_JOINTS.payload_kg)
+    assert np.abs(expected).max() > 50.0
+    found = columns_of_joints("joint_compliance", EFFECTS["joint_compliance"].law("linear"))
+    for j in range(6):
+        np.testing.assert_allclose(offsets(found[f"compliance{j + 1}"]), expected[:, j], atol=1e-5)
+
+
+def test_payload_compliance_follows_the_torque_of_the_payload_alone():
+    expected = torques(np.zeros(6), CONDITIONS_OF_JOINTS.payload_kg)
+    found = columns_of_joints("payload_compliance", EFFECTS["payload_compliance"].law())
+    for j in range(6):
+        np.testing.assert_allclose(offsets(found[f"payload_compliance{j + 1}"]), expected[:, j], atol=1e-5)
+
+
+def test_two_slopes_meet_at_the_knee():
+    stiffest = np.abs(CONTEXT_OF_JOINTS.torques).max(axis=0)
+    found = laws_of_joints("joint_compliance", "two_slope")
+    assert [law.constants["knee2"] / stiffest[1] for law in found] == pytest.approx([0.2, 0.35, 0.5, 0.65])
+    assert {law.tried for law in found} == {4}
+    law = found[2]
+    parts = columns_of_joints("joint_compliance", law)
+    torque, knee = CONTEXT_OF_JOINTS.torques[:, 1], law.constants["knee2"]
+    turned = 1e-5 * offsets(parts["compliance2"]) + 4e-6 * offsets(parts["soft2"])
+    inside = np.abs(torque) < knee
+    assert 0 < np.count_nonzero(inside) < len(torque)
+    np.testing.assert_allclose(turned[inside], 1.4e-5 * torque[inside])
+    np.testing.assert_allclose(turned[~inside], (1e-5 * torque + 4e-6 * knee * np.sign(torque))[~inside])
+
+
+def test_eccentricity_is_one_cycle_and_ovality_two():
+    found = columns_of_joints("encoder_eccentricity", EFFECTS["encoder_eccentricity"].law())
+    np.testing.assert_allclose(offsets(found["cos1q4"]), np.cos(CONTEXT_OF_JOINTS.q[:, 3]))
+    np.testing.assert_allclose(offsets(found["sin1q6"]), np.sin(CONTEXT_OF_JOINTS.q[:, 5]))
+    found = columns_of_joints("transmission_error", EFFECTS["transmission_error"].law("two"))
+    assert list(found)[:2] == ["cos2q1", "sin2q1"]
+    assert {column.block for column in found.values()} == {f"joint {j}" for j in range(1, 7)}
+    np.testing.assert_allclose(offsets(found["sin2q5"]), np.sin(2.0 * CONTEXT_OF_JOINTS.q[:, 4]))
+
+
+def test_every_line_is_a_block_with_the_price_of_the_search():
+    (law,) = laws_of_joints("transmission_error", "lines")
+    assert law.tried == LINES_MAX - 1 == 209
+    found = columns_of_joints("transmission_error", law)
+    assert len(found) == 2 * 6 * 209
+    assert {found["cos101q3"].block, found["sin101q3"].block} == {"joint 3 line 101"}
+    assert len({column.block for column in found.values()}) == 6 * 209
+    for name, column in found.items():
+        assert isinstance(column.wave, Wave)
+        assert column.joint is not None
+        assert name == f"{'sin' if column.wave.sine else 'cos'}{column.cycles}q{column.joint + 1}"
+        expected = column.wave(CONTEXT_OF_JOINTS.q[:, column.joint])
+        np.testing.assert_allclose(offsets(column), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("names", "ratios"),
+    [
+        (["cos2q1", "sin2q1"], []),
+        (["cos51q3", "sin51q3"], [51.0]),
+        (["cos100q3", "sin100q3"], [50.0, 100.0]),
+        (["cos4q1", "sin100q3"], [4.0, 50.0, 100.0]),
+    ],
+)
+def test_a_line_that_was_found_proposes_the_gears_it_may_belong_to(names, ratios):
+    """A line is at the ratio or at twice that; two cycles per revolution are of any gear."""
+    effect = EFFECTS["transmission_error"]
+    found = effect.refinements(CONTEXT_OF_JOINTS, effect.law("lines"), names)
+    assert [(law.name, law.constants["ratio"]) for law in found] == [("gear", ratio) for ratio in ratios]
+    assert {law.tried for law in found} <= {LINES_MAX - 1}, "choosing a ratio costs as much as choosing a line"
+    assert not any(law.name == "gear" for law in effect.laws(CONTEXT_OF_JOINTS))
+
+
+def test_a_joint_lags_half_the_play():
+    found = columns_of_joints("backlash", EFFECTS["backlash"].law("constant"))
+    for j in range(6):
+        column = found[f"half_play{j + 1}"]
+        np.testing.assert_array_equal(offsets(column), -CONDITIONS_OF_JOINTS.approach[:, j])
+        assert (column.lower, column.unit) == (0.0, "rad")
+
+
+def test_hysteresis_saturates_with_the_step():
+    found = laws_of_joints("backlash", "saturating")
+    assert [law.constants["width"] for law in found] == [0.02, 0.05, 0.1, 0.2, 0.4, 0.8]
+    assert {law.tried for law in found} == {6}
+    step = CONDITIONS_OF_JOINTS.step[:, 2]
+    np.testing.assert_allclose(
+        offsets(columns_of_joints("backlash", found[3])["half_play3"]), -np.sign(step) * np.tanh(np.abs(step) / 0.2)
+    )
+    only_signs = under(CONTEXT_OF_JOINTS, MeasurementConditions(approach=CONDITIONS_OF_JOINTS.approach))
+    typical = np.median(np.abs(CONDITIONS_OF_JOINTS.step[:, 2]))
+    np.testing.assert_allclose(
+        offsets(columns_of_joints("backlash", found[3], only_signs)["half_play3"]),
+        -np.sign(step) * np.tanh(typical / 0.2),
+    )
+
+
+def test_an_unknown_approach_is_no_lost_motion():
+    nothing_known = under(CONTEXT_OF_JOINTS, MeasurementConditions())
+    for slug in ("backlash", "friction_windup", "unsettled_measurement"):
+        for law in EFFECTS[slug].laws(CONTEXT_OF_JOINTS):
+            for column in columns_of_joints(slug, law, nothing_known).values():
+                assert not offsets(column).any()
+
+
+def test_friction_winds_up_with_the_load():
+    signs, load = CONDITIONS_OF_JOINTS.approach[:, 1], np.abs(CONTEXT_OF_JOINTS.torques[:, 1])
+    both = columns_of_joints("friction_windup", EFFECTS["friction_windup"].law("both"))
+    assert both["dry2"].block == both["windup2"].block == "joint 2"
+    np.testing.assert_allclose(offsets(both["dry2"]), -signs)
+    np.testing.assert_allclose(offsets(both["windup2"]), -signs * load)
+    alone = columns_of_joints("friction_windup", EFFECTS["friction_windup"].law("load"))
+    assert list(alone) == [f"windup{j}" for j in range(1, 7)]
+    np.testing.assert_allclose(offsets(alone["windup2"]), -signs * load)
+
+
+def test_an_unsettled_joint_lags_behind_its_motion():
+    step, dwell = CONDITIONS_OF_JOINTS.step[:, 0], CONDITIONS_OF_JOINTS.dwell_s
+    np.testing.assert_allclose(
+        offsets(columns_of_joints("unsettled_measurement", EFFECTS["unsettled_measurement"].law("step"))["lag1"]), -step
+    )
+    found = laws_of_joints("unsettled_measurement", "creep")
+    assert found[-1].constants["tau_s"] == pytest.approx(30.0)
+    for law in found:
+        expected = -step * np.exp(-dwell / law.constants["tau_s"])
+        np.testing.assert_allclose(offsets(columns_of_joints("unsettled_measurement", law)["lag1"]), expected)
+    no_dwell = under(CONTEXT_OF_JOINTS, MeasurementConditions(step=CONDITIONS_OF_JOINTS.step))
+    np.testing.assert_allclose(
+        offsets(columns_of_joints("unsettled_measurement", found[-1], no_dwell)["lag1"]),
+        -step * np.exp(-np.median(dwell) / 30.0),
+    )
+
+
+def test_joint_zeros_drift():
+    time = CONDITIONS_OF_JOINTS.time_s
+    (law,) = laws_of_joints("joint_drift", "linear")
+    column = columns_of_joints("joint_drift", law)["drift4"]
+    assert (column.unit, column.joint) == ("rad", 3)
+    np.testing.assert_allclose(offsets(column), (time - time[0]) / (time[-1] - time[0]))
+    for law in laws_of_joints("joint_drift", "warm_up"):
+        expected = 1.0 - np.exp(-(time - time[0]) / law.constants["tau_s"])
+        np.testing.assert_allclose(offsets(columns_of_joints("joint_drift", law)["drift4"]), expected)
+    (law,) = laws_of_joints("joint_drift", "joint_temperature")
+    column = columns_of_joints("joint_drift", law)["drift4"]
+    joints_c = CONDITIONS_OF_JOINTS.joints_c[:, 3]
+    assert column.unit == "rad/K"
+    np.testing.assert_allclose(offsets(column), joints_c - joints_c.mean())
+
+
+# -- Effects turn a probe as they move points of it --------------------------------------------------------------------
+
+
+TURNED = replace(CONTEXT, conditions=replace(CONTEXT.conditions, R_M_S=np.tile(EYE, (10, 1, 1))))
+R_M_F = CONTEXT.frames[0][-1]
+
+
+def every_law(effect: Effect, context: EffectContext) -> list[Law]:
+    smooth = []
+    for law in effect.smooth_laws(context):
+        lengths = {} if law.lengths is None else {LENGTH.name: law.lengths.start}
+        smooth.append(effect.form(law.form).law({**law.constants, AMPLITUDE.name: 1.0, **lengths}))
+    return [*effect.laws(context), *smooth]
+
+
+def further_out(lever: np.ndarray) -> EffectContext:
+    """The same stops with the SMR (3,) [m] further from the flange."""
+    return replace(CONTEXT, geometry=replace(CONTEXT.geometry, tool=CONTEXT.geometry.tool + lever))
+
+
+@pytest.mark.parametrize("slug", [slug for slug in EFFECTS if slug != "unknown"])
+def test_every_column_turns_the_probe_as_it_moves_points_of_it(slug):
+    effect = EFFECTS[slug]
+    for law in every_law(effect, CONTEXT):
+        here, turned = (by_name(effect.columns(context, law)) for context in (CONTEXT, TURNED))
+        assert list(here) == list(turned)
+        levers = [by_name(effect.columns(further_out(lever), law)) for lever in EYE]
+        for name, column in turned.items():
+            if column.joint is not None:
+                np.testing.assert_array_equal(column.offset, here[name].offset)
+                continue
+            own = here[name].shift_M
+            assert own is not None
+            assert column.shift_M is not None
+            if effect.of_reading:  # of the reading of a point: the probe itself does not turn
+                assert not column.shift_M.any()
+                continue
+            size = np.abs(own).max()
+            for axis, further in enumerate(levers):
+                other = further[name].shift_M
+                assert other is not None
+                moved = other - own
+                np.testing.assert_allclose(moved, np.cross(column.shift_M, R_M_F[:, :, axis]), atol=1e-9 * size)
+
+
+def test_readings_of_both_kinds_stand_side_by_side():
+    """In one context the rows of positions are as they are alone, those of orientations too."""
+    R_M_S = np.tile(EYE, (10, 1, 1))
+    R_M_S[::2] = np.nan
+    both = replace(CONTEXT, conditions=replace(CONTEXT.conditions, R_M_S=R_M_S))
+    law = EFFECTS["pedestal_compliance"].law("general")
+    mixed, alone, turned = (
+        np.array([one.shift_M for one in EFFECTS["pedestal_compliance"].columns(context, law)])
+        for context in (both, CONTEXT, TURNED)
+    )
+    np.testing.assert_array_equal(mixed[:, ::2], alone[:, ::2])
+    np.testing.assert_array_equal(mixed[:, 1::2], turned[:, 1::2])

@@ -1,0 +1,190 @@
+"""Divide the uncertainty of a TCP into what is common to all its targets and what is each target's own.
+
+Draws of the posterior displace the TCP and turn the flange at every configuration. What is the same everywhere in the
+flange frame, as an error of the TCP, and what is one rigid motion of the base, is found by least squares over the
+configurations of the readings; it moves all targets together. What is left at a target is its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.estimation.uncertainty.records import CommonUncertainty, Six
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.chain import flange_poses
+from cellapp.robot.kinematics.transforms import Array, rotation_vectors, twist_columns
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.model import PosteriorDraws
+
+MOST_CONFIGURATIONS = 200
+"""Largest number of readings whose configurations decide what is common."""
+_LENGTH_95 = 2.8
+"""Length of a normal vector that 95 % are below, in standard deviations of a coordinate."""
+_CHI2_95 = {9: 16.9, 6: 12.6}
+"""Value that 95 % of chi-squared variables are below, by their number of degrees of freedom."""
+_LEAST = 1e-6
+"""Least uncertainty of what is common [m, rad]: a model does not state all of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Divided:
+    """Standard uncertainties of n targets of one TCP.
+
+    Attributes
+    ----------
+    whole_m, own_m : array, shape (n,)
+        Of a coordinate of the TCP, with and without what is common [m].
+    whole_rad, own_rad : array, shape (n,)
+        Of the flange's rotation, the rms angle [rad].
+    flange_m, flange_rad : array, shape (3,)
+        What is common in the flange frame: of the TCP, and of the rotation about each axis.
+    base_m, base_rad : float
+        What is common in the base frame: of a coordinate at the targets, and of the rotation, the rms angle.
+    common_significant : bool
+        Whether what is common to the corrections is significant against what is common to the uncertainties.
+    own_significant : bool
+        Whether the own part of some correction is significant against the target's own uncertainty.
+    """
+
+    whole_m: Array
+    own_m: Array
+    whole_rad: Array
+    own_rad: Array
+    flange_m: Array
+    flange_rad: Array
+    base_m: float
+    base_rad: float
+    common_significant: bool
+    own_significant: bool
+
+    def record(self, tcp: Six | None, *, corrected: bool = True) -> CommonUncertainty:
+        """Return what is common, for a result; ``corrected`` says whether there were corrections to judge."""
+        x, y, z = (self.flange_m * 1e3).tolist()
+        about_x, about_y, about_z = (self.flange_rad * 1e3).tolist()
+        return CommonUncertainty(
+            tcp=tcp,
+            flange_mm=(x, y, z),
+            flange_mrad=(about_x, about_y, about_z),
+            base_mm=self.base_m * 1e3,
+            base_mrad=self.base_rad * 1e3,
+            own_mm=float(np.median(self.own_m)) * 1e3,
+            significant=self.common_significant if corrected else None,
+        )
+
+
+def divided(
+    arm: ArmModel,
+    q: Array,
+    tcp: Array,
+    conditions: MeasurementConditions,
+    measured: Array,
+    correction: Callable[[Array, MeasurementConditions], tuple[Array, Array]] | None = None,
+) -> Divided | None:
+    """Divide the uncertainty of the point ``tcp`` (3,) on the flange at ``q`` (n, N); None if the model states none.
+
+    ``conditions`` are those of the targets; ``measured`` (m, N) are the configurations of the readings; ``correction``
+    returns shift [m] and rotation [rad] of the TCP, each (k, 3), at any configurations; none if None.
+    """
+    if arm.posterior is None:
+        return None
+    known, at_tcp = measured[:: max(1, len(measured) // MOST_CONFIGURATIONS)], _with_tcp(arm, arm.posterior, tcp)
+    usual = MeasurementConditions(
+        payload_kg=None if conditions.payload_kg is None else np.full(len(known), conditions.payload_kg[0])
+    )
+    moved, turned = ([draws(at_tcp, known, usual), draws(at_tcp, q, conditions)] for draws in (_moved, _turned))
+    judge = correction or _nothing
+    corrected = judge(known, usual), judge(q, conditions)
+    shifts, turns = ([its[part][None] for its in corrected] for part in (0, 1))
+    (there, _), (here, origins) = flange_poses(arm.geometry, known), flange_poses(arm.geometry, q)
+    centre = (origins + here @ tcp).mean(axis=0)
+    columns = [_columns(at_tcp, one, centre) for one in (known, q)]
+    rigid, own = _common(columns, moved)
+    rigid_shift, own_shift = _common(columns, shifts)
+    columns = [_with_identity(there), _with_identity(here)]
+    angles, own_turns = _common(columns, turned)
+    common_turn, own_turn = _common(columns, turns)
+    of_network = 0.0 if arm.network is None else np.mean(arm.network.spread(q) ** 2, axis=1)
+    own_m, whole_m = (np.sqrt(np.mean(one**2, axis=(0, 2)) + of_network) for one in (own, moved[1]))
+    own_rad, whole_rad = (np.sqrt(np.mean(np.sum(one**2, axis=2), axis=0)) for one in (own_turns, turned[1]))
+    common = _beyond(rigid_shift, rigid) or _beyond(common_turn, angles)
+    shift, rotation = (np.linalg.norm(one[0], axis=1) for one in (own_shift, own_turn))
+    sigma, turn = (np.sqrt(np.mean(one**2, axis=1)) for one in (rigid, angles))
+    return Divided(
+        whole_m,
+        own_m,
+        whole_rad,
+        own_rad,
+        flange_m=sigma[:3],
+        flange_rad=turn[:3],
+        base_m=float(np.sqrt(np.mean(sigma[3:6] ** 2))),
+        base_rad=float(np.sqrt(np.sum(turn[3:] ** 2))),
+        common_significant=common,
+        own_significant=bool(beyond(shift, rotation, own_m, own_rad).any()),
+    )
+
+
+def _with_tcp(arm: ArmModel, posterior: PosteriorDraws, tcp: Array) -> ArmModel:
+    """Return the arm with the TCP in place of the SMR; draws of the SMR's offset do not move another TCP."""
+    of_tool = np.array(posterior.columns) >= 6 + 5 * arm.geometry.joints
+    of_tool &= not np.array_equal(tcp, arm.geometry.tool)
+    posterior = replace(posterior, geometry=np.where(of_tool, 0.0, posterior.geometry))
+    return replace(arm, geometry=replace(arm.geometry, tool=tcp), posterior=posterior)
+
+
+def _nothing(q: Array, conditions: MeasurementConditions) -> tuple[Array, Array]:
+    return np.zeros((len(q), 3)), np.zeros((len(q), 3))
+
+
+def _moved(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> Array:
+    """Return the displacements (S, n, 3) of the TCP by each draw [m]."""
+    assert arm.posterior is not None
+    return arm.posterior.displacements(arm.geometry, arm.effects, arm.context(q, conditions=conditions))
+
+
+def _turned(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> Array:
+    """Return the rotations (S, n, 3) of the flange by the geometry of each draw [rad]."""
+    assert arm.posterior is not None
+    columns = list(arm.posterior.columns)
+    own = flange_poses(arm.geometry, q)[0].transpose(0, 2, 1)
+    found = []
+    for draw in arm.posterior.geometry:
+        vector = arm.geometry.vector()
+        vector[columns] += draw
+        found.append(rotation_vectors(flange_poses(arm.geometry.with_vector(vector), q)[0] @ own))
+    return np.array(found)
+
+
+def _columns(arm: ArmModel, q: Array, centre: Array) -> Array:
+    """Return how (n, 3, 9) a shift in the flange frame and a rigid motion about ``centre`` displace the TCP."""
+    rotations, origins = flange_poses(arm.geometry, q)
+    points = origins + rotations @ arm.geometry.tool
+    return np.concatenate([rotations, twist_columns(points - centre)], axis=2)
+
+
+def _with_identity(rotations: Array) -> Array:
+    return np.concatenate([rotations, np.broadcast_to(np.eye(3), rotations.shape)], axis=2)
+
+
+def beyond(shift: Array, turn: Array, own: Array, own_turn: Array) -> NDArray[np.bool_]:
+    """Return where lengths (n,) of shifts and rotations are significant against standard uncertainties, as those of
+    ``Divided``."""
+    return np.asarray((shift > _LENGTH_95 * own) | (turn > _LENGTH_95 / np.sqrt(3.0) * own_turn))
+
+
+def _beyond(values: Array, draws: Array) -> bool:
+    """Return whether values (k, 1) are not a likely one of the draws (k, S) about zero."""
+    covariance = draws @ draws.T / draws.shape[1] + _LEAST**2 * np.eye(len(draws))
+    distance = float(values[:, 0] @ np.linalg.solve(covariance, values[:, 0]))
+    return distance > _CHI2_95[len(values)]
+
+
+def _common(columns: list[Array], draws: list[Array]) -> tuple[Array, Array]:
+    """Return the common part (k, S) by the readings' configurations, and what is left (S, n, 3) at the targets."""
+    (known, here), (of_known, of_here) = columns, draws
+    wanted = of_known.reshape(len(of_known), -1).T
+    common = np.asarray(np.linalg.lstsq(known.reshape(-1, known.shape[2]), wanted, rcond=None)[0], dtype=np.float64)
+    return common, np.asarray(of_here - np.einsum("nck,ks->snc", here, common))
