@@ -91,7 +91,6 @@ ASKED = {
     "check": ("7", "k"),
     "ISO 9283": ("7", "m"),
     "certificate": ("7", "e"),
-    "report": ("7", "b"),
     "the whole day": ("1", "f5"),
 }
 
