@@ -98,6 +98,9 @@ VERB = Verb("correct", CorrectRequest, chapter="programs", question="Correct a p
 
 
 _JOINTS = 6
+_MARK = "corrected by cellapp for one arm: never correct this copy again"
+_MARKS = {".script": f"# {_MARK}", ".urp": f"<!-- {_MARK} -->"}
+"""Last line of a copy. Corrected twice, targets would be off by the correction."""
 _LARGEST = 32 * 1024 * 1024
 """Most bytes of a program that are read."""
 
@@ -166,6 +169,11 @@ def correct_run(
     settings = run.profile.arms[name]
     _require_its_calibration(run, name, model_arm)
     read = _read(program, out, settings, tcp)
+    if _MARK in read.text:
+        raise InputError(
+            f"{program} is a corrected copy, of which no second one is made: it would be off by the correction. Correct"
+            " the program that was taught"
+        )
     if not read.targets and not read.left:
         raise InputError(f"{program}: no motion with a target found; nothing was written")
     limits = np.array(settings.joint_limits)
@@ -192,7 +200,8 @@ def correct_run(
     )
     if result.refused and not partly:
         return result.model_copy(update={"out": None})
-    write_new_bytes({out: read.encode(rewritten(read.text, read.targets, corrected))}, outputs)
+    written = rewritten(read.text, read.targets, corrected).rstrip("\n")
+    write_new_bytes({out: read.encode(f"{written}\n{_MARKS[out.suffix.lower()]}\n")}, outputs)
     return result
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 
+from cellapp.cell.exports.dh_tables import parameter_rows
 from cellapp.cell.run.file import RunFile
 from cellapp.commands.stages import CALIBRATION_FILE, Basis, RunStages, StoredStage, append_stage
 from cellapp.estimation.calibration.records import CalibrateResult
@@ -28,6 +29,19 @@ def model_of(run: RunFile, stage: StoredStage) -> CellModel:
     if stage.model is None:
         raise InputError(f"{run.folder / CALIBRATION_FILE} is missing or damaged; run 'cellapp calibrate' again")
     return CellModel.from_json(stage.model, f"{run.path}: {stage.name}")
+
+
+def values_in_force(result: CalibrateResult, model: CellModel) -> CalibrateResult:
+    """Return the calibration with the values of the identified parameters in ``model``, that of the stage in force."""
+    arms = dict(result.arms)
+    for name, arm in result.arms.items():
+        rows = {row.parameter: row for row in parameter_rows(model.arms[name], model.arms[name].geometry)}
+        found = {
+            key: one.model_copy(update={"value": rows[key].identified, "standard_error": rows[key].standard_error})
+            for key, one in arm.identified.items()
+        }
+        arms[name] = arm.model_copy(update={"identified": found})
+    return result.model_copy(update={"arms": arms})
 
 
 def arms_stage(run: RunFile, stages: RunStages, verb: str) -> StoredStage:

@@ -279,8 +279,6 @@ def _open_refusal(text: str) -> Refusal:
     """Return a refusal for an exception of the RTDE client's constructor; reword texts that are unclear."""
     if "enable remote control" in text:
         return Refusal("local", "not in remote control; switch the pendant from Local to Remote")
-    if "before timeout of 5 seconds" in text:
-        return Refusal("timeout", "its control program did not start within 5 s")
     if "already in use" in text:
         return Refusal("occupied", "another RTDE client (a fieldbus, another program) holds its inputs; end that")
     return Refusal("link", f"the RTDE client could not connect: {' '.join(text.split())[:200]}")

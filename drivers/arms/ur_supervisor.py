@@ -44,8 +44,9 @@ _CATCH_UP_S = 0.02
 _BROKEN_BY_STALL_S = 1.0
 """A stall at least this long, and at most this long ago, explains a broken link: the client's own silence broke it."""
 _ASK_AGAIN_S = 0.0005
-_LATELY, _LATE_S = 125, 0.06
-"""States within which a late one is remembered; one that is later than this shows a late network."""
+_LATELY, _LATE, _LOOKED_S = 125, 0.3, 0.016
+"""States within which a late one is remembered; the part of the watchdog's period that shows a late network;
+the most time for each look meanwhile: a process that was not scheduled has not looked."""
 _WAITED = 0.5
 """Part of a silence of this computer from which on it was the controller's, which was asked for something."""
 _NO_MODE = "UNKNOWN_0"
@@ -101,11 +102,11 @@ class States:
 
     def look(self) -> tuple[UrSample, bool]:
         """Return the newest state, and whether it is new; end the process if none has arrived for too long."""
-        late = self._note_look()
+        self._note_look()
         sample, now = self.newest(), time.monotonic()
         if sample.time_s != self._time_s:
-            if not late:
-                self._lately.append(now - self._news_s)
+            gap_s = now - self._news_s
+            self._lately.append(gap_s if self._looks_without_news * _LOOKED_S > gap_s else 0.0)
             self._time_s, self._news_s, self._looks_without_news = sample.time_s, now, 0
             return sample, True
         self._looks_without_news += 1
@@ -490,7 +491,7 @@ class Supervisor:
         """Return what may have ended the program, most likely first: a late network was seen, all else was not."""
         stopped = "it was stopped on the pendant, or another program was started"
         late_s = self._states.late_s
-        if late_s > _LATE_S:
+        if late_s > _LATE / self._watchdog_hz:
             return f"the network is late (a state came after {late_s:.2f} s), so {watchdog} ended it; or {stopped}"
         return f"{stopped}; or the network lost messages of this computer, and {watchdog} ended it"
 

@@ -41,7 +41,8 @@ _STOPPED: Mapping[str, Any] = {"error": "stopped", "text": "its motion was stopp
 
 _LAST_LINES, _LONGEST_LINE = 60, 400
 """Number and length of the lines that are kept of the worker's standard error."""
-_LAST_WORDS_WITHIN_S = 0.1
+_LAST_WORDS_WITHIN_S = 0.02
+"""Time limit for exit code and last words of a process that ended: the other arms wait for it."""
 
 Doubted = Callable[[str, str], object]
 """Callback for a doubt, with the kind of a refusal and a sentence; called from any thread, returns at once."""
@@ -69,9 +70,11 @@ _WHAT = b"what():"
 """In front of the reason that the RTDE client's own language gives for a crash."""
 
 
-def ending(code: int, lines: Iterable[bytes]) -> WorkerGone:
-    """Return why a process ended, by its exit code and the lines that it wrote last."""
+def ending(code: int | None, lines: Iterable[bytes]) -> WorkerGone:
+    """Return why a process ended, by its exit code, if that is known, and the lines that it wrote last."""
     kept = list(lines)
+    if code is None:
+        return WorkerGone("its driver process ended", "ended")
     if -code not in [getattr(signal, name, 0) for name in _CRASHES]:
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
         return WorkerGone(f"its driver process ended ({how}{last_words(kept)})", "ended")
@@ -402,12 +405,15 @@ class WorkerProcess:
                     pending = self._pending.get(int(message["id"]))
                 if pending is not None:
                     pending.answered.put(message)
-        if reason is None:
-            self._report("ended", "its driver process ended")
-        code = self._process.wait()
-        self._listener.join(_LAST_WORDS_WITHIN_S)
+        if reason is None:  # it has ended, and its last words came before: waiting for them takes a millisecond
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_LAST_WORDS_WITHIN_S)
+            self._listener.join(_LAST_WORDS_WITHIN_S)
+            reason = ending(self._process.poll(), self._last_words)
+            self._report(reason.kind, str(reason))
+        self._process.wait()
         with self._lock:
-            self._ended = reason or ending(code, self._last_words)
+            self._ended = reason
             for pending in self._pending.values():
                 pending.answered.put(None)
         self._hello.put(None)

@@ -10,7 +10,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import STATION, true_geometry
-from tests.cell.run.recorded_motion import write_columns
+from tests.cell.run.small_runs import write_columns
 
 OFFSET_S, RATE_PPM, SIGMA_M = 1000.0178, 15.0, 20e-6
 

@@ -43,7 +43,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Collection, Reference
 from cellapp.ground.progress import Cancelled
 from drivers.arms.simulated import SimulatedArm
-from tests.cell.planning.hand_made import drivable_stops, same_stops, some_stops
+from tests.cell.planning.planned_cells import drivable_stops, same_stops, some_stops
 from tests.twin import small_twin
 
 STOPS = 6

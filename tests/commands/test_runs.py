@@ -48,9 +48,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Traceability, TraceableArm
 from cellapp.ground.results import DISCOVER
-from tests.cell.run.small_runs import add_stop, collected_run, planned_run, set_began
-from tests.cell.run.spoiled import SPOILED, spoil_cut
-from tests.cell.run.two_arm_cell import two_arms
+from tests.cell.run.small_runs import SPOILED, add_stop, collected_run, planned_run, set_began, spoil_cut, two_arms
 from tests.commands.measured_runs import Truth, cell, measured_run, set_month
 from tests.interfaces.page.runs import without_devices
 from tests.program import app

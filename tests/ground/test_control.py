@@ -22,21 +22,17 @@ import pytest
 
 import cellapp
 from cellapp.ground.control import Aborted, JobControl, Stopped
-from cellapp.ground.counting import counted
 from cellapp.ground.errors import CheckFailed, InputError
-from cellapp.ground.executors import ComputingLost, Work, gather, local_cores
+from cellapp.ground.executors import ComputingLost, Work, gather
 from cellapp.ground.progress import (
     Cancelled,
     CancelToken,
     Progress,
-    SharedProgress,
-    StateChange,
     eta_words,
     in_lines,
     with_eta,
 )
 from cellapp.ground.results import Record
-from tests.waiting import within
 
 
 def test_stop_calls_the_brakes_in_the_callers_thread_when_the_request_stands() -> None:
@@ -64,13 +60,6 @@ def test_an_attended_job_holds_and_resumes() -> None:
         requests = [control.request]
         control.resume()
         assert [*requests, control.request] == ["stop", "none"]
-
-
-def test_an_attended_job_without_arms_has_nothing_to_hold() -> None:
-    control = JobControl(holds=True)
-    control.stop()
-    with pytest.raises(Stopped):
-        control.check()
 
 
 def test_abort_ends_every_job_and_cannot_be_taken_back() -> None:
@@ -133,12 +122,6 @@ _NUMBER = re.compile(
 )
 _AT_LEAST_TWO = {"one.targets"}
 """Of sentences that are said of two or more only."""
-
-
-def test_one_and_many() -> None:
-    assert counted(1, "stop") == "1 stop"
-    assert counted(0, "stop") == "0 stops"
-    assert counted(2, "stop is", "stops are") == "2 stops are"
 
 
 def _bare(path: Path) -> Iterator[str]:
@@ -206,26 +189,6 @@ def values(given: dict[str, int], work: Work, folder: Path | None = None) -> lis
     """Values of all tasks; None of those that failed."""
     found = gather(square, partial(offset, 0.5, folder), given, Square, "squares", work)
     return [None if one is None else one.value for one in found.results]
-
-
-def test_one_process_is_this_one_and_listens_to_every_task() -> None:
-    heard = list[Progress]()
-    found = gather(square, partial(offset, 0.5), FOUR, Square, "squares", Work(listener=heard.append))
-    assert [one.value for one in found.found] == [1.5, 4.5, 9.5, 16.5]
-    assert {one.process for one in found.found} == {os.getpid()}
-    assert [(one.done, one.total) for one in heard] == [(done, 4) for done in range(5)]
-    assert heard[-1].note == "square of 4"
-
-
-def square_of_squares(prepared: tuple[float, Path | None], number: int) -> Square:
-    """A task that gathers tasks of its own."""
-    (inner,) = gather(square, partial(offset, 0.0), {"inner": number}, Square, "inner", Work()).found
-    return square(prepared, int(inner.value))
-
-
-def test_a_task_may_gather_tasks_of_its_own() -> None:
-    found = gather(square_of_squares, partial(offset, 0.5), {"three": 3}, Square, "squares", Work())
-    assert [one.value for one in found.found] == [81.5]
 
 
 def test_a_task_that_fails_is_named_and_does_not_stop_the_others() -> None:
@@ -308,10 +271,6 @@ def test_processes_end_with_their_client_even_if_it_is_killed(tmp_path: Path) ->
         client.wait(WAIT_S)
     workers = [int(path.name.removeprefix("prepared-")) for path in tmp_path.glob("prepared-*")]
     until(lambda: not any(map(runs, workers)), "the processes end")
-
-
-def test_cores_are_those_of_this_process() -> None:
-    assert 1 <= local_cores() <= (os.cpu_count() or 1)
 
 
 # -- a cluster --------------------------------------------------------------------------------------------------------
@@ -403,47 +362,6 @@ def test_the_rate_is_that_of_steps_under_our_eyes() -> None:
     assert job.emit(20.0, Progress("collect", 202, 400)) == pytest.approx(1980.0)
     assert job.emit(50.0, Progress("collect", 202, 400)) == pytest.approx(198 * 50.0 / 3 - 30.0), "a long step counts"
     assert job.emit(2001.0, Progress("collect", 400, 400)) == 0.0
-
-
-def test_the_rate_follows_a_change_of_pace() -> None:
-    job = Clocked()
-    for step in range(50):
-        job.emit(step * 1.0, Progress("collect", step, 200))
-    for step in range(50, 100):
-        eta_s = job.emit(50.0 + (step - 50) * 10.0, Progress("collect", step, 200))
-    assert eta_s == pytest.approx(101 * 10.0)
-
-
-def test_jobs_have_rates_of_their_own_and_begin_anew() -> None:
-    job = Clocked()
-    job.emit(0.0, Progress("plan", 0, 10))
-    assert job.emit(1.0, Progress("calibrate", 0, 3)) is None
-    assert job.emit(2.0, Progress("plan", 1, 10)) == pytest.approx(18.0)
-    assert job.emit(3.0, Progress("plan", 0, 10)) is None
-
-
-def test_an_estimate_of_the_emitter_is_kept_and_a_pause_is_no_part_of_the_pace() -> None:
-    job = Clocked()
-    assert job.emit(0.0, Progress("collect", 0, 10, eta_s=77.0)) == 77.0
-    job.emit(1.0, Progress("collect", 1, 10))
-    assert job.emit(5000.0, Progress("collect", 1, 10, detail=StateChange("running", "resumed"))) is None
-    assert job.emit(5001.0, Progress("collect", 2, 10)) == pytest.approx(8.0)
-
-
-def test_parts_at_the_same_time_are_added_and_never_go_back() -> None:
-    events: list[Progress] = []
-    shared = SharedProgress(events.append, "calibrate", 2, 22)
-    threads = [
-        threading.Thread(target=lambda part=part: [part(step, "step") for step in range(11)])
-        for part in (shared.part("arm left"), shared.part("arm right"))
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        within(thread.join, "the end of a part")
-    done = [event.done for event in events]
-    assert done == sorted(done)
-    assert (done[-1], events[-1].total) == (22, 22)
 
 
 def test_times_in_words() -> None:

@@ -1,6 +1,7 @@
 """``python -m tests.handbook``: renew the parts of chapters that repeat the code.
 
-``python -m tests.handbook pages RUN DIR`` takes pictures of a run's pages.
+``python -m tests.handbook pages RUN DIR`` takes pictures of a run's pages, ``screens PROFILE RUN DIR`` of the terminal
+application with it.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from cellapp.ground.outputs import RENEWED
 from tests.handbook.chapters import CHAPTERS, ROOT, chapter_path
 from tests.handbook.declarations import with_declarations
 from tests.handbook.page_pictures import write_pictures
+from tests.handbook.screen_pictures import write_screens
 
 
 def renew() -> None:
@@ -29,5 +31,7 @@ if __name__ == "__main__":
             renew()
         case ["pages", run, folder]:
             write_pictures(Path(run), Path(folder), outputs=RENEWED)
+        case ["screens", profile, run, folder]:
+            write_screens(Path(profile), Path(run), Path(folder))
         case _:
-            sys.exit("python -m tests.handbook [pages RUN DIR]")
+            sys.exit("python -m tests.handbook [pages RUN DIR | screens PROFILE RUN DIR]")

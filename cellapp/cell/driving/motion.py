@@ -547,16 +547,17 @@ class Mover:
         self,
         expected_M: Vector,
         what: str,
-        within_m: float = WRONG_TARGET_M,
+        within_m: float | None = None,
         tries: int = _MEASURING_TRIES,
         at: tuple[str, Vector] | None = None,
     ) -> PointAtRest:
         """Measure the SMR of ``what``, expected at ``expected_M`` (3,) [m]; reject points beyond ``within_m`` [m].
 
-        ``at`` is its arm and where that came to rest (N,) [rad]; None for a nest. A point is also rejected if a joint
-        left the arm's settling window about that, from before the request until after the result. Raise as ``measure``.
+        ``within_m`` is ``WRONG_TARGET_M`` if None. ``at`` is its arm and where that came to rest (N,) [rad]; None for a
+        nest. A point is also rejected if a joint left the arm's settling window about that, from before the request
+        until after the result. Raise as ``measure``.
         """
-        times_moved = 0
+        within_m, times_moved = WRONG_TARGET_M if within_m is None else within_m, 0
         while True:
             self._reaction.check()
             found, joints = self._tried(expected_M, what, within_m, None if at is None else at[0])

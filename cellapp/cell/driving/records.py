@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from cellapp.cell.planning.records import PlanDesignResult, PlannedTime, SweepForecast
+from cellapp.cell.planning.records import PlanDesignResult, PlannedTime
 from cellapp.cell.run.records import ArmOrder, MissingReading, RecordingState, ReferenceDrift
 from cellapp.ground.asking import Verb
 from cellapp.ground.results import Record, Result
@@ -17,14 +17,13 @@ End = Literal["complete", "accurate enough"]
 
 
 class SweepCount(Record):
-    """Planned sweeps of one arm: number, how long they last together, and what they will tell beside the stops; beside
-    ``swinging`` of them the other arm swings."""
+    """Planned sweeps of one arm: number, how long they last together; beside ``swinging`` of them the other arm
+    swings."""
 
     n: int
     seconds: float
-    forecast: SweepForecast | None = None
     swinging: int | None = None
-    omitted_when_none = frozenset({"forecast", "swinging"})
+    omitted_when_none = frozenset({"swinging"})
 
 
 class PlannedLoad(Record):

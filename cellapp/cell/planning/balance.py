@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.planning.duration import home_s, stop_times_of
-from cellapp.cell.planning.planned_stops import Configuration, PlannedStops
+from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.planning.records import FactorCorrelation, TravelTime
 from cellapp.cell.planning.transit_paths import TransitPath, TransitPlanner
 from cellapp.cell.safety.gate import CellBodies
@@ -430,14 +430,12 @@ _RANDOM_ORDERS = 20
 """Number of random orders whose time is averaged: the standard deviation is then a few tenths of a percent."""
 
 
-def correlations(
-    profile: Profile, cell: CellBodies, stops: PlannedStops, start: Configuration | None = None
-) -> tuple[FactorCorrelation, ...]:
+def correlations(profile: Profile, cell: CellBodies, stops: PlannedStops) -> tuple[FactorCorrelation, ...]:
     """Find the largest correlation of each factor that a plan chooses: of each arm, and of all (arm "all").
 
-    ``start`` is where the arms are before the first stop; None: home. Factors that do not vary are left out.
+    Factors that do not vary are left out.
     """
-    time = stop_times_of(profile, stops, start).measured_s
+    time = stop_times_of(profile, stops).measured_s
     common = time_and_blocks(time, stops.block)
     postures = {name: posture_functions(profile, cell, name, q) for name, q in stops.q.items()}
     steps = {name: np.nan_to_num(q - stops.approach_from[name]) for name, q in stops.q.items()}

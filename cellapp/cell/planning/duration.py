@@ -55,9 +55,9 @@ def motion_s(arm: Arm, way: Array) -> Array:
     return np.asarray(np.where(triangle, 2.0 * np.sqrt(at_acceleration), at_speed + ramp))
 
 
-def stop_times_of(profile: Profile, stops: PlannedStops, start: Configuration | None = None) -> StopTimes:
-    """Estimate the times of planned stops with their approaches and detours, from ``start``; None: from home."""
-    here = home_positions(profile) if start is None else start
+def stop_times_of(profile: Profile, stops: PlannedStops) -> StopTimes:
+    """Estimate the times of planned stops with their approaches and detours, from home."""
+    here = home_positions(profile)
     begin = {
         name: np.where(np.isfinite(stops.approach_from[name]), stops.approach_from[name], q)
         for name, q in stops.q.items()

@@ -94,23 +94,6 @@ class ArmForecast(Record):
     effects: tuple[PlannedEffect, ...]
 
 
-class LawInMotion(Record):
-    """From which size on a law of joints is seen: its effect, cycles a turn for lines, unit, and the smallest size of
-    each joint by source (stops, sweeps, both); None where no size that arms have is seen."""
-
-    effect: str
-    cycles: int
-    unit: str
-    smallest: Mapping[str, Mapping[str, float | None]]
-
-
-class SweepForecast(Record):
-    """What stops, sweeps and both together will tell of an arm: standard errors by source, and sizes of laws."""
-
-    accuracy: Mapping[str, PlannedAccuracy]
-    laws: tuple[LawInMotion, ...]
-
-
 class PlanForecastResult(Result, schema="cellapp-plan-forecast"):
     """``show DIR plan --forecast``: time, covered joint ranges, expected standard errors, effects that can be seen."""
 

@@ -15,7 +15,6 @@ import numpy as np
 from pydantic import ValidationError
 
 from cellapp.cell.planning.planned_stops import PlannedStops, last_motions
-from cellapp.cell.planning.records import LawInMotion, SweepForecast
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, Gate, allowed_apart_m, refuse_motion, refuse_paths, visible
@@ -28,7 +27,7 @@ from cellapp.estimation.calibration.parameters import (
 )
 from cellapp.estimation.discovery.plan_forecast import nominal_model, tracker_covariance
 from cellapp.estimation.motion.joint_path import joint_path
-from cellapp.estimation.motion.steps import Expected, forecast_motion, foreseen_laws, motion_information
+from cellapp.estimation.motion.steps import Expected, foreseen_terms, motion_information
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.motion.terms import (
     JointState,
@@ -126,8 +125,9 @@ class SweepDesign:
         """Set up for the geometry and those effects of ``plan.effects`` that recordings can show."""
         arm = ExpectedArm.of(profile, name)
         estimated, sds = arm.parameters()
-        laws, wanted = foreseen_laws(arm.model.geometry.joints), profile.plan.effects
-        terms = tuple(term for its in laws for term in its if wanted is None or term.law.value in wanted)
+        wanted = profile.plan.effects
+        foreseen = foreseen_terms(arm.model.geometry.joints)
+        terms = tuple(term for term in foreseen if wanted is None or term.law.value in wanted)
         unit = np.array([*sds, *(term.prior_sd for term in terms), _DELAY_SD_S])
         return cls(arm, estimated, terms, np.minimum(unit, _UNKNOWN))
 
@@ -205,11 +205,10 @@ class PlannedSweep(Swing):
 
 
 class PlannedSweeps(Record):
-    """All sweeps of a run, sentences on what could not be planned, and what they will tell of each arm."""
+    """All sweeps of a run, and sentences on what could not be planned."""
 
     sweeps: tuple[PlannedSweep, ...]
     notes: tuple[str, ...] = ()
-    forecast: Mapping[str, SweepForecast] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,12 +227,12 @@ def read_sweeps(run: RunFile) -> tuple[PlannedSweep, ...]:
 
 
 def read_planned_sweeps(run: RunFile) -> PlannedSweeps:
-    """Read the planned sweeps of a run with their notes and forecast, as ``read_sweeps`` does."""
+    """Read the planned sweeps of a run with their notes, as ``read_sweeps`` does; unknown keys are ignored."""
     text = run.read_result(SWEEPS_RESULT)
     if text is None:
         return PlannedSweeps(sweeps=())
     try:
-        return PlannedSweeps.model_validate_json(text)
+        return PlannedSweeps.model_validate_json(text, extra="ignore")
     except ValidationError:
         raise InputError(f"{run.path} is damaged ({SWEEPS_RESULT}); restore it from a copy") from None
 
@@ -389,27 +388,3 @@ def _slow_enough(
     way = np.diff(smr_positions(cell.arms[name].geometry, slower.at(time_s)), axis=0)
     fastest = float(np.linalg.norm(way, axis=1).max()) / (time_s[1] - time_s[0])
     return replace(slower, period_s=slower.period_s * max(1.0, fastest / fastest_m_s))
-
-
-# -- Forecast of what the sweeps of a plan will tell in addition to its stops, before anything moves ------------------
-
-
-def forecast_sweeps(profile: Profile, stops: PlannedStops, sweeps: Sequence[PlannedSweep]) -> dict[str, SweepForecast]:
-    """Forecast, for each arm that sweeps, what its stops, its sweeps and both together will tell.
-
-    Raises
-    ------
-    InputError
-        If the profile does not describe the cell, or a parameter set is not for its arm.
-    """
-    step = last_motions(stops, home_positions(profile))
-    found = {}
-    for name, q in stops.q.items():
-        motions = [sweep.motion(q[sweep.stop]) for sweep in sweeps if sweep.arm == name]
-        if not motions:
-            continue
-        arm = ExpectedArm.of(profile, name)
-        sources = {"stops": arm.at_rest(q, np.sign(step[name])), "sweeps": arm.moving(motions)}
-        accuracy, laws = forecast_motion(arm.model.geometry, *arm.parameters(), sources, q, EXPECTED_SCATTER_M)
-        found[name] = SweepForecast(accuracy=accuracy, laws=tuple(LawInMotion.like(law) for law in laws))
-    return found

@@ -65,8 +65,6 @@ def candidates_chart(name: str, arm: ArmDiscoveryResult) -> Chart:
 
 def picture_chart(name: str, picture: Picture) -> Chart:
     """Show measured points of one effect and the model: a curve with a band of two sigma, or points."""
-    if picture.direction is not None:
-        return _loop_chart(name, picture)
     shown = picture if picture.curve is None else picture.curve
     computed = picture.computed if picture.curve is None else picture.curve.value
     line = is_line(picture)
@@ -80,19 +78,6 @@ def picture_chart(name: str, picture: Picture) -> Chart:
     values = np.concatenate([picture.measured, computed])
     shown_range = typical_range(values, np.array(picture.computed)) if len(values) else None
     return Chart(f"Arm {name}: {picture_title(picture)}", x, y, drawn, message, y_range=shown_range, by_stage=True)
-
-
-def _loop_chart(name: str, picture: Picture) -> Chart:
-    """Show a hysteresis loop: measured and computed points after upward and after downward motion."""
-    x, direction = np.array(picture.x), np.array(picture.direction)
-    measured, computed = np.array(picture.measured), np.array(picture.computed)
-    drawn = []
-    for style, (sign, words) in enumerate(((1, "upward"), (-1, "downward"))):
-        rows = np.flatnonzero(direction == sign)
-        drawn.append(series(f"{words}, measured", x[rows], measured[rows], "points", style=style))
-        drawn.append(series(f"{words}, computed", x[rows], computed[rows], "line", style=style))
-    axes = _axis(picture.x_label), _axis(picture.y_label)
-    return Chart(f"Arm {name}: {picture.title}", *axes, tuple(drawn), size_sentence(picture), by_stage=True)
 
 
 def is_line(picture: Picture) -> bool:

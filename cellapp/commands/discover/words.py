@@ -205,23 +205,13 @@ def picture_words(picture: Picture) -> str:
 
 
 def size_sentence(picture: Picture) -> str:
-    """State the size of an effect and the scatter about it; for a loop its width."""
-    if picture.direction is not None:
-        measured, computed = (_loop_width(picture, values) for values in (picture.measured, picture.computed))
-        return f"The loop is {measured:.1f} {_unit(picture)} wide as measured, {computed:.1f} by the model."
+    """State the size of an effect and the scatter about it."""
     remaining = _rms([m - c for m, c in zip(picture.measured, picture.computed, strict=True)])
     unit = _unit(picture)
     return (
         f"The effect is {_rms(picture.computed):.0f} {unit} rms at these readings, which scatter"
         f" {remaining:.0f} {unit} rms about it."
     )
-
-
-def _loop_width(picture: Picture, values: Sequence[float]) -> float:
-    """Return the distance of the means after upward and after downward motion; NaN if either direction is missing."""
-    directions = picture.direction or ()
-    up, down = ([v for v, d in zip(values, directions, strict=True) if d == sign] for sign in (1, -1))
-    return abs(sum(up) / len(up) - sum(down) / len(down)) if up and down else math.nan
 
 
 def _certainty_sentences(picture: Picture) -> list[str]:

@@ -27,7 +27,7 @@ from cellapp.cell.planning.planned_stops import (
     write_planned_stops,
 )
 from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
-from cellapp.cell.planning.sweeps import SWEEPS_RESULT, forecast_sweeps, plan_sweeps, read_planned_sweeps
+from cellapp.cell.planning.sweeps import SWEEPS_RESULT, plan_sweeps, read_planned_sweeps
 from cellapp.cell.planning.view import check_each_stop, check_stops, required_plan
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
@@ -115,8 +115,6 @@ def new_planned_run(
             stops = plan_run(run, with_eta(listener), cancel)
             if sweeps is not None:
                 planned = plan_sweeps(profile, stops, with_eta(listener), cancel)
-                foreseen = forecast_sweeps(profile, stops, planned.sweeps)
-                planned = planned.model_copy(update={"forecast": foreseen})
                 run.write_result(SWEEPS_RESULT, planned.model_dump_json())
                 for note in planned.notes:
                     run.log("note", note)
@@ -168,9 +166,8 @@ def planned_loads(profile: Profile, stops: PlannedStops) -> tuple[PlannedLoad, .
 
 
 def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
-    """Return the number, duration and forecast of the planned sweeps of each arm; None if there are none."""
-    planned = read_planned_sweeps(run)
-    sweeps = planned.sweeps
+    """Return the number and duration of the planned sweeps of each arm; None if there are none."""
+    sweeps = read_planned_sweeps(run).sweeps
     by_arm = {name: [one for one in sweeps if one.arm == name] for name in run.profile.arms}
     if not sweeps:
         return None
@@ -178,7 +175,6 @@ def planned_sweeps(run: RunFile) -> dict[str, SweepCount] | None:
         name: SweepCount(
             n=len(its),
             seconds=sum(one.period_s for one in its),
-            forecast=planned.forecast.get(name),
             swinging=sum(one.beside is not None for one in its) or None,
         )
         for name, its in by_arm.items()

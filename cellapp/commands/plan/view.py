@@ -25,7 +25,6 @@ from cellapp.commands.plan.check_view import (
     plan_result_tables,
     quality_table,
     sweep_sentences,
-    sweep_tables,
 )
 from cellapp.commands.plan.result import PlannedStop, StopsResult
 from cellapp.commands.plan.run import planned_stops
@@ -45,9 +44,8 @@ def view(
     """Show what was planned, refused or predicted; a check fails if the gate refuses something."""
     match result:
         case PlanResult():
-            tables = (*plan_result_tables(result), *sweep_tables(result.sweeps))
-            parts: tuple[Table | str, ...] = (*tables, *plan_lines(result), *sweep_sentences(result.sweeps))
-            return View(parts, held="; ".join(result.notes))
+            said = (*plan_lines(result), *sweep_sentences(result.sweeps))
+            return View((*plan_result_tables(result), *said), held="; ".join(result.notes))
         case PlanCheckResult():
             verdict, *offences = check_sentences(result)
             return View((*offences, verdict), held=verdict) if result.is_safe else View(offences, (verdict,), "plan")
@@ -56,7 +54,7 @@ def view(
     planned = () if result.stops else ("no stops are planned",)
     design = result.design
     told: tuple[Table | str, ...] = () if design is None else (*design_tables(design), *design_sentences(design))
-    swept: tuple[Table | str, ...] = (*sweep_tables(result.sweeps), *sweep_sentences(result.sweeps))
+    swept: tuple[Table | str, ...] = tuple(sweep_sentences(result.sweeps))
     return View((*plan_tables(result), *planned, *told, *load_sentences(result.loads), *swept))
 
 
@@ -104,7 +102,6 @@ def plan_section(run: RunFile) -> Section | None:
             *sweep_sentences(sweeps),
             *charts,
             *design_tables_of(design),
-            *sweep_tables(sweeps),
         ],
         message=sentences[0] if sentences else "Where the planned stops are, and what limits them.",
         about=about,

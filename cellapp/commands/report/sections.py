@@ -19,7 +19,6 @@ from cellapp.cell.run.measurement_order import order_sentences
 from cellapp.commands.calibrate.charts_accuracy import (
     certainty_chart,
     error_histogram_chart,
-    joint_curve_charts,
     pair_held_out,
     pair_histogram_chart,
     pair_stop_chart,
@@ -56,8 +55,9 @@ from cellapp.commands.rehearse.view import log_section
 from cellapp.commands.report.before_after import best_method
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.headlines import warnings
-from cellapp.commands.report.scene import cell_maps, typical_stops
+from cellapp.commands.report.scene import cell_maps
 from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
+from cellapp.commands.stored_model import values_in_force
 from cellapp.commands.trials.power.result import power_parts, stored_power
 from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of
@@ -74,6 +74,7 @@ from cellapp.ground.version import __version__
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.plain_dh import hayati_rows
 from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import controller_rows, published_rows
 
 _HASH = "SHA-256"
@@ -184,8 +185,6 @@ _CHAIN_LENGTH = re.compile(r"[ad]\d")
 """Pattern of the names of a chain's lengths: a1, d1 and so on."""
 _MOST_EVENTS = 100
 """Newest events of the run's log that the report shows; the run file has all of them."""
-_MOST_CURVES = 3
-"""Most joints of an arm with a chart of all its effects, the most turned ones first."""
 SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...]]] = {
     "judgements": ("Errors against their tolerances", (CALIBRATE,)),
     "accuracy": ("Accuracy at configurations that were not used", (CALIBRATE,)),
@@ -395,30 +394,12 @@ def _check(data: ReportData) -> Section | None:
 
 
 def _discovery(data: ReportData) -> Section | None:
-    """Show the discovery, the model's uncertainty at held-out configurations, and its effects by joint."""
-    return (
-        None if data.discover is None else discovery_section(data.discover, data.profile.discovery, _model_charts(data))
-    )
-
-
-def _model_charts(data: ReportData) -> dict[str, tuple[list[Chart], list[Chart]]]:
-    """Return for each arm the charts of its model's uncertainty, if known, and of the joints that effects turn most."""
-    stops = typical_stops(data.readings)
-    charts = {}
-    for name, arm in data.model.arms.items():
-        prediction = data.held_out[name].prediction
-        curves = joint_curve_charts(name, arm, data.readings[name], data.conditions[name], stops[name])
-        charts[name] = (
-            [] if prediction is None else [certainty_chart(name, *prediction)],
-            _most_turned(list(curves)),
-        )
-    return charts
-
-
-def _most_turned(curves: list[Chart]) -> list[Chart]:
-    turned = [max(float(np.nanmax(np.abs(one.y), initial=0.0)) for one in curve.series) for curve in curves]
-    most = sorted(range(len(curves)), key=lambda at: -turned[at])[:_MOST_CURVES]
-    return [curves[at] for at in sorted(most)]
+    """Show the discovery, with the model's uncertainty at held-out configurations."""
+    if data.discover is None:
+        return None
+    predictions = {name: data.held_out[name].prediction for name in data.model.arms}
+    charts = {name: [] if one is None else [certainty_chart(name, *one)] for name, one in predictions.items()}
+    return discovery_section(data.discover, data.profile.discovery, charts)
 
 
 def _paths(data: ReportData) -> Section | None:
@@ -504,7 +485,8 @@ def _cell(data: ReportData) -> Section:
 
 
 def _parameters(data: ReportData, lost: list[str]) -> Section:
-    tables = [*nominal_and_identified_tables(data.calibrate, data.calibrated), *merged_tables(data.calibrate)]
+    in_force = values_in_force(data.calibrate, data.model)
+    tables = [*nominal_and_identified_tables(in_force, data.model), *merged_tables(data.calibrate)]
     others = (
         "Other programs read the geometry of the model in force: 'cellapp export DIR --as FORMAT --out FILE', with"
         f" {', '.join(formats_of(ExportFormat))}. No file of a rigid chain holds the rest of the model; without it the"
@@ -513,18 +495,18 @@ def _parameters(data: ReportData, lost: list[str]) -> Section:
     return Section(
         "",
         [others, *tables],
-        _parameters_message(data),
+        _parameters_message(in_force, data.model),
         "Lengths and angles of the chain from tracker to SMR (D-H, with a Hayati angle beta where axes are parallel),"
-        " with one standard error, as identified by the calibration, before effects. A parameter that these data cannot"
+        " with one standard error, in the model in force. A parameter that these data cannot"
         " separate from others keeps its nominal value and is merged into the others.",
     )
 
 
-def _parameters_message(data: ReportData) -> str:
+def _parameters_message(calibrate: CalibrateResult, model: CellModel) -> str:
     """State how many parameters of each arm were identified, and the chain length that differs most from nominal."""
     parts = []
-    for name, arm in data.calibrate.arms.items():
-        nominal = data.calibrated.arms[name].nominal
+    for name, arm in calibrate.arms.items():
+        nominal = model.arms[name].nominal
         values = dict(zip(nominal.names, nominal.vector().tolist(), strict=True))
         changes = {key: arm.identified[key].value - values[key] for key in arm.identified if _CHAIN_LENGTH.match(key)}
         words = f"{len(arm.identified)} parameters of arm {name}"

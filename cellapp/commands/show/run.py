@@ -15,7 +15,8 @@ from cellapp.commands.show.overview import run_history, run_log, run_overview
 from cellapp.commands.show.request import ShowRequest
 from cellapp.commands.show.result import RecordingsResult, Shown
 from cellapp.commands.show.view import profile_text
-from cellapp.commands.stages import complaints_of
+from cellapp.commands.stages import complaints_of, read_stages
+from cellapp.commands.stored_model import model_of, values_in_force
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import Result
 from cellapp.ground.shell import shell_word
@@ -90,4 +91,6 @@ def _stored(run: RunFile, request: ShowRequest) -> Shown:
     if stored is None:
         why = f"{name} is stored, but {reason}" if reason else f"{how.missing} stored"
         raise InputError(f"{run.path}: {why}; run '{made_by}' first")
+    if request.part == "parameters" and (used := read_stages(run).in_force) is not None:
+        stored = values_in_force(stored, model_of(run, used))
     return Shown(part=request.part, result=stored, out_of_date=reason, made_by=made_by)

@@ -164,7 +164,6 @@ class EndState(Record):
     """Held-out error against drawn and assumed noise, and number of each verdict."""
 
     heldout_to_drawn: Spread | None
-    heldout_to_stated: Spread | None
     verdicts: Mapping[str, int]
 
 

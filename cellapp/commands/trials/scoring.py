@@ -327,7 +327,6 @@ def _end_state(arms: Sequence[ArmFindings]) -> EndState:
     verdicts = [found.verdict for found in arms]
     return EndState(
         heldout_to_drawn=Spread.of([found.to_drawn for found in arms]),
-        heldout_to_stated=Spread.of([found.to_stated for found in arms if found.to_stated is not None]),
         verdicts={word: verdicts.count(word) for word in VERDICTS if word in verdicts},
     )
 

@@ -16,7 +16,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -164,36 +164,11 @@ class Identification:
             raise NotConverged.of(fit, self.message, "allow more steps (calibration.max_iterations), or report it")
         return self
 
-    @cached_property
-    def singular_values(self) -> Array:
-        """Singular values of the scaled Jacobian divided by root n, in descending order, shape (K,)."""
-        result: Array = np.sqrt(np.clip(np.linalg.eigvalsh(self.gram)[::-1], 0.0, None))
-        return result
-
     @property
     def condition(self) -> float:
         """Condition number of the scaled Jacobian."""
-        s = self.singular_values
-        return float(s[0] / s[-1]) if s[-1] > 0.0 else math.inf
-
-    @property
-    def observability(self) -> dict[str, float]:
-        """Observability indices O1 ... O5 of the scaled Jacobian.
-
-        O1 geometric mean of the singular values (D-optimality), O2 inverse condition number, O3 the smallest singular
-        value (E), O4 noise amplification s_min^2 / s_max, O5 inverse sum of inverse singular values (A).
-        Source: Sun, Hollerbach, ICRA 2008, 831-836; here on the Jacobian scaled to metres and divided by root n.
-        """
-        s = self.singular_values
-        if s[-1] <= 0.0:
-            return {f"O{i}": 0.0 for i in range(1, 6)}
-        return {
-            "O1": float(np.exp(np.mean(np.log(s)))),
-            "O2": float(s[-1] / s[0]),
-            "O3": float(s[-1]),
-            "O4": float(s[-1] ** 2 / s[0]),
-            "O5": float(1.0 / np.sum(1.0 / s)),
-        }
+        squares = np.linalg.eigvalsh(self.gram)
+        return float(np.sqrt(squares[-1] / squares[0])) if squares[0] > 0.0 else math.inf
 
 
 def start_from_nominal(nominal: Geometry, q: Array, p_M: Array, *, tool_unknown: bool) -> Geometry:

@@ -158,12 +158,6 @@ class Linearisation:
     P: Array
     J: Array
 
-    def part(self, first: int, last: int) -> Linearisation:
-        """Return the part for one chunk of the configurations."""
-        if last - first == self.P.shape[1]:
-            return self
-        return Linearisation(self.P[:, first:last], self.J[:, :, first:last])
-
 
 @dataclass(frozen=True)
 class NormalEquations:
@@ -221,12 +215,8 @@ def normal_equations(
     parameters: ParameterSet,
     values: Array,
     weights: Array | None,
-    linearised: Linearisation | None = None,
 ) -> NormalEquations:
-    """Compute the normal equations at ``values`` (k,) with robust ``weights`` (n,).
-
-    ``linearised``, if known, covers all readings and saves the evaluation.
-    """
+    """Compute the normal equations at ``values`` (k,) with robust ``weights`` (n,)."""
     geometry, beta = split_values(start, parameters, values)
     k, size = len(values), len(parameters.columns)
     A, b, gram, cost = np.zeros((k, k)), np.zeros(k), np.zeros((size, size)), 0.0
@@ -236,10 +226,7 @@ def normal_equations(
     of_turns = None if turned is None else np.zeros((k, k))
     common = observations.common_white if weights is None else None
     for first, last in observations.chunks():
-        if linearised is None:
-            model = linearise(geometry, observations, parameters, beta, first, last)
-        else:
-            model = linearised.part(first, last)
+        model = linearise(geometry, observations, parameters, beta, first, last)
         J = model.J
         r = residuals[:, first:last] = observations.left(model.P, beta, first, last)
         if common is None:

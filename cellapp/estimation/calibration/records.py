@@ -231,7 +231,6 @@ class ArmCalibrationResult(Record):
     converged: bool
     message: str
     condition: float | None
-    observability: Mapping[str, float | None]
     scatter: Scatter
     excess_mm: float | None = None
     excess_mrad: float | None = None

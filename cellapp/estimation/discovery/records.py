@@ -189,8 +189,7 @@ class Picture(Record):
 
     ``x`` is what the effect depends on; what is periodic in the joint angle is folded into one turn or one cycle, and
     has a ``curve``. ``measured`` are the readings less everything else in the model, ``computed`` is the effect itself,
-    both in the unit of ``y_label``; ``band`` is the standard deviation of ``computed``, geometry included. In a loop
-    ``direction`` says for each x whether the joint's last motion was upward (1) or downward (-1).
+    both in the unit of ``y_label``; ``band`` is the standard deviation of ``computed``, geometry included.
     """
 
     title: str
@@ -202,8 +201,6 @@ class Picture(Record):
     computed: tuple[float, ...]
     band: tuple[float, ...] = ()
     curve: CurveRecord | None = None
-    direction: tuple[int, ...] | None = None
-    omitted_when_none = frozenset({"direction"})
 
 
 class PredictedUncertainty(Record):

@@ -29,13 +29,12 @@ from cellapp.estimation.discovery.records import (
     LawRecord,
     MotionDiscoveryResult,
     MotionEffectResult,
-    Picture,
     Place,
 )
 from cellapp.estimation.motion.calibrate import recorded_arm, samples_of
 from cellapp.estimation.motion.effects import MotionDiscovery, effects_in_motion
 from cellapp.estimation.motion.identify import RecordedArm
-from cellapp.estimation.motion.steps import Loop, MotionEffect
+from cellapp.estimation.motion.steps import MotionEffect
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import Law
 from cellapp.estimation.readings import Readings
@@ -105,10 +104,9 @@ class SearchWithRecordings:
         if at_rest.stands_beside(lambda: searched().model):
             return at_rest.discovery(profile, seconds, known, report)
         found = searched()
-        kept = (*found.result.pictures, *at_rest.pictures)
         shown = at_rest.result(seconds, used=False)
         sentence = with_not_fitted(found.result.sentence, at_rest.motion.not_fitted)
-        changes = {"motion": shown, "pictures": kept, "sentence": sentence}
+        changes = {"motion": shown, "sentence": sentence}
         return replace(found, result=found.result.model_copy(update=changes))
 
 
@@ -155,11 +153,6 @@ class MotionAtRest:
     def effects(self) -> tuple[MotionEffect, ...]:
         """Effects that serve poses at rest."""
         return tuple(effect for effect in self.motion.effects if effect.at_rest)
-
-    @property
-    def pictures(self) -> tuple[Picture, ...]:
-        """Loops of the joints that show lost motion."""
-        return tuple(loop_picture(loop) for loop in self.motion.loops)
 
     def stands_beside(self, searched: Callable[[], ArmModel]) -> bool:
         """Return whether the model at rest with effects beats the calibrated and the searched model on held-out
@@ -212,7 +205,6 @@ class MotionAtRest:
             update={
                 "accepted": (*result.accepted, *(_accepted(effect) for effect in self.effects)),
                 "motion": self.result(seconds, used=True),
-                "pictures": (*result.pictures, *self.pictures),
                 "heldout_mm": BeforeAfter(before=before.rms, after=before.rms),
                 "heldout_position_mm": HeldOutBeforeAfter(before=before, after=before),
                 "seconds": seconds + (result.seconds or 0.0),
@@ -299,20 +291,6 @@ def _model(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:
         identified=(*identification.estimated.names, *(name for term in motion.terms for name in term.names)),
         covariance=motion.covariance,
         posterior=None,
-    )
-
-
-def loop_picture(loop: Loop) -> Picture:
-    """Draw the loop of a joint: position in degrees, lost motion in microradians."""
-    return Picture(
-        title=f"lost motion of joint {loop.joint} in motion",
-        effect=Law.PLAY.value,
-        x_label=f"joint {loop.joint} [deg]",
-        y_label="behind its motor [urad]",
-        x=tuple(np.degrees(loop.position).round(3).tolist()),
-        measured=tuple((1e6 * loop.measured).round(3).tolist()),
-        computed=tuple((1e6 * loop.computed).round(3).tolist()),
-        direction=tuple(loop.direction.astype(int).tolist()),
     )
 
 

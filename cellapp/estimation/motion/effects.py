@@ -36,7 +36,6 @@ from cellapp.estimation.motion.steps import (
     LOOK_ALIKES,
     ONLY_MOTION,
     SHOWN,
-    Loop,
     MotionEffect,
     State,
     Step,
@@ -46,7 +45,6 @@ from cellapp.estimation.motion.steps import (
     is_improbable,
     lagging_joints,
     log_chance,
-    loops,
     places_of,
     reshaped,
     settled,
@@ -92,9 +90,8 @@ _JUDGED_ROUNDS = 2
 class MotionDiscovery:
     """Fit with all effects found, in the order in which they entered, and the held-out errors before and after.
 
-    ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``; ``loops`` are the
-    loops of the joints that show lost motion; ``laws`` are the laws of the joints with effects. ``not_fitted`` are
-    candidates whose fit did not converge, in words.
+    ``covariance`` (k, k) is that of the estimated geometry, then of the parameters of ``terms``;
+    ``laws`` are the laws of the joints with effects. ``not_fitted`` are candidates whose fit did not converge.
     """
 
     fit: MotionFit
@@ -103,7 +100,6 @@ class MotionDiscovery:
     heldout_after_mm: float
     covariance: Array = field(repr=False)
     laws: JointLaws = field(repr=False)
-    loops: tuple[Loop, ...] = ()
     not_fitted: tuple[str, ...] = ()
 
     @property
@@ -201,11 +197,9 @@ class _Search:
         )
         places = [*range(final.problem.layout.geometric), *places_of(final, [term for term, _ in stays])]
         covariance = final.solution.noise.covariance[np.ix_(places, places)]
-        lost = {joint for one in effects if one.slug in (Law.PLAY.value, Law.WINDUP.value) for joint in one.joints}
-        drawn = loops(final.problem, final.solution, sorted(lost))
         laws = JointLaws(stays, moves, final.problem.masses)
         missed = tuple(dict.fromkeys(self.not_fitted))
-        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, laws, drawn, missed)
+        return MotionDiscovery(fit, effects, first_mm, final.heldout_mm, covariance, laws, missed)
 
     def _tried(self, what: str, candidate: Callable[[], Found | None]) -> Found | None:
         return tried(what, candidate, self.not_fitted)

@@ -5,19 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.least_squares import covariance_with_priors
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.arm_data import whitening
-from cellapp.estimation.discovery.plan_forecast import accuracy_of
-from cellapp.estimation.discovery.records import PlannedAccuracy
 from cellapp.estimation.motion.fit import Problem, Solution
 from cellapp.estimation.motion.observe import residuals
-from cellapp.estimation.motion.terms import JointState, JointTerm, Law, state_in_motion
+from cellapp.estimation.motion.terms import JointState, JointTerm, Law
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw
 from cellapp.robot.effects.backlash import BELL, LOAD_BELL, LOAD_REACH, REACH
 from cellapp.robot.effects.joint_compliance import SECOND_KNEE
@@ -356,77 +354,6 @@ def _probability(state: State, statistic: float, parameters: int, log_p: float) 
     return float(scipy.special.expit(0.5 * (statistic - parameters * math.log(max(points, 2.0))) - tried))
 
 
-# ---------------------------------------------------------------------------------------------------------------------
-# Loops of lost motion: the offset of a joint from its motor over its position, by the direction of its last motion.
-
-
-_BINS = 24
-_CHUNK = 4096
-_CROSSED = 0.9
-"""Share of the gap that a joint must have crossed to count for a direction."""
-_FEWEST = 20
-"""Least points of a bin; bins with fewer are left out."""
-
-
-@dataclass(frozen=True, eq=False)
-class Loop:
-    """Loop of one joint (from 1) over its position (n,) [rad], by direction (n,), 1 or -1. ``measured`` and
-    ``computed`` (n,) [rad] are its offset from the motor without the model's other effects, and by its hysteresis."""
-
-    joint: int
-    position: Array = field(repr=False)
-    direction: Array = field(repr=False)
-    measured: Array = field(repr=False)
-    computed: Array = field(repr=False)
-
-
-def loops(problem: Problem, solution: Solution, joints: Sequence[int]) -> tuple[Loop, ...]:
-    """Return the loops of some joints (from 1) from all points of the recordings.
-
-    A residual r turns joint j by ``J_j . r / |J_j|^2``; a bin has the mean over its points, weighted by ``|J_j|^2``.
-    """
-    places = [joint - 1 for joint in joints]
-    positions = np.concatenate([track.path.at(track.path.stamps.time_s)[0] for track in problem.tracks])
-    low, high = positions.min(axis=0), np.maximum(positions.max(axis=0), positions.min(axis=0) + 1e-9)
-    sums = np.zeros((len(places), 4, 2, _BINS))  # joint; weight, measured, computed, count; falling, rising
-    model = problem.model(solution.values)
-    hysteresis = [
-        (number, term) for number, term in enumerate(problem.layout.terms) if term.law in (Law.PLAY, Law.WINDUP)
-    ]
-    for number, (track, source) in enumerate(zip(problem.tracks, solution.sources)):
-        for first in range(0, len(source.rows), _CHUNK):
-            rows = source.rows[first : first + _CHUNK]
-            left = residuals(model, track, number, rows)
-            u = track.controller_times(rows, *model.clock(number))
-            state = state_in_motion(track.path, u, model.masses, torques=model.needs_torques)
-            _, J = joint_jacobian(model.geometry, JointAngles.of(state.q))
-            for place, joint in enumerate(places):
-                own = np.zeros(len(rows))
-                for value, term in ((model.of_terms[n], term) for n, term in hysteresis if term.joint == joint):
-                    own += value * term.offset(state)
-                weight = np.einsum("an,an->n", J[:, joint], J[:, joint])
-                measured = np.einsum("an,na->n", J[:, joint], left) + weight * own
-                share = (state.q[:, joint] - low[joint]) / (high[joint] - low[joint])
-                bins = np.clip((share * _BINS).astype(np.intp), 0, _BINS - 1)
-                bins += np.where(state.direction[:, joint] > 0.0, _BINS, 0)
-                crossed = np.abs(state.direction[:, joint]) > _CROSSED
-                for what, values in enumerate((weight, measured, weight * own, np.ones(len(rows)))):
-                    found = np.bincount(bins[crossed], values[crossed], 2 * _BINS)
-                    sums[place, what] += found.reshape(2, _BINS)
-    middles = (np.arange(_BINS) + 0.5) / _BINS
-    return tuple(
-        _loop(joint, low[joint - 1] + middles * (high - low)[joint - 1], its) for joint, its in zip(joints, sums)
-    )
-
-
-def _loop(joint: int, middles: Array, sums: Array) -> Loop:
-    sides, bins = np.nonzero(sums[3] >= _FEWEST)
-    order = np.lexsort((sides, bins))
-    sides, bins = sides[order], bins[order]
-    weight, measured, computed, _ = sums[:, sides, bins]
-    return Loop(joint, middles[bins], np.where(sides == 1, 1.0, -1.0), measured / weight, computed / weight)
-
-
 # -- Laws of recordings with non-linear parameters: time constants and vibration of joints ----------------------------
 #
 # Their terms are linearised at a shape (``terms``); a fit gives new values, which define the next shape. A vibration is
@@ -439,6 +366,7 @@ FREQUENCIES = np.geomspace(3.0, 40.0, 47)
 """Natural frequencies to try [Hz]: some 6 % apart, the width of a resonance at usual damping."""
 _DAMPING = 0.06
 """Start value of the damping: arms swing on for some cycles."""
+_CHUNK = 4096
 _SAME = 1e-3
 """Relative change of a shape below which it has settled."""
 _REACH: Mapping[Law | MotionLaw, tuple[tuple[float, float], ...]] = {
@@ -536,19 +464,16 @@ def lagging_joints(terms: Sequence[JointTerm], values: Array, errors: Array, sho
     )
 
 
-# -- Forecast of stops and sweeps before any motion: errors of positions, smallest detectable sizes of effects --------
+# -- Information of stops and sweeps before any motion, by which sweeps are chosen -------------------------------------
 #
 # Points of a motion are correlated: one of each half second counts as an independent reading, with the noise of the
 # tracker and the scatter of the arm, as in recordings of the twin (handbook, chapter "motion"). Information of stops
-# and sweeps adds up. A joint law is detectable from a size of ``SHOWN`` standard errors of its parameter, with the
-# geometry, the law of the other joints and, in motion, the delay between the clocks unknown.
+# and sweeps adds up.
 
 _CYCLES = (2, 40)
-"""Cycles of the forecast lines: slow ones of eccentric parts, dense ones of gears."""
+"""Cycles of the lines that sweeps are to show: slow ones of eccentric parts, dense ones of gears."""
 _PLAIN = (Law.PLAY, Law.WINDUP, Law.LAG, Law.COMPLIANCE)
-"""Forecast laws with one parameter a joint."""
-_DELAY_SD_S = 1.0
-"""Prior standard deviation of the delay between the clocks: it is unknown."""
+"""Laws with one parameter a joint that sweeps are to show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -559,61 +484,11 @@ class Expected:
     covariance: Array
 
 
-@dataclass(frozen=True)
-class LawForecast:
-    """Forecast of a law: its effect, its cycles a turn for a line, the unit of its parameters, and the smallest
-    detectable size in each joint, by source; None if no plausible size is detectable."""
-
-    effect: str
-    cycles: int
-    unit: str
-    smallest: Mapping[str, Mapping[str, float | None]] = field(repr=False)
-
-
-def forecast_motion(
-    nominal: Geometry,
-    estimated: ParameterSet,
-    priors: Array,
-    sources: Mapping[str, Expected],
-    at: Array,
-    scatter_m: float,
-) -> tuple[dict[str, PlannedAccuracy], tuple[LawForecast, ...]]:
-    """Forecast position errors at ``at`` (n, N) [rad] and the smallest detectable sizes of the laws, by source and for
-    all ``sources`` together ("both"); ``priors`` are prior standard deviations of the ``estimated`` geometric
-    parameters."""
-    laws = foreseen_laws(nominal.joints)
-    terms = tuple(term for its in laws for term in its)
-    told = {name: motion_information(nominal, estimated, terms, one) for name, one in sources.items()}
-    told["both"] = np.sum(list(told.values()), axis=0)
-    _, J = jacobian(nominal, JointAngles.of(at), estimated.columns)
-    k = len(estimated.columns)
-    accuracy = {name: accuracy_of(nominal, estimated, priors, its[:k, :k], J, scatter_m) for name, its in told.items()}
-    sizes = {name: _smallest(its, priors, laws) for name, its in told.items()}
-    forecasts = tuple(
-        LawForecast(
-            its[0].law.value,
-            its[0].cycles,
-            its[0].unit,
-            {name: dict(zip(_names(its), own[number], strict=True)) for name, own in sizes.items()},
-        )
-        for number, its in enumerate(laws)
-    )
-    return accuracy, tuple(_aliased(one) if one.cycles >= DENSE else one for one in forecasts)
-
-
-def foreseen_laws(joints: int) -> list[tuple[JointTerm, ...]]:
-    """Return the terms of all joints, law by law, of the forecast laws."""
-    plain = [tuple(JointTerm(law, joint) for joint in range(joints)) for law in _PLAIN]
-    lines = [
-        tuple(JointTerm(Law.LINE, joint, cycles, sine) for joint in range(joints) for sine in (False, True))
-        for cycles in _CYCLES
-    ]
-    return [*plain, *lines]
-
-
-def _names(terms: tuple[JointTerm, ...]) -> list[str]:
-    """Return one name for each joint."""
-    return [f"joint {term.joint + 1}" for term in terms if not term.sine]
+def foreseen_terms(joints: int) -> tuple[JointTerm, ...]:
+    """Return the terms of all joints, law by law, that sweeps are to show."""
+    plain = [JointTerm(law, joint) for law in _PLAIN for joint in range(joints)]
+    lines = product(_CYCLES, range(joints), (False, True))
+    return (*plain, *(JointTerm(Law.LINE, joint, cycles, sine) for cycles, joint, sine in lines))
 
 
 def motion_information(
@@ -630,29 +505,3 @@ def motion_information(
     X = np.einsum("acn,ckn->kan", whitening(expected.covariance), columns)
     flat = X.reshape(len(X), -1)
     return np.asarray(flat @ flat.T)
-
-
-def _smallest(information: Array, priors: Array, laws: list[tuple[JointTerm, ...]]) -> list[list[float | None]]:
-    """Return the smallest detectable size of each law in each joint."""
-    first, found = len(priors), []
-    for terms in laws:
-        places = np.array([*range(len(priors)), *range(first, first + len(terms)), len(information) - 1])
-        sds = np.concatenate([priors, [10.0 * term.prior_sd for term in terms], [_DELAY_SD_S]])
-        own = slice(len(priors), -1)
-        covariance = covariance_with_priors(information[np.ix_(places, places)], sds)[own, own]
-        if terms[0].law is Law.LAG:
-            less_mean = np.eye(len(terms)) - 1.0 / len(terms)
-            covariance = less_mean @ covariance @ less_mean.T
-        variance = np.diag(covariance)
-        if terms[0].law is Law.LINE:
-            variance = np.maximum(variance[::2], variance[1::2])
-        sizes = SHOWN * np.sqrt(variance)
-        found.append([size if size < 10.0 * terms[0].prior_sd else None for size in sizes.tolist()])
-        first += len(terms)
-    return found
-
-
-def _aliased(one: LawForecast) -> LawForecast:
-    """Mark lines as undetectable by stops, where they are aliased."""
-    smallest = {name: dict.fromkeys(its) if name == "stops" else its for name, its in one.smallest.items()}
-    return replace(one, smallest=smallest)

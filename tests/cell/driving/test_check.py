@@ -11,22 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.check import CheckTask, DrivenCheck, check_candidates, drive_check
 from cellapp.cell.driving.locate import LocatingStops
-from cellapp.cell.driving.measuring import APART_M, FoundPoint, covariances, lattice, share_of_chance
-from cellapp.cell.driving.motion import PointAtRest
 from cellapp.cell.run import RunFile
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import refuse_motion, refuse_stop
+from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.cell.safety.gate import refuse_motion
 from cellapp.cell.targets.targets import load_targets
-from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.collect.run import collect_stops
-from cellapp.commands.compensate.run import compensate_run
-from cellapp.commands.discover.run import discover_run
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.locate.run import locate_run, typed_pose
 from cellapp.commands.locate.station import excess_of_readings
@@ -43,9 +36,8 @@ from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Pose, Profile
 from cellapp.ground.progress import Progress
-from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, VERIFY
+from cellapp.ground.results import DISCOVER, LOCATE, VERIFY
 from cellapp.interfaces.page.page import write_page
-from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.trackers.simulated import SimulatedTracker
@@ -112,37 +104,6 @@ def test_it_ends_when_the_test_is_sure(task: CheckTask) -> None:
     assert times[-1] < found.seconds
 
 
-def test_the_test_is_told_what_collecting_would_store(task: CheckTask) -> None:
-    test = Fed(sure_after=2)
-    driven(task, test)
-    for number, stop in enumerate(test.stops):
-        assert list(stop) == ["left", "right"]
-        for name, readings in stop.items():
-            assert readings.configuration.tolist() == [number]
-            np.testing.assert_allclose(readings.q[0], task.stops[number][name], atol=1e-6)
-            assert readings.step is not None
-            assert readings.covariance_M is not None
-            moved = np.abs(readings.step[0]) > 1e-6
-            np.testing.assert_array_equal(np.sign(readings.step[0])[moved], readings.approach[0][moved])
-    for stop in test.stops:
-        left_s, right_s = stop["left"].dwell_s, stop["right"].dwell_s
-        assert left_s is not None
-        assert right_s is not None
-        assert left_s[0] > 0.0
-        assert right_s[0] > task.profile.tracker.averaging, "both arms rest before the first one is measured"
-
-
-def test_the_last_motion_is_short_where_the_model_depends_on_it(task: CheckTask) -> None:
-    """The right arm has play, the left one only bends."""
-    test = Fed(sure_after=2)
-    driven(task, test)
-    steps = {name: test.stops[1][name].step for name in ("left", "right")}
-    assert steps["right"] is not None
-    assert steps["left"] is not None
-    assert np.degrees(np.abs(steps["right"]).max()) < 1.5
-    assert np.degrees(np.abs(steps["left"]).max()) > 5.0
-
-
 def test_where_the_gate_refuses_both_each_arm_goes_alone(task: CheckTask) -> None:
     test = Fed(sure_after=4)
     found = driven(task, test, open_with=lambda profile: refusing(profile, together=True))
@@ -180,19 +141,6 @@ def test_a_lost_smr_is_given_up_after_some_stops_and_the_other_arm_goes_on(task:
     assert sum("no SMR within" in note for note in found.notes) == 3
     # arms at home from then on
     assert found.stops[-1].found["left"].others["right"] == pytest.approx(home_positions(task.profile)["right"])
-
-
-def test_candidates_are_free_seen_and_apart(task: CheckTask, finished_run: Path) -> None:
-    with RunFile.open(finished_run) as run:
-        readings = {name: run.readings(name) for name in run.profile.arms}
-    found = check_candidates(task.profile, task.model, readings)
-    count = {len(q) for q in found.values()}
-    assert count == {len(found["left"])}
-    assert 0 < len(found["left"]) <= len(readings["left"])
-    bodies = cell_bodies(task.profile, task.model)
-    assert all(not refuse_stop(bodies, {name: q[row] for name, q in found.items()}) for row in range(0, 50, 10))
-    p_M = [task.model.predict(name, q) for name, q in found.items()]
-    assert np.linalg.norm(p_M[0] - p_M[1], axis=1).min() >= APART_M
 
 
 def test_readings_without_common_stops_are_paired(task: CheckTask, finished_run: Path) -> None:
@@ -313,75 +261,10 @@ def test_without_locating_nothing_is_found_from_there(run: RunFile) -> None:
     assert LOCATE not in read_stages(run).current
 
 
-def test_a_stand_that_was_kicked_is_found_without_a_rough_pose(run: RunFile) -> None:
-    kicked = away(run.profile.tracker.pose, (0.02, -0.03, 0.0), (0.002, 0.0, 0.01))
-    found = locate_run(run, simulated_pose=kicked)
-    assert (found.verdict, found.moved) == ("located", True)
-    np.testing.assert_allclose(found.tracker_pose.position, kicked.position, atol=0.3e-3)
-    again = locate_run(run)
-    assert again.simulated_pose == found.simulated_pose, "the simulated tracker stays where it was put"
-    assert max(point.found_off_mm for point in again.points) < 0.3
-
-
-def test_a_tracker_that_was_not_moved_leaves_the_run_open(run: RunFile) -> None:
-    found = locate_run(run)
-    assert (found.verdict, found.moved) == ("located", False)
-    assert found.shift_mm < 0.3
-    collect_stops(run, resume=True)  # all stops are stored: nothing to refuse
-
-
 def test_readings_of_two_stations_are_not_mixed(moved_run: tuple[RunFile, LocateResult]) -> None:
     run, _ = moved_run
     with pytest.raises(InputError, match="two stations do not calibrate together"):
         collect_stops(run, resume=True)
-
-
-def test_verification_and_commands_of_the_old_station_are_out_of_date(run: RunFile) -> None:
-    kicked = away(run.profile.tracker.pose, (0.02, 0.0, 0.0), (0.0, 0.0, 0.0))
-    locate_run(run, simulated_pose=kicked)
-    stages = read_stages(run)
-    assert set(stages.out_of_date) == {"compensate", "verify"}
-    assert stages.out_of_date[VERIFY] == "the tracker was located since, and another model is in force"
-    located = stages.current[LOCATE]
-    assert located.basis is not None
-    assert list(located.basis.stages) == [DISCOVER]
-    assert run_overview(run).in_force == LOCATE
-
-
-def test_another_calibration_asks_for_another_location_except_for_programs_and_exports(run: RunFile) -> None:
-    kicked = away(run.profile.tracker.pose, (0.02, 0.0, 0.0), (0.0, 0.0, 0.0))
-    locate_run(run, simulated_pose=kicked)
-    swap_splits(run)
-    notes = calibrate_run(run).notes
-    assert any(note.startswith("the tracker's station is out of date") for note in notes)
-    stages = read_stages(run)
-    assert stages.in_force == stages.current[CALIBRATE]
-    assert "the tracker was moved, and 'locate' is out of date" in stages.stale_model()
-    with pytest.raises(InputError, match="out of date"):
-        push_run(run, SOME, verify=True)
-    discover_run(run)
-    stages = read_stages(run)
-    assert stages.next_verb() == "locate"
-    assert stages.stale_arms() == "", "programs and exports are in the frame of an arm's own base"
-    assert stages.stale_model() == stages.stale_station() != ""
-    locate_run(run)
-    assert read_stages(run).stale_model() == ""
-
-
-def test_the_model_before_is_used_again_and_again(run: RunFile) -> None:
-    """Two moves are not added up: each location starts from the calibration, so errors do not grow."""
-    first = away(run.profile.tracker.pose, (0.03, 0.0, 0.0), (0.0, 0.0, 0.01))
-    second = away(run.profile.tracker.pose, (0.05, 0.02, 0.0), (0.0, 0.0, 0.02))
-    locate_run(run, simulated_pose=first)
-    found = locate_run(run, simulated_pose=second)
-    np.testing.assert_allclose(found.tracker_pose.position, second.position, atol=0.3e-3)
-    stages = read_stages(run)
-    model, old = model_of(run, stages.current[LOCATE]), model_of(run, stages.current[DISCOVER])
-    assert model.T_M_M0 is not None
-    np.testing.assert_allclose(
-        model.arms["left"].geometry.T_M_B(), model.T_M_M0 @ old.arms["left"].geometry.T_M_B(), atol=1e-12
-    )
-    np.testing.assert_array_equal(model.T_R_L, old.T_R_L)
 
 
 def test_a_moved_base_is_no_motion_of_the_tracker_and_its_model_not_used(
@@ -463,44 +346,3 @@ def test_what_cannot_be_done_is_refused_before_anything_moves(run: RunFile) -> N
     with pytest.raises(InputError, match="at least 3 points"):
         locate_run(run, 2)
     assert typed_pose("3.8,0,0.6,0,0,180", "").rpy[2] == pytest.approx(np.pi)
-
-
-def test_compensation_states_more_uncertainty_than_before(moved_run: tuple[RunFile, LocateResult]) -> None:
-    run, _ = moved_run
-    stages = read_stages(run)
-    old, new = model_of(run, stages.current[DISCOVER]), model_of(run, stages.current[LOCATE])
-    q = run.readings("left").q[:20]
-    assert new.arms["left"].uncertainty(q).mean() > 1.1 * old.arms["left"].uncertainty(q).mean()
-    assert any(target.uncertainty_mm for target in compensate_run(run, SOME).targets)
-
-
-@given(
-    direction=st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1),
-    distance_m=st.floats(0.0, 0.12),
-)
-def test_every_place_within_reach_is_near_one_that_is_pointed_at(
-    direction: tuple[float, float, float], distance_m: float
-) -> None:
-    place = np.array(direction) / np.linalg.norm(direction) * distance_m
-    places = np.array(lattice(0.16))
-    assert np.linalg.norm(places - place, axis=1).min() <= 0.05
-    assert np.all(np.diff(np.linalg.norm(places, axis=1)) >= -1e-12)
-
-
-def found_points(rng: np.random.Generator, sigma_m: float, stated_m: float, count: int) -> list[FoundPoint]:
-    """Points of five repeats that scatter by ``sigma_m`` [m] and state ``stated_m`` [m]."""
-    found = []
-    for _ in range(count):
-        repeats_M = rng.normal(0.0, sigma_m, (5, 3))
-        mean_M, covariance_M, q = repeats_M.mean(axis=0), stated_m**2 * np.eye(3), np.zeros(6)
-        point = PointAtRest(mean_M, covariance_M, 0.0, 1.0, None, q=q, q_spread=0.0)
-        found.append(FoundPoint("left", point, repeats_M, MeasurementConditions(), 0.0))
-    return found
-
-
-@pytest.mark.parametrize(("share", "left"), [(1.0, 0.2), (0.5, 0.8), (0.0, 1.0)], ids=["all", "half", "none"])
-def test_only_what_scatters_from_one_repeat_to_the_next_falls_by_averaging(share: float, left: float) -> None:
-    """``left`` of the variance stays after five repeats, ``share`` of the standard deviation scatters."""
-    found = found_points(np.random.default_rng(0), 20e-6 * share, 20e-6, 100)
-    variance = covariances(found, share_of_chance(found))[:, 0, 0]
-    np.testing.assert_allclose(variance / 20e-6**2, left, rtol=0.1)

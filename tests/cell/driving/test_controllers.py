@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,11 +14,9 @@ import pytest
 from cellapp import __version__
 from cellapp.cell.driving.cell import Cell, arm_context, open_cell
 from cellapp.cell.driving.cell_checks import check_controllers
-from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, ControllerIdentity, recorded_controllers
+from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, recorded_controllers
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import predicted_smr
 from cellapp.ground.errors import HardwareError, InputError
@@ -33,7 +29,6 @@ from drivers.arms.ur import UrArm
 from drivers.arms.ur_settings import UrSettings
 from tests.interfaces.plugins.installed import add_example, add_toys, installed, run_commands
 from tests.interfaces.plugins.line_controller import LineController, line_controllers
-from tests.loopback import own_address
 from tests.twin import small_twin, with_arm, write_profile
 
 _DELTAS = ("delta_theta", "delta_d", "delta_a", "delta_alpha")
@@ -75,19 +70,6 @@ def left(cell: Cell) -> Known:
     return arm
 
 
-def test_the_controllers_are_recorded_once(run: RunFile, cell: Cell) -> None:
-    found = check_controllers(run, cell)
-    assert found.notes == ()
-    assert found.identities["left"] == ControllerIdentity("UR10", "20153012345", "3.15.8", "0000000a")
-    recorded = json.loads(run.read_result(CONTROLLERS_RESULT) or "")
-    assert recorded["left"] == {
-        "model": "UR10", "serial": "20153012345", "software": "3.15.8", "dh_checksum": "0000000a"
-    }  # fmt: skip
-    left(cell).says = replace(Known.says, software="3.15.9")
-    assert check_controllers(run, cell).notes == ()
-    assert json.loads(run.read_result(CONTROLLERS_RESULT) or "") == recorded
-
-
 def test_a_changed_checksum_is_refused_by_name_and_noted_where_one_insists(run: RunFile, cell: Cell) -> None:
     check_controllers(run, cell)
     left(cell).says = replace(Known.says, dh_checksum="0000000b")
@@ -123,22 +105,10 @@ def test_another_controller_is_refused(run: RunFile, cell: Cell) -> None:
         check_controllers(run, cell)
 
 
-def test_what_an_arm_warns_of_is_told(run: RunFile, cell: Cell) -> None:
-    left(cell).notes = ("arm left: the speed slider is set to 40%",)
-    assert check_controllers(run, cell).notes == left(cell).notes
-
-
 def test_a_silent_controller_is_a_fault_of_the_hardware(run: RunFile, cell: Cell) -> None:
     left(cell).silent = True
     with pytest.raises(HardwareError, match="arm left: gone"):
         check_controllers(run, cell)
-
-
-def test_collecting_records_the_controllers(run: RunFile) -> None:
-    run.write_plan({name: q[:12] for name, q in plan_stops(run.profile).items()})
-    collect_run(run)
-    recorded = json.loads(run.read_result(CONTROLLERS_RESULT) or "")
-    assert {name: who["serial"] for name, who in recorded.items()} == {"left": "SIM-left", "right": "SIM-right"}
 
 
 # -- the UR driver of a profile ---------------------------------------------------------------------------------------
@@ -178,16 +148,6 @@ def test_a_damaged_record_is_named(run: RunFile, cell: Cell) -> None:
     run.write_result(CONTROLLERS_RESULT, '{"left": {"model": 1}}')
     with pytest.raises(InputError, match="the record of its controllers is damaged"):
         check_controllers(run, cell)
-
-
-def test_a_cell_whose_controllers_are_not_there_is_a_fault_of_the_hardware(real: Profile) -> None:
-    nobody = own_address(48)
-    driver = real.arms["left"].driver.model_copy(update={"host": nobody, "timeout": 1.0})
-    arms = {"left": real.arms["left"].model_copy(update={"driver": driver})}
-    tracker = small_twin(12).tracker
-    profile = real.model_copy(update={"arms": arms, "tracker": tracker, "plant": small_twin(12).plant})
-    with pytest.raises(HardwareError, match=f"arm left: {re.escape(nobody)}:29999: no connection"), open_cell(profile):
-        pass
 
 
 # -- Kinds of devices and a type of arm from plug-ins: schema, doctor and cell know them, the safety gate as well ------

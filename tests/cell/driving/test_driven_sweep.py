@@ -15,7 +15,6 @@ from pydantic import ValidationError
 
 from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.sweeping import _rest_of
 from cellapp.cell.planning.planned_stops import read_planned_stops
 from cellapp.cell.planning.sweeps import (
     SWEEPS_RESULT,
@@ -35,7 +34,6 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Collection
 from cellapp.ground.progress import Progress, SweepLive
 from cellapp.robot.model.nominal import nominal_arm
-from cellapp.robot.paths.sweep import Sweep
 from drivers.arms.protocol import ArmError
 from drivers.arms.simulated import SimulatedArm
 from drivers.clock import SimulatedClock
@@ -263,58 +261,6 @@ def test_both_arms_are_driven_at_once_and_the_joints_of_both_recorded(swinging: 
         assert max(off) < 0.01, "at each sample both are at one time of their motions"
 
 
-def test_where_the_beam_breaks_both_arms_slow_down_and_go_on(
-    swinging: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cells: list[Cell] = []
-    crossed_beam(monkeypatch, cells, "left", 2.0)
-    with copied(swinging, tmp_path) as run:
-        collect_run(run, opened=driven_cell(CLOCK, cells.append))
-        first, second = recording_states(run)
-        assert first.reached_s is not None
-        assert second.reached_s is None
-        _, at = plan_of(run)
-        ends = [read_stream(run, state, "joints")[0] for state in (first, second)]
-        still = [np.abs(np.diff(its["other_q1"][-20:])).max() for its in ends]
-        assert max(still) < 1e-6, "the other arm rests meanwhile"
-        assert abs(ends[0]["other_q1"][-1] - ends[1]["other_q1"][0]) < 1e-3
-        assert ends[1]["other_q1"][-1] == pytest.approx(at["right"][0], abs=2e-3)
-
-
-def broken_at(cell: Cell, name: str, of: str, action: Callable[[SimulatedArm], None]) -> None:
-    """Let something happen to arm ``of`` 2 s after arm ``name`` sets out."""
-    arm, other, plant = cell.arms[name], cell.arms[of], plant_of(cell)
-    assert isinstance(arm, SimulatedArm)
-    assert isinstance(other, SimulatedArm)
-    start = arm.start_path
-
-    def started(q: Any, period_s: float) -> None:
-        plant.schedule.at(plant.clock_s + 2.0, lambda: action(other))
-        start(q, period_s)
-
-    arm.start_path = started  # type: ignore[method-assign]
-
-
-@pytest.mark.parametrize("hurt", ["left", "right"])
-def test_a_doubt_in_either_of_two_arms_stops_both(swinging: Path, tmp_path: Path, hurt: str) -> None:
-    cells: list[Cell] = []
-
-    def prepare(cell: Cell) -> None:
-        cells.append(cell)
-        broken_at(cell, "left", hurt, SimulatedArm.protective_stop)
-
-    with copied(swinging, tmp_path) as run:
-        with pytest.raises(HardwareError, match=rf"arm {hurt}: .*protective stop"):
-            collect_run(run, opened=driven_cell(CLOCK, prepare))
-        assert recording_states(run) == ()
-        _, at = plan_of(run)
-        plant = plant_of(cells[0])
-        assert not any(plant.moving(name) for name in plant.names)
-        assert all(np.abs(plant.q(name) - at[name]).max() > 1e-3 for name in at), "both were on their way"
-        collect_run(run, opened=driven_cell(), resume=True)
-        assert names(run) == {("left", "sweep-1")}
-
-
 def test_an_arm_that_falls_behind_the_other_stops_both(swinging: Path, tmp_path: Path) -> None:
     def prepare(cell: Cell) -> None:
         late = cell.arms["right"]
@@ -350,19 +296,3 @@ def test_a_cell_that_cannot_record_says_why(
 def test_rates_that_no_tracker_has_are_refused_by_the_profile(wrong: object) -> None:
     with pytest.raises(ValidationError):
         Collection.model_validate({"motion_rate": wrong})
-
-
-def test_the_rest_of_a_motion_begins_slowly_and_lies_on_it() -> None:
-    rng = np.random.default_rng(3)
-    sweep = Sweep(np.zeros(6), 0.1 * rng.normal(size=(4, 6)), 0.1 * rng.normal(size=(4, 6)), 7.003)
-    for period_s in (0.008, 0.002):
-        for from_s in (0.0, 2.2, 6.9):
-            q, s_s = _rest_of(sweep, from_s, period_s)
-            np.testing.assert_allclose(q, sweep.at(s_s), atol=1e-9)
-            assert s_s[0] == pytest.approx(from_s)
-            assert s_s[-1] == pytest.approx(sweep.period_s)
-            steps = np.diff(s_s) / period_s
-            assert (steps >= -1e-9).all()
-            assert steps.max() < 1.001
-            if from_s:
-                assert steps[0] < 0.01

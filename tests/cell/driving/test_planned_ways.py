@@ -11,20 +11,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.cell import Cell, one_by_one, open_cell
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.planning.planned_stops import PlannedStops, write_planned_stops
+from cellapp.cell.driving.motion import Mover
+from cellapp.cell.driving.reaction import StopReaction
+from cellapp.cell.planning.plan import plan_stops
+from cellapp.cell.planning.planned_stops import (
+    STOP_CONDITIONS_RESULT,
+    PlannedStops,
+    StopConditions,
+    stop_conditions_json,
+    write_planned_stops,
+)
 from cellapp.cell.planning.view import check_plan_run
 from cellapp.cell.run import RunFile
-from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.sections import Collection, Reference
-from cellapp.ground.progress import MotionBegun, Progress
+from cellapp.ground.progress import Cancelled, CancelToken, MotionBegun, Progress
 from drivers.arms.simulated import SimulatedArm
-from tests.cell.planning.hand_made import drivable_stops
+from drivers.clock import RealClock
+from tests.cell.planning.planned_cells import drivable_stops
 from tests.twin import small_twin
 
 STOPS = 5
@@ -124,32 +133,6 @@ def test_a_refused_leg_is_never_driven_and_the_stop_is_reached_straight(driven: 
     assert driven.places("left", into_the_floor, np.full(6, 50.0)) == [-1, -1]
 
 
-def test_arms_go_one_after_the_other_before_they_go_home(driven: Driven, plan: PlannedStops) -> None:
-    def refuse(start: Mapping[str, np.ndarray], end: Mapping[str, np.ndarray]) -> str:
-        to_stop_4 = all(np.allclose(end[name], q[3]) for name, q in plan.approach_from.items())
-        moving = sum(not np.array_equal(start[name], end[name]) for name in end)
-        return "a column" if to_stop_4 and moving > 1 else ""
-
-    driven.refuse = refuse
-    driven.collect()
-    arrived_by_the_planned_step(driven.run)
-    ways = [motion for motion in driven.motions if motion.stop == 3]
-    assert [len(motion.q_target) for motion in ways] == [1, 1, 2], "one arm, the other, the last motion"
-
-
-def test_arms_go_home_before_a_stop_is_left_out(driven: Driven, plan: PlannedStops) -> None:
-    homes = home_positions(driven.run.profile)
-
-    def refuse(start: Mapping[str, np.ndarray], end: Mapping[str, np.ndarray]) -> str:
-        to_begin = np.allclose(end["left"], plan.approach_from["left"][3])
-        return "a column" if to_begin and not np.allclose(start["left"], homes["left"]) else ""
-
-    driven.refuse = refuse
-    assert driven.collect() == ()
-    arrived_by_the_planned_step(driven.run)
-    assert sum(np.allclose(goal, homes["left"]) for name, goal in driven.goals if name == "left") == 2
-
-
 def test_a_last_motion_that_is_refused_defers_the_stop_then_leaves_it_out(driven: Driven, plan: PlannedStops) -> None:
     driven.refuse = lambda start, end: "a column" if np.allclose(end["left"], plan.q["left"][1]) else ""
     (note,) = driven.collect()
@@ -173,16 +156,6 @@ def test_the_side_holds_after_a_stop_on_the_way_and_a_resume(driven: Driven, pla
     driven.control = JobControl()
     driven.collect(resume=True)
     arrived_by_the_planned_step(driven.run)
-
-
-def test_the_side_holds_after_reference_measurements_and_warm_up(driven: Driven) -> None:
-    reference = Reference(every=2)
-    driven.run.profile = driven.run.profile.model_copy(
-        update={"collection": Collection(reference=reference, warm_up=60.0)}
-    )
-    driven.collect()
-    arrived_by_the_planned_step(driven.run)
-    assert len({row.stops_done for row in driven.run.references()}) == 4
 
 
 def test_controllers_are_asked_about_legs_and_starts_of_last_motions(
@@ -219,12 +192,66 @@ def test_a_person_confirms_the_first_leg_and_nothing_moves_without(driven: Drive
         assert driven.places(name, first[name]) == [0]
 
 
-def test_readings_after_splits_were_drawn_are_for_training(driven: Driven, plan: PlannedStops) -> None:
-    driven.collect()
-    for name in plan.q:
-        driven.run.assign_splits(name, ["identify", "validate", "train", "identify", "validate"])
-    more = plan.take([*range(STOPS), 0])
-    more.q["left"][-1] += 0.01
-    write_planned_stops(driven.run, more)
-    driven.collect(resume=True)
-    assert driven.run.readings("left").split == ("identify", "validate", "train", "identify", "validate", "train")
+# -- Conditions of single stops ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def plan_of_conditions() -> dict[str, np.ndarray]:
+    return plan_stops(small_twin(3))
+
+
+class Moves:
+    """Goals that were sent to the simulated arms."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.goals: list[tuple[str, np.ndarray]] = []
+        moves = self
+
+        class Arm(SimulatedArm):
+            def start_move(self, q: Any, *rest: Any) -> None:
+                moves.goals.append((self.name, np.array(q)))
+                super().start_move(q, *rest)
+
+        monkeypatch.setattr("drivers.arms.simulated.SimulatedArm", Arm)
+
+    def went(self, name: str, q: np.ndarray) -> bool:
+        return any(arm == name and np.allclose(goal, q) for arm, goal in self.goals)
+
+
+def test_nothing_moves_that_the_gate_refuses(
+    plan_of_conditions: dict[str, np.ndarray], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    moves = Moves(monkeypatch)
+    few = {name: q[:3] for name, q in plan_of_conditions.items()}
+    into_the_floor = np.array([0.0, 0.9, 0.0, 0.0, 0.0, 0.0])
+    beyond = few["right"][2] + 20.0
+    with RunFile.create(tmp_path / "run", small_twin(3)) as run:
+        run.write_plan(few)
+        conditions = {1: {"left": StopConditions(into_the_floor)}, 2: {"right": StopConditions(beyond, 1.0)}}
+        run.write_result(STOP_CONDITIONS_RESULT, stop_conditions_json(conditions))
+        notes = collect_run(run).notes
+        assert run.stops_done() == {0}
+        assert [note[:34] for note in notes[:2]] == [
+            "stop 2: left out: refused to move:",
+            "stop 3: left out: refused to move:",
+        ]
+        assert "floor" in notes[0]
+        assert "limits" in notes[1]
+        assert [event.text for event in run.events() if event.level == "warning"] == list(notes[:2])
+    assert not moves.went("left", into_the_floor)
+    assert not moves.went("right", beyond)
+    for name in few:
+        assert not moves.went(name, few[name][1])
+        assert not moves.went(name, few[name][2])
+
+
+def test_the_rest_of_a_real_arm_ends_on_cancellation() -> None:
+    profile = small_twin(2)
+    with open_cell(profile) as cell:
+        real = Cell(cell.arms, cell.tracker, RealClock())
+        reaction = StopReaction(cell.arms, cell.tracker, one_by_one)
+        mover, token = Mover(profile, real, cell_bodies(profile), reaction), CancelToken()
+        mover.rest("left", 0.0, token)
+        token.cancel()
+        with pytest.raises(Cancelled):
+            mover.rest("left", 600.0, token)

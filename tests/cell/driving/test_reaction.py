@@ -21,10 +21,10 @@ import pytest
 from cellapp.cell.driving.cell import in_threads, one_by_one
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction
 from cellapp.cell.driving.requests import taking_requests
-from cellapp.ground.asking import JOB_FILE, JobSeen, Verb, ask_running_job, look_at_job, who_uses
+from cellapp.ground.asking import JOB_FILE, Verb, ask_running_job, look_at_job, who_uses
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
-from cellapp.ground.progress import Halt, Progress, StateChange
+from cellapp.ground.progress import Halt
 from drivers.arms.protocol import Arm, ArmError, ArmState, DoubtListener, HostStalled, LinkLost, ProtectiveStop
 from drivers.trackers.protocol import TrackerLinkLost
 from tests.waiting import WAIT_S
@@ -390,34 +390,6 @@ def test_a_job_that_listens_and_is_silent_is_a_fault(folder: Path, monkeypatch: 
         (folder / JOB_FILE).write_text(json.dumps({**address, "port": mute.getsockname()[1]}))
         with pytest.raises(HardwareError, match="press its emergency stop"):
             ask_running_job(folder, "stop")
-
-
-def test_requests_of_many_at_once_are_all_answered(folder: Path, job: JobControl) -> None:
-    answers: list[str] = []
-    askers = [threading.Thread(target=lambda: answers.append(ask_running_job(folder, "stop"))) for _ in range(20)]
-    for asker in askers:
-        asker.start()
-    for asker in askers:
-        asker.join(10.0)
-    assert len(answers) == 20
-
-
-def test_a_look_tells_the_state_and_how_far_the_job_is(folder: Path) -> None:
-    control = JobControl(holds=True)
-    assert look_at_job(folder) is None
-    with taking_requests(folder, control, "collect") as listener:
-        assert look_at_job(folder) == JobSeen("collect", "none", True, False, part="collect")
-        with control.brakes(lambda verb: None):
-            listener(Progress("plan", 30, 30))
-            listener(Progress("collect", np.int64(7), 30, "stop 8"))  # type: ignore[arg-type]  # some loops count so
-            control.pause()
-            listener(Progress("collect", 7, 30, detail=StateChange("paused", "asked by a person" + "!" * 3000)))
-            seen = look_at_job(folder)
-    assert seen is not None
-    assert seen[:5] == ("collect", "pause", True, True, "paused")
-    assert seen.reason.startswith("asked by a person!")
-    assert (seen.part, seen.done, seen.total, seen.note) == ("collect", 7, 30, "stop 8")
-    assert look_at_job(folder) is None
 
 
 def test_a_job_of_another_version_is_named(folder: Path, job: JobControl, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,7 +25,6 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
 from drivers.plant import Plant
 from drivers.sensors.protocol import AirReading, SensorLinkLost
-from drivers.sensors.serial_station import SerialStation
 from drivers.sensors.simulated import SimulatedAirSensor
 from drivers.trackers.lmf import LmfTracker
 from drivers.trackers.lmf_stream import LmfStreamTracker
@@ -79,20 +78,6 @@ def test_bad_sensors_are_refused_at_load(tmp_path: Path, air: str, message: str)
         with_sections(tmp_path, f"{{air: {air}}}")
     assert message in str(caught.value)
     assert "twin.yaml:" in str(caught.value)
-
-
-def test_a_serial_station_is_built_as_the_profile_says(tmp_path: Path) -> None:
-    air = (
-        "{kind: serial, url: 'rfc2217://10.0.0.5:4001', pattern: '(?P<temperature>\\S+) (?P<pressure>\\S+)',"
-        ' units: {pressure: kPa}, poll: "R\\r\\n", baud: 19200, framing: 7O2, max_age: 2 min}'
-    )
-    settings = with_sections(tmp_path, f"{{air: {air}}}").sensors.air
-    assert settings is not None
-    station = settings.open(None)
-    assert isinstance(station, SerialStation)
-    assert station._layout.poll == b"R\r\n"
-    assert station._layout.units["pressure"] == "kPa"
-    assert (station._max_age_s, station._options["baudrate"], station._options["stopbits"]) == (120.0, 19200, 2)
 
 
 # -- collecting -------------------------------------------------------------------------------------------------------

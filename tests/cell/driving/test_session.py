@@ -19,11 +19,11 @@ from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.measured_again import earlier_readings, missing_share, reference_drifts
 from cellapp.estimation.readings import Reading
-from cellapp.ground.control import Aborted, JobControl, Request, Stopped
+from cellapp.ground.control import JobControl, Request, Stopped
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Collection, Reference, Repeat, Suspend, Suspension
-from cellapp.ground.progress import CellLive, Progress, ReferenceReport, StateChange
+from cellapp.ground.progress import Progress, ReferenceReport, StateChange
 from drivers.arms.protocol import ArmError, HostStalled, LinkLost
 from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.protocol import TrackerLinkLost
@@ -142,37 +142,6 @@ def test_stops_are_measured_again_as_planned_and_nothing_else_is_visited(bench: 
     assert [one.again for one in bench.run.sessions()] == ["", "3, 6"]
 
 
-def test_stopped_while_it_measures_again_a_stop_keeps_what_it_had(bench: Bench) -> None:
-    bench.collect()
-    old = bench.run.readings("left").p_M
-    bench.shift_M, measured = np.array([1e-3, 0.0, 0.0]), bench.measured
-    bench.before_measuring[measured + 4] = lambda bench: bench.control.ask("stop")
-    with pytest.raises(Stopped):
-        bench.collect(again=[1, 3])
-    moved = np.linalg.norm(bench.run.readings("left").p_M - old, axis=1) > 5e-4
-    assert np.flatnonzero(moved).tolist() == [1], "the second stop was not finished"
-    assert earlier_readings(bench.run, "left").readings.configuration.tolist() == [1]
-    assert complete(bench)
-
-
-@pytest.mark.parametrize(
-    ("stops", "message"),
-    [
-        ([-1], r"there is no stop 0; there are 1 to 11"),
-        ([99], r"there is no stop 100; there are 1 to 11"),
-        ([9], r"stop 10 was not measured yet; 'cellapp collect .* --resume' measures what is left"),
-        ([], "no stop is named"),
-    ],
-)
-def test_what_cannot_be_measured_again_is_said_and_nothing_moves(bench: Bench, stops: list[int], message: str) -> None:
-    bench.collect()
-    measured = bench.measured
-    with pytest.raises(InputError, match=message):
-        bench.collect(again=stops)
-    assert bench.measured == measured
-    assert len(bench.run.sessions()) == 1
-
-
 def test_nothing_moves_if_the_disk_cannot_take_the_whole_plan(bench: Bench) -> None:
     unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (bench.run.path.stat().st_size + 100_000, unlimited[1]))
@@ -216,30 +185,6 @@ def test_stop_holds_where_a_person_attends_and_resume_measures_the_stop_again(be
     assert bench.requests == ["stop", "resume"]
     assert complete(bench)
     assert len(bench.run.sessions()) == 1
-
-
-@pytest.mark.parametrize(("verb", "error"), [("stop", Stopped), ("abort", Aborted)])
-def test_stop_and_abort_are_recorded_with_their_own_words(bench: Bench, verb: Any, error: type[Exception]) -> None:
-    bench.before_measuring[5] = lambda bench: bench.control.ask(verb)
-    with pytest.raises(error):
-        bench.collect()
-    assert bench.run.stops_done() == {0, 1}
-    session = bench.run.sessions()[-1]
-    assert session.outcome == error.__name__.lower()
-    assert [kind for _, kind, _ in session.requests] == [verb]
-    bench.control = JobControl()
-    bench.collect(resume=True)
-    assert complete(bench)
-    assert [one.outcome for one in bench.run.sessions()] == [error.__name__.lower(), "complete"]
-
-
-def test_a_held_job_can_be_aborted(bench: Bench) -> None:
-    bench.control = Person(lambda request: bench.control.abort())
-    bench.before_measuring[4] = lambda bench: bench.control.stop()
-    with pytest.raises(Aborted):
-        bench.collect()
-    assert bench.requests == ["stop"]
-    assert bench.run.sessions()[-1].outcome == "aborted"
 
 
 def test_a_safety_stop_waits_for_the_repair_and_for_the_person(bench: Bench) -> None:
@@ -323,25 +268,6 @@ def test_a_stalled_computer_resumes_only_where_the_profile_allows_it(bench: Benc
     assert complete(bench)
 
 
-def test_a_tracker_that_warms_up_is_waited_for(bench: Bench) -> None:
-    practise(bench, suspend=Suspend(tracker_warm_up=Suspension(times=1, wait=600.0)))
-    bench.before_measuring[3] = lambda bench: bench.tracker.obstacles.append("it warms up")
-    bench.before_measuring[4] = lambda bench: bench.tracker.obstacles.clear()
-    unmet = SimulatedTracker.unmet
-    polls: list[int] = []
-
-    def ready_later(self: SimulatedTracker) -> list[str]:
-        polls.append(1)
-        if len(polls) > 12:
-            self.obstacles.clear()
-        return unmet(self)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(SimulatedTracker, "unmet", ready_later)
-        assert bench.collect().outcome == "complete"
-    assert bench.requests == ["suspend", "resume"]
-
-
 # -- measuring practice -----------------------------------------------------------------------------------------------
 
 
@@ -383,21 +309,6 @@ def test_a_coarse_precision_takes_two(bench: Bench) -> None:
     practise(bench, repeat=Repeat(precision=1e-3, times=4))
     bench.collect()
     assert bench.measured == 2 * 2 * STOPS
-
-
-def test_the_arms_exercise_before_the_first_measurement(bench: Bench) -> None:
-    practise(bench, warm_up=120.0)
-    started: list[float] = []
-
-    def begins(bench: Bench) -> None:
-        assert bench.cell is not None
-        started.append(plant_of(bench.cell).clock_s)
-
-    bench.before_measuring[1] = begins
-    bench.collect()
-    assert started[0] > 120.0
-    assert any("warming up" in event.note for event in bench.heard)
-    assert complete(bench)
 
 
 def test_stops_that_the_controller_forbids_are_left_out_before_anything_moves(
@@ -520,21 +431,6 @@ def test_a_safety_stop_during_the_retry_needs_a_person(bench: Bench) -> None:
     assert "resume" not in bench.requests
 
 
-def test_an_arm_that_was_not_seen_at_rest_after_a_persons_stop_is_named(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def lost(self: SimulatedArm) -> None:
-        raise ArmError(f"arm {self.name}: it could not be seen at rest")
-
-    def strike(bench: Bench) -> None:
-        monkeypatch.setattr(SimulatedArm, "stop", lost)
-        bench.control.stop()
-
-    bench.before_measuring[3] = strike
-    with pytest.raises(HardwareError, match="NOT SEEN AT REST: arm left"):
-        bench.collect()
-
-
 def test_a_point_that_was_measured_through_a_stop_is_not_stored(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SimulatedTracker, "halt", lambda self: None)  # the halt came before the measurement
     measure = SimulatedTracker._measure
@@ -602,26 +498,6 @@ def test_a_motion_that_is_not_confirmed_is_not_made(bench: Bench, monkeypatch: p
         bench.collect(confirm=lambda start, targets: False)
 
 
-def test_noise_of_the_encoders_is_no_motion(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    """At the reference stop the arms stand where the first stop is: its readings keep the way they came."""
-    practise(bench, reference=Reference(every=4, drift=0.001))
-    rng, now = np.random.default_rng(5), SimulatedArm._now
-
-    def noisy(self: SimulatedArm) -> Any:
-        state = now(self)
-        return replace(state, q=state.q + rng.normal(0.0, 1e-5, len(state.q)))
-
-    monkeypatch.setattr(SimulatedArm, "_now", noisy)
-    bench.collect()
-    plan = bench.run.read_plan()
-    for name, q in plan.items():
-        home = np.array(bench.run.profile.arms[name].home)
-        readings = bench.run.readings(name)
-        np.testing.assert_array_equal(readings.approach[0], np.sign(q[0] - home))
-        assert readings.step is not None
-        np.testing.assert_allclose(readings.step[0], q[0] - home, atol=1e-4)
-
-
 def test_arms_that_are_not_at_home_are_confirmed_to_go_there_before_a_reference(bench: Bench) -> None:
     practise(bench, reference=Reference(every=4, drift=0.001))
     homes = {name: np.array(arm.home) for name, arm in bench.run.profile.arms.items()}
@@ -665,19 +541,6 @@ def test_no_motion_begins_while_a_link_is_unconfirmed(bench: Bench, monkeypatch:
     with pytest.raises(HardwareError, match=r"no answer|does not answer"):
         bench.collect()
     assert began == []
-
-
-def test_the_open_cell_tells_what_is_known_without_the_job(bench: Bench) -> None:
-    seen: list[CellLive | None] = []
-    bench.before_measuring[1] = lambda bench: seen.append(bench.control.live())
-    bench.collect()
-    live = seen[0]
-    assert live is not None
-    assert list(live.arms) == ["left", "right"]
-    assert live.arms["left"].age_s == live.tracker_age_s == 0.0
-    assert not live.arms["left"].moving
-    assert live.causes == ()
-    assert bench.control.live() is None, "no cell is open any more"
 
 
 def test_a_stop_while_the_cell_is_opened_ends_the_job(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

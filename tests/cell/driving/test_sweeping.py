@@ -13,10 +13,7 @@ from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.planned_stops import read_planned_stops, straight_stops
 from cellapp.cell.planning.sweeps import SWEEPS_RESULT, plan_sweeps, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.csv_export import write_recordings_csv
-from cellapp.cell.run.recordings import read_recordings_of, read_stream, recording_states
-from cellapp.cell.run.recordings_csv import read_recordings
-from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.recordings import read_recordings_of, recording_states
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import clear_stops, visible
 from cellapp.commands.calibrate.run import calibrate_run
@@ -24,15 +21,11 @@ from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import stored_view
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.commands.plan.run import new_planned_run, plan_result
-from cellapp.commands.stages import read_stages
-from cellapp.commands.stored_model import model_of
 from cellapp.commands.view.charts import Chart
-from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.sections import Plan
 from cellapp.ground.progress import Progress, SweepLive
-from cellapp.ground.results import CALIBRATE
 from tests.twin import small_twin
 
 STOPS = 2
@@ -155,39 +148,6 @@ def test_collecting_records_each_sweep_once_and_calibrates(planned: Path, tmp_pa
     errors = [c.rate_standard_error_ppm for arm in result.arms.values() for c in (arm.clocks or {}).values()]
     assert len(rates) == 2
     assert abs(rates[0] - rates[1]) < 6.0 * float(np.hypot(errors[0], errors[1])), "both arms have the same two clocks"
-
-
-def test_recordings_hold_the_other_arm_that_swings_also_as_csv(swinging: Path, tmp_path: Path) -> None:
-    with copied(swinging, tmp_path) as run:
-        collect_run(run)
-        sweeps, stops = read_sweeps(run), read_planned_stops(run)
-        for sweep in sweeps:
-            (state,) = [one for one in recording_states(run) if (one.arm, one.name) == (sweep.arm, sweep.name)]
-            assert "other_q" in state.optional
-            columns, _ = read_stream(run, state, "joints")
-            other_q = np.column_stack([columns[f"other_q{joint}"] for joint in range(1, 7)])
-            (other,) = (name for name in run.profile.arms if name != sweep.arm)
-            away = np.ptp(other_q, axis=0)
-            assert np.abs(other_q[[0, -1]] - stops.targets(sweep.stop)[other]).max() < 2e-3
-            if sweep.beside is None:
-                assert away.max() < 1e-9
-            else:
-                motion = sweep.beside.motion(np.zeros(6))
-                np.testing.assert_allclose(away, np.ptp(motion.at(motion.times(0.02)), axis=0), atol=0.01)
-        calibrate_run(run)
-        own, theirs = (known_readings(run, name) for name in run.profile.arms)
-        assert own.other_q is not None
-        moving = np.isfinite(own.other_q).all(axis=1)
-        assert moving.sum() > 100
-        models = read_stages(run).current[CALIBRATE]
-        conditions = conditions_of_arms(model_of(run, models).arms, {"left": own, "right": theirs})["left"]
-        assert conditions.other_moment_M is not None
-        assert np.ptp(conditions.other_moment_M[moving], axis=0).max() > 1.0, "the moment on the pedestal changes"
-        files = {kind: tmp_path / f"{kind}.csv" for kind in ("joints", "points")}
-        for kind, path in files.items():
-            write_recordings_csv(run, kind, path)  # type: ignore[arg-type]
-        again, _ = read_recordings(run.profile, [files["joints"]], [files["points"]])
-        assert {one.state.optional for one in again} == {state.optional for state in recording_states(run)}
 
 
 def test_a_sweep_that_the_gate_refuses_is_left_out_with_a_note(

@@ -79,14 +79,6 @@ def is_lost() -> None:
     raise TrackerLinkLost("tracker: the link is cut")
 
 
-def test_a_tracker_that_answers_is_not_reported() -> None:
-    tracker, died = Answering(), queue.SimpleQueue[str]()
-    with watched(as_tracker(tracker), died.put):
-        for _ in range(5):
-            assert tracker.asked.acquire(timeout=_PATIENT_S)
-    assert died.empty()
-
-
 def test_a_link_lost_while_the_arms_move_is_reported_at_once_and_once() -> None:
     for took in attempts(reported=0.5):
         tracker, died = Answering(), queue.SimpleQueue[str]()
@@ -294,24 +286,6 @@ def test_smrs_that_are_swapped_from_the_start_fit_no_geometry():
     found = raised(17, swap, stops=40)
     assert {(one.kind, one.arm) for _, one in found} == {("wrong SMR", "left"), ("wrong SMR", "right")}
     assert all("fit no geometry" in one.text for _, one in found)
-
-
-@pytest.mark.parametrize(
-    ("fault", "kind"),
-    [(slip("left", np.array([0.0, 0.4e-3, 0.0])), "loose SMR"), (bump, "tracker moved")],
-    ids=["slip", "bump"],
-)
-def test_one_arm_that_is_measured_alone_is_judged_alone(fault, kind):
-    readings = series(18, STOPS)
-    fault(readings)
-    fit = online_fit(twin(), "left", readings["left"].q)
-    watch = Suspicions({"left": np.array([0.0, 0.0, 1.0]), "right": np.array([0.0, 0.0, 1.0])})
-    kinds = []
-    one = readings["left"]
-    for stop in range(STOPS):
-        fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop])
-        kinds += [found.kind for found in watch.at_stop(stop, {"left": fit.innovation, "right": None})]
-    assert kinds == [kind]
 
 
 NESTS = {"n1": np.array([1.0, 0.0, 0.0]), "n2": np.array([0.0, 2.0, 0.0])}

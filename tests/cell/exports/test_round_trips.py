@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cellapp.cell.exports.arm_export import ArmExport, conversion_mm, lost_parts, workspace
-from cellapp.cell.exports.export_format import CellFormat, ExportFormat
+from cellapp.cell.exports.arm_export import ArmExport, conversion_mm
+from cellapp.cell.exports.export_format import ExportFormat
 from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.exports.urdf import kinematics_hash, murmur, ur_deltas, urdf_joints
 from cellapp.cell.profile import load_profile
@@ -23,19 +23,17 @@ from cellapp.cell.profile.files import controller_file_text, controller_table
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import ArmType
 from cellapp.ground.profile.sections import ControllerTable
-from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.chain import Geometry, flange_poses, smr_positions
+from cellapp.robot.kinematics.chain import Geometry, smr_positions
 from cellapp.robot.kinematics.plain_dh import plain_geometry
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import rotation_z, rotation_zyx, transform
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import controller_rows, nominal_arm
 from drivers.emulators.ur_controller import personality
-from tests.arms import OFF_AXIS, SEVEN, STATION, UR10, at_station, dh, true_geometry
+from tests.arms import OFF_AXIS, SEVEN, UR10, at_station, dh, true_geometry
 from tests.cell.exports import readers
 from tests.drivers.arms.test_ur_probe import ask, emulated
 
-CELL_FORMATS = formats_of(CellFormat)
 FORMATS = formats_of(ExportFormat)
 
 Array = NDArray[np.float64]
@@ -123,35 +121,6 @@ def test_any_geometry_survives_the_way_out_and_back(
     assert off_m(export, form) < BAR_M
 
 
-@settings(max_examples=60)
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    alpha=st.sampled_from([0.0, np.pi, -np.pi, np.pi / 2.0, -np.pi / 2.0]),
-    powers=st.lists(st.floats(-18.0, 0.0), min_size=2, max_size=2),
-)
-def test_plain_rows_for_any_twist(seed: int, alpha: float, powers: list[float]) -> None:
-    """Parallel, anti-parallel and perpendicular axes, tilts from none to a radian, a beta in every row."""
-    rng = np.random.default_rng(seed)
-    nominal = at_station(dh([0.1] * 5, [0.2] * 5, [0.3] * 5, [alpha] * 5), OFF_AXIS)
-    rows = nominal.rows.copy()
-    rows[:, 3:] += rng.choice([-1.0, 1.0], (5, 2)) * 10.0 ** np.array(powers)
-    geometry = replace(nominal, rows=rows)
-    plain = plain_geometry(geometry)
-    assert not plain.rows[:, 4].any()
-    q = rng.uniform(-np.pi, np.pi, (30, 5))
-    np.testing.assert_allclose(smr_positions(plain, q), smr_positions(geometry, q), rtol=0.0, atol=1.5e-7)
-
-
-def test_rows_without_beta_stay_as_they_are_and_flanges_keep_their_orientation() -> None:
-    nominal = at_station(UR10, OFF_AXIS)
-    np.testing.assert_array_equal(plain_geometry(nominal).vector(), nominal.vector())
-    export = drawn("ur10", 5)
-    for own, plain in zip(
-        flange_poses(export.geometry, export.q), flange_poses(plain_geometry(export.geometry), export.q), strict=True
-    ):
-        np.testing.assert_allclose(plain, own, atol=1e-9)
-
-
 def test_numbers_as_the_controller_writes_them() -> None:
     """Eighteen digits and tens of metres, as in the file of a real arm; nine digits would lose what was measured."""
     export = drawn("ur10", 0)
@@ -182,15 +151,6 @@ def test_the_hash_is_that_of_the_published_description() -> None:
     assert found["hash"] == kinematics_hash(controller)
 
 
-def test_an_uncalibrated_arm_is_described_as_published() -> None:
-    """The published UR10 gives the origins of ``config/ur10/default_kinematics.yaml``: lengths where that has them."""
-    nominal = at_station(UR10, OFF_AXIS)
-    links = yaml.safe_load(FORMATS["ur-description"].text(export_of("ur10", nominal, nominal), []))["kinematics"]
-    at = np.array([[link[axis] for axis in "xyz"] for name, link in links.items() if name != "hash"])
-    expected = [[0.0, 0.0, 0.1273], [0, 0, 0], [-0.612, 0, 0], [-0.5723, 0, 0.163941], [0, -0.1157, 0], [0, 0.0922, 0]]
-    np.testing.assert_allclose(at, np.array(expected), atol=1e-15)
-
-
 @pytest.mark.parametrize("form", ["ur-calibration", "ur-description"])
 @pytest.mark.parametrize("arm", sorted(set(TYPES) - UR))
 def test_an_arm_of_another_make_is_refused(arm: str, form: str) -> None:
@@ -214,38 +174,6 @@ def test_urdf_has_limits_speeds_masses_and_their_places() -> None:
             moments += joint.mass * readers.points(T, np.array(joint.center_of_mass))[0]
         center = pinocchio.centerOfMass(model, data, q)
         np.testing.assert_allclose(center, moments / sum(joint.mass for joint in joints), atol=1e-9)
-
-
-def test_an_arm_on_a_wall_keeps_its_base() -> None:
-    wall = STATION @ readers.turn("y", np.pi / 2.0)[0]
-    nominal = at_station(UR10, OFF_AXIS, wall)
-    export = export_of("ur10", true_geometry(nominal, np.random.default_rng(2)), nominal)
-    assert export.geometry.reference_axis != 2
-    for form in ("urdf", "dh", "poe"):
-        assert off_m(export, form) < BAR_M
-
-
-def test_geometry_alone_loses_nothing() -> None:
-    export = drawn("ur5", 0)
-    assert lost_parts(export.model, workspace(export.q, MeasurementConditions(), 0)) == {}
-
-
-def test_the_whole_cell_in_one_file() -> None:
-    """Both arms hang from the tracker, each where the calibration found its base; other arms may have seven joints."""
-    for left, right in (("ur10", "ur5"), (sorted(set(TYPES) - UR)[0], "ur10")):
-        exports = {
-            name: replace(drawn(arm, seed), name=name)
-            for seed, (name, arm) in enumerate((("left", left), ("right", right)))
-        }
-        turned = exports["right"].geometry.T_M_B() @ readers.shift(0.4, -1.7, 0.1) @ readers.turn("z", 1.0)[0]
-        moved = replace(exports["right"].model, geometry=exports["right"].geometry.with_T_M_B(turned))
-        exports["right"] = replace(exports["right"], model=moved)
-        text = CELL_FORMATS["urdf-cell"].text(exports, ["a sentence --- with hyphens --"])
-        for name, export in exports.items():
-            off = readers.urdf(text, name, export.q) - smr_positions(export.geometry, export.q)
-            assert float(np.linalg.norm(off, axis=1).max()) < BAR_M
-        model = pinocchio.buildModelFromXML(text)
-        assert model.nq == sum(export.geometry.joints for export in exports.values())
 
 
 def test_a_controller_that_holds_the_file_computes_by_the_calibrated_rows() -> None:

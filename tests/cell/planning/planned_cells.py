@@ -1,16 +1,139 @@
-"""Cells for tests of planned stops: one, two and three arms, seven joints; replay of a plan through the gate."""
+"""Cells to plan in, plans made by hand, and how well the order of stops tells factors apart."""
 
 from __future__ import annotations
 
+import argparse
+import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.balance import correlations, travel_time
+from cellapp.cell.planning.plan import draw_stops, plan_stops
+from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Route, routes, straight_stops
+from cellapp.cell.planning.sequence import sequenced
+from cellapp.cell.planning.transit_paths import TransitPlanner
+from cellapp.cell.profile import load_profile
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.profile import Profile
-from tests.twin import small_twin
+from tests.twin import PROFILES, small_twin
+
+
+def some_stops(count: int, seed: int = 3, *, loads: bool = False) -> PlannedStops:
+    """``count`` stops of the arms left and right of the twin, in blocks of two; not for driving."""
+    rng = np.random.default_rng(seed)
+    q = {name: rng.uniform(-1.0, 1.0, (count, 6)) for name in ("left", "right")}
+    start = {name: rows + rng.choice([-0.05, 0.05], rows.shape) for name, rows in q.items()}
+    start["left"][::3] = np.nan
+    between = {name: rng.uniform(-1.0, 1.0, 6) for name in q}
+    legs = [(between, {"right": between["right"] + 0.1}) if stop % 3 == 0 else () for stop in range(count)]
+    return PlannedStops(
+        q=q,
+        approach_from=start,
+        dwell_s={"left": rng.uniform(0.0, 3.0, count), "right": np.zeros(count)},
+        legs=tuple(legs),
+        block=np.arange(count, dtype=np.intp) // 2,
+        repeat_of=np.where(np.arange(count) == 3, 0, -1).astype(np.intp),
+        frozen=np.arange(count) == 2,
+        load=np.arange(count, dtype=np.intp) // 4 if loads else np.zeros(count, dtype=np.intp),
+    )
+
+
+def same_stops(first: PlannedStops, second: PlannedStops) -> None:
+    """Assert that two plans are the same bit for bit."""
+    assert list(first.q) == list(second.q)
+    for name in first.q:
+        np.testing.assert_array_equal(first.q[name], second.q[name])
+        np.testing.assert_array_equal(first.approach_from[name], second.approach_from[name])
+        np.testing.assert_array_equal(first.dwell_s[name], second.dwell_s[name])
+    assert [[sorted(leg) for leg in legs] for legs in first.legs] == [
+        [sorted(leg) for leg in legs] for legs in second.legs
+    ]
+    for ours, theirs in zip(first.legs, second.legs, strict=True):
+        for one, other in zip(ours, theirs, strict=True):
+            for name in one:
+                np.testing.assert_array_equal(one[name], other[name])
+    for kind in ("block", "repeat_of", "frozen", "load"):
+        np.testing.assert_array_equal(getattr(first, kind), getattr(second, kind))
+
+
+def drivable_stops(count: int, step: np.ndarray, seed: int = 0) -> PlannedStops:
+    """Visible stops of the twin that can be reached at once, one arm after the other, and from home.
+
+    The last motion of the arm left to each is ``step`` (N,) [rad], that of the right one the opposite.
+    """
+    profile = small_twin(8 * count).model_copy(update={"seed": seed})
+    cell, homes = cell_bodies(profile), home_positions(profile)
+    drawn = straight_stops(plan_stops(profile))
+    for name, sign in (("left", 1.0), ("right", -1.0)):
+        drawn.approach_from[name][:] = drawn.q[name] - sign * step
+
+    def reached(here: Configuration, route: Route) -> bool:
+        for motion in route:
+            there = {**here, **motion}
+            if refuse_motion(cell, here, there):
+                return False
+            here = there
+        return True
+
+    chosen: list[int] = []
+    here: Configuration = homes
+    for stop in range(len(drawn)):
+        ways = list(routes(drawn, stop, as_planned=True))
+        if len(chosen) < count and all(reached(one, way) for way in ways for one in (here, homes)):
+            chosen.append(stop)
+            here = drawn.targets(stop)
+    assert len(chosen) == count
+    return drawn.take(chosen)
+
+
+_HEAD = (
+    "profile       seed stops given up  random h  planned h  saved  largest r  of                         detours"
+    " refused     s"
+)
+_MORE = 1.35
+
+
+def measure(path: Path, stops: int, seed: int) -> str:
+    """One row of the table."""
+    profile = load_profile(path)
+    plan = profile.plan.model_copy(update={"stops": stops, "reserve": 0})
+    profile = profile.model_copy(update={"plan": plan})
+    cell, homes = cell_bodies(profile), home_positions(profile)
+    chosen = draw_stops(cell, profile, int(_MORE * stops), np.random.default_rng(seed))
+    began = time.process_time()
+    rng = np.random.default_rng(seed)
+    finder = TransitPlanner(profile, cell, rng)
+    found = sequenced(profile, cell, chosen, rng, finder=finder)
+    took_s = time.process_time() - began
+    travel = travel_time(profile, found.stops, finder, np.random.default_rng(seed))
+    worst = max(correlations(profile, cell, found.stops), key=lambda one: abs(one.correlation))
+    refused = refusals(cell, found.stops, homes, homes)
+    return (
+        f"{path.stem:14}{seed:4d} {len(found.stops):5d} {len(found.given_up):8d} {travel.random_order_s / 3600:9.2f}"
+        f" {travel.planned_s / 3600:10.2f} {travel.saved:6.1%} {abs(worst.correlation):10.3f}  {worst.factor:26.26}"
+        f" {sum(map(bool, found.stops.legs)):6d} {len(refused):7d} {took_s:5.1f}"
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("profiles", nargs="*", default=["twin", "twin-paper"])
+    parser.add_argument("--stops", type=int, default=400)
+    parser.add_argument("--seeds", type=int, default=5)
+    given = parser.parse_args()
+    print(_HEAD)  # noqa: T201
+    for name in given.profiles:
+        for seed in range(1, given.seeds + 1):
+            print(measure(PROFILES / f"{name}.yaml", given.stops, seed), flush=True)  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()
 
 
 def planned_twin(stops: int = 30, **plan: Any) -> Profile:

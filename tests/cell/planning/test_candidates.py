@@ -9,20 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.stats import ks_2samp
 
 from cellapp.cell.planning.candidates import (
     CandidatePool,
-    draw_joints,
     draw_pool,
     exclusions,
-    joint_ranges,
-    random_configurations,
-    workspace_configurations,
 )
-from cellapp.cell.planning.designed import design_stops, free_ways, hubs_of, within_reach
+from cellapp.cell.planning.designed import free_ways, hubs_of, within_reach
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.bodies import ArmBodies, place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
@@ -31,13 +24,11 @@ from cellapp.cell.safety.visibility import TrackerField, sight_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, Placement
-from cellapp.ground.progress import Cancelled, CancelToken
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import transform
 from tests.twin import PROFILES, small_twin, with_arms
 
 COUNT = 400
-FACING = math.radians(20.0)
 TRACKER = TrackerField(
     transform(np.diag([-1.0, -1.0, 1.0]), np.array([3.5, 0.3, 0.5])), (-7.0, 7.0), (-0.9, 0.9), (1.0, 40.0)
 )
@@ -90,13 +81,6 @@ def pool_of(cell: CellBodies, name: str, seed: int = 3, count: int = COUNT, **pl
     return draw_pool(cell, small_twin(COUNT, plan=plan), name, count, np.random.default_rng(seed))
 
 
-def plain_rejection(cell: CellBodies, name: str, draws: int) -> np.ndarray:
-    low, high = joint_ranges(cell, small_twin(), name).T
-    q = np.random.default_rng(77).uniform(low, high, (draws, len(low)))
-    q = q[visible(cell, name, q)]
-    return np.asarray(q[clear_alone(cell, place(cell.arms[name], q))])
-
-
 @pytest.mark.parametrize("which", CELLS)
 def test_every_candidate_can_be_measured(which: str) -> None:
     cell, name = CELLS[which]
@@ -113,56 +97,6 @@ def test_every_candidate_can_be_measured(which: str) -> None:
     assert pool.rejected["gate"] == 0, "the named constraints are all that the gate asks for"
 
 
-@pytest.mark.parametrize("which", ["UR10", "SMR across the flange axis", "four joints"])
-def test_each_joint_is_spread_like_plain_rejection(which: str) -> None:
-    """Kolmogorov-Smirnov: without a preference for small incidence, both are draws from one distribution."""
-    cell, name = CELLS[which]
-    expected = plain_rejection(cell, name, 120_000)
-    found = pool_of(cell, name, count=3000, incidence=HALF_TURN).q
-    for j in range(found.shape[1]):
-        assert ks_2samp(found[:, j], expected[:, j]).pvalue > 1e-3, f"joint {j + 1}"
-    for i, k in ((0, -1), (1, -1), (0, 1)):  # sums of first joints and wrist: their combinations too
-        assert ks_2samp(found[:, i] + found[:, k], expected[:, i] + expected[:, k]).pvalue > 1e-3
-
-
-def test_small_incidence_is_preferred_and_no_joint_loses_its_range() -> None:
-    cell, name = CELLS["UR10"]
-    plain, pool = plain_rejection(cell, name, 120_000), pool_of(cell, name, count=4000)
-    assert cell.field is not None
-    before = np.mean(sight_of(cell.field.T_C_M, place(cell.arms[name], plain)).incidence <= FACING)
-    after = np.mean(pool.incidence <= FACING)
-    assert before < 0.65
-    assert 0.8 < after < 0.95, "some are left for effects of the incidence"
-    for level in (0.02, 0.98):
-        np.testing.assert_allclose(np.quantile(pool.q, level, axis=0), np.quantile(plain, level, axis=0), atol=0.25)
-
-
-def test_random_configurations_are_independent() -> None:
-    cell, name = CELLS["UR10"]
-    configurations = random_configurations(cell, small_twin(), name, np.random.default_rng(5))
-    q = np.array([next(configurations) for _ in range(600)])
-    for j in range(6):
-        assert len(np.unique(q[:, j])) == 600
-    assert visible(cell, name, q).all()
-
-
-def test_the_seed_makes_the_pool() -> None:
-    cell, name = CELLS["UR10"]
-    first, again, other = (pool_of(cell, name, seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(first.q, again.q)
-    assert (first.drawn, first.rejected) == (again.drawn, again.rejected)
-    assert not np.any(np.all(first.q == other.q, axis=1))
-
-
-def test_joints_that_may_not_move_give_no_copies() -> None:
-    cell, name = CELLS["UR10"]
-    start = pool_of(cell, name).q[0]
-    free = (tuple((value, value) for value in start[:3]), tuple((value - 0.3, value + 0.3) for value in start[3:]))
-    for ranges in ((*free[0], *free[1]), (*((v - 0.3, v + 0.3) for v in start[:3]), *((v, v) for v in start[3:]))):
-        q = pool_of(cell, name, count=100, ranges=ranges).q
-        assert len(np.unique(q, axis=0)) == 100
-
-
 def test_a_pool_may_be_smaller_than_asked_for_but_not_than_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_DRAWS", 60_000)
     monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_DRAWS_PER_CANDIDATE", 1)
@@ -170,29 +104,6 @@ def test_a_pool_may_be_smaller_than_asked_for_but_not_than_the_plan(monkeypatch:
     assert COUNT <= len(pool_of(cell, name, count=5000).q) < 5000
     with pytest.raises(InputError, match=rf"[0-9]+ of [0-9]+ random .* can be measured, {COUNT * 10} are needed"):
         draw_pool(cell, small_twin(COUNT * 10), name, 5000, np.random.default_rng(0))
-
-
-def test_drawing_can_be_cancelled() -> None:
-    token = CancelToken()
-    token.cancel()
-    with pytest.raises(Cancelled):
-        draw_pool(*CELLS["UR10"][:1], small_twin(), "left", 10, np.random.default_rng(0), token)
-
-
-@settings(max_examples=12, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), which=st.sampled_from(sorted(CELLS)))
-def test_what_is_seen_of_combined_joints_is_what_placing_them_gives(seed: int, which: str) -> None:
-    cell, name = CELLS[which]
-    arm = cell.arms[name]
-    rng = np.random.default_rng(seed)
-    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    T_C_M = transform(rotation * np.sign(np.linalg.det(rotation)), rng.normal(size=3) * 3.0)
-    draws = draw_joints(arm, T_C_M, arm.limits, rng)
-    chosen = rng.random(draws.sight.distance.shape) < 0.01
-    expected = sight_of(T_C_M, place(arm, draws.q(chosen)))
-    np.testing.assert_allclose(draws.sight.smr_M[:, chosen], expected.smr_M, atol=1e-12)
-    np.testing.assert_allclose(draws.sight.distance[chosen], expected.distance, atol=1e-12)
-    np.testing.assert_allclose(draws.sight.cosine[chosen], expected.cosine, atol=1e-9)
 
 
 # -- cells in which nothing can be measured ---------------------------------------------------------------------------
@@ -256,17 +167,6 @@ def test_what_cannot_be_measured_names_its_constraint(cause: str, monkeypatch: p
 # -- Points of the workspace: clear, inside the ranges, seen by the tracker or not -------------------------------------
 
 
-def test_targets_are_clear_wherever_the_smr_looks() -> None:
-    profile = small_twin()
-    cell = cell_bodies(profile)
-    q = workspace_configurations(profile, cell, "left", 200, np.random.default_rng(5))
-    assert q.shape == (200, 6)
-    assert clear_alone(cell, place(cell.arms["left"], q)).all()
-    assert visible(cell, "left", q).mean() < 0.2
-    again = workspace_configurations(profile, cell, "left", 200, np.random.default_rng(5))
-    np.testing.assert_array_equal(q, again)
-
-
 # -- Candidates within easy reach: what lies behind a wall that no way passes is none, and free ways are free ----------
 
 
@@ -296,19 +196,3 @@ def test_poses_beyond_a_locked_range_are_out_of_reach() -> None:
         return float(np.mean(free))
 
     assert ways(q[reached][8:28]) > 2.0 * ways(q[~reached][:20])
-
-
-def test_a_design_is_the_same_by_seed_and_keeps_what_it_is_given() -> None:
-    profile = small_twin(12, plan={"candidates": 200})
-    first, again = design_stops(profile, 12), design_stops(profile, 12)
-    other = design_stops(profile.model_copy(update={"seed": 8}), 12)
-    for name, q in first.stops.q.items():
-        np.testing.assert_array_equal(q, again.stops.q[name])
-        assert not np.array_equal(q, other.stops.q[name])
-    longer = design_stops(profile, 3, kept=first.stops)
-    assert len(longer.stops) == 15
-    for name, q in first.stops.q.items():
-        np.testing.assert_array_equal(longer.stops.q[name][:12], q)
-        np.testing.assert_array_equal(longer.stops.approach_from[name][:12], first.stops.approach_from[name])
-    assert longer.stops.block[12:].min() > first.stops.block.max()
-    assert all(pool.rejected for pool in first.pools.values())

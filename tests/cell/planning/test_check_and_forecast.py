@@ -3,26 +3,41 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.planning.duration import motion_s, planned_time
-from cellapp.cell.planning.planned_stops import read_planned_stops, write_planned_stops
+from cellapp.cell.planning.candidates import CandidatePool, draw_pool
+from cellapp.cell.planning.designed import select_stops
+from cellapp.cell.planning.duration import planned_time
+from cellapp.cell.planning.information import (
+    InformationModel,
+    drawn_conditions,
+    information_model,
+)
+from cellapp.cell.planning.planned_stops import read_planned_stops
 from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
-from cellapp.cell.planning.view import check_plan_run, forecast_run, joint_coverage
+from cellapp.cell.planning.sweeps import SweepDesign
+from cellapp.cell.planning.view import check_plan_run, forecast_run
+from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.plan.check_view import check_sentences, coverage_bar, forecast_sentences, forecast_tables
+from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.commands.plan.check_view import (
+    check_sentences,
+    forecast_sentences,
+    forecast_tables,
+)
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken, Progress
-from drivers.plant.motion import travel
-from tests.cell.planning.hand_made import drivable_stops
-from tests.twin import small_twin
+from cellapp.robot.paths.sweep import Sweep
+from tests.twin import PROFILES, small_twin, with_arms
 
 STOPS = 24
 
@@ -111,28 +126,6 @@ def test_a_check_is_cancelled_and_needs_a_plan(planned: Path, tmp_path: Path) ->
                 foresee(run)
 
 
-def test_coverage_names_the_used_part_and_the_largest_gap() -> None:
-    ranges = np.array([[-1.0, 3.0], [0.0, 1.0]])
-    q = np.array([[0.0, 0.5], [1.0, 0.5], [0.5, 0.5]])
-    first, second = joint_coverage(ranges, q)
-    assert first.used == (0.0, 1.0)
-    assert first.largest_gap == pytest.approx(2.0)
-    assert first.share == pytest.approx(0.25)
-    assert second.share == 0.0
-    assert coverage_bar(first, 8) == "░░██░░░░"
-    assert coverage_bar(second, 4) == "░░░░"
-
-
-def test_motions_take_what_the_simulated_arm_takes() -> None:
-    arm = small_twin().arms["left"]
-    speed = np.array([joint.speed for joint in arm.type.joints]) * arm.speed_scale
-    acceleration = np.array([joint.acceleration for joint in arm.type.joints]) * arm.speed_scale
-    ways = np.random.default_rng(3).uniform(-2.0, 2.0, (40, 6)) * np.logspace(-4, 0, 40)[:, None]
-    expected = [travel(0.0, np.zeros(6), way, speed, acceleration) for way in ways]
-    np.testing.assert_allclose(motion_s(arm, ways), [motion.duration_s for motion in expected if motion], rtol=1e-12)
-    assert motion_s(arm, np.zeros((1, 6)))[0] == 0.0
-
-
 def test_the_estimated_time_is_that_of_a_simulated_collection(tmp_path: Path) -> None:
     profile = small_twin(12)
     with new_planned_run(profile, tmp_path / "run") as run:
@@ -142,32 +135,6 @@ def test_the_estimated_time_is_that_of_a_simulated_collection(tmp_path: Path) ->
     parts = (estimated.moving_s, estimated.resting_s, estimated.measuring_s, estimated.references_s)
     assert estimated.total_s == pytest.approx(sum(parts))
     assert taken_s == pytest.approx(estimated.total_s, rel=0.25)
-
-
-def test_the_time_of_approaches_legs_and_dwells_is_foreseen(tmp_path: Path) -> None:
-    stops = drivable_stops(6, np.full(6, 0.06))
-    between = {name: 0.5 * (q[2] + q[3]) for name, q in stops.q.items()}
-    stops.dwell_s["left"][4] = 20.0
-    legs = tuple((between,) if stop == 3 else () for stop in range(6))
-    profile = small_twin(6)
-    with RunFile.create(tmp_path / "run", profile) as run:
-        write_planned_stops(run, replace(stops, legs=legs))
-        estimated = planned_time(profile, read_planned_stops(run))
-        collect_run(run)
-        taken_s = float(run.readings("left").time_s.max())
-    assert estimated.resting_s > 20.0
-    assert taken_s == pytest.approx(estimated.total_s, rel=0.25)
-
-
-def test_references_and_warm_up_take_their_time(planned: Path) -> None:
-    with RunFile.open(planned) as run:
-        profile, plan = run.profile, read_planned_stops(run)
-    reference = profile.collection.reference.model_copy(update={"every": 5})
-    longer = profile.collection.model_copy(update={"reference": reference, "warm_up": 600.0})
-    before, after = (planned_time(p, plan) for p in (profile, profile.model_copy(update={"collection": longer})))
-    assert after.warm_up_s == 600.0
-    assert after.references_s > 0.0 == before.references_s
-    assert after.total_s > before.total_s + 600.0
 
 
 def test_a_forecast_counts_covers_and_survives_json(forecast: PlanForecastResult) -> None:
@@ -235,13 +202,123 @@ def test_an_unknown_smr_offset_is_assumed_and_said(tmp_path: Path) -> None:
     assert result.arms["left"].accuracy[0].standard_error_mm < 1.0
 
 
-@pytest.mark.parametrize("kind", ["paper", "full"])
-def test_other_parameter_sets_have_finite_errors(kind: str, planned: Path, tmp_path: Path) -> None:
-    with RunFile.open(planned) as run:
-        plan, profile = run.read_plan(), run.profile
-    calibration = profile.calibration.model_copy(update={"parameter_set": kind})
-    with with_plan(tmp_path / "run", profile.model_copy(update={"calibration": calibration}), **plan) as run:
-        result = forecast_run(run)
-    errors = [one.standard_error for one in result.arms["left"].accuracy[0].parameters.values()]
-    assert len(errors) == {"paper": 26, "full": 34}[kind]
-    assert all(error is not None and 0.0 < error < 1.0 for error in errors)
+def test_what_a_sweep_tells_is_of_the_effects_that_the_plan_is_for():
+    """A joint that turns far and evenly tells of its lines; one that hardly moves tells nothing of them."""
+    profile = small_twin()
+    q = np.array(profile.arms["left"].home) + np.random.default_rng(3).uniform(-0.5, 0.5, (12, 6))
+    rows = np.zeros((4, 6))
+    still, lively = rows.copy(), rows.copy()
+    still[0, 5] = 0.3
+    lively[:, 0] = 0.3
+    told = {}
+    for slugs in ((), ("transmission_error",), ("transmission_error", "backlash")):
+        plan = profile.plan.model_copy(update={"effects": slugs})
+        design = SweepDesign.of(profile.model_copy(update={"plan": plan}), "left")
+        before = design.before(q, np.ones_like(q))
+        assert np.isfinite(before).all()
+        gains = [
+            np.linalg.slogdet(before + design.told(Sweep(q[0], sine, rows, 20.0)))[1] - np.linalg.slogdet(before)[1]
+            for sine in (still, lively)
+        ]
+        told[slugs] = gains[1] - gains[0]
+        assert gains[1] > gains[0] > 0.0
+    assert told[()] < told["transmission_error",] < told["transmission_error", "backlash"]
+
+
+# -- The choice of stops -----------------------------------------------------------------------------------------------
+
+
+COUNT, POOL = 40, 800
+FEW: dict[str, Any] = {"effects": ("joint_compliance", "encoder_eccentricity", "backlash")}
+Pools = Mapping[str, CandidatePool]
+
+
+def drawn(profile: Profile, count: int = POOL) -> Pools:
+    cell, rng = cell_bodies(profile), np.random.default_rng(3)
+    return {name: draw_pool(cell, profile, name, count, rng) for name in cell.arms}
+
+
+@pytest.fixture(scope="module")
+def twin() -> Profile:
+    return small_twin(COUNT, plan=FEW)
+
+
+@pytest.fixture(scope="module")
+def pools(twin: Profile) -> Pools:
+    return drawn(twin)
+
+
+@pytest.fixture(scope="module")
+def chosen(twin: Profile, pools: Pools) -> Mapping[str, np.ndarray]:
+    return select_stops(twin, pools, COUNT, np.random.default_rng(1))
+
+
+def model_of(profile: Profile, pools: Pools, name: str = "left") -> InformationModel:
+    others = {other: pool.q for other, pool in pools.items() if other != name}
+    conditions = drawn_conditions(profile, name, pools[name].q, others, np.random.default_rng(0))
+    return information_model(profile, name, pools[name].q, conditions)
+
+
+def test_each_stop_is_chosen_once_and_the_seed_decides(
+    twin: Profile, pools: Pools, chosen: Mapping[str, np.ndarray]
+) -> None:
+    again = select_stops(twin, pools, COUNT, np.random.default_rng(1))
+    for name, rows in chosen.items():
+        assert len(set(rows.tolist())) == COUNT
+        np.testing.assert_array_equal(again[name], rows)
+
+
+def test_a_pool_may_be_smaller_than_the_plan(twin: Profile, pools: Pools) -> None:
+    few = {name: replace(pool, q=pool.q[:12], incidence=pool.incidence[:12]) for name, pool in pools.items()}
+    rows = select_stops(twin, few, COUNT, np.random.default_rng(1))
+    assert {name: sorted(found.tolist()) for name, found in rows.items()} == {name: list(range(12)) for name in few}
+    assert not len(select_stops(twin, few, 0, np.random.default_rng(1))["left"])
+
+
+def one_arm() -> Profile:
+    profile = small_twin(20)
+    return profile.model_copy(update={"arms": {"left": profile.arms["left"]}})
+
+
+def three_arms() -> Profile:
+    profile = small_twin(20)
+    return profile.model_copy(update={"arms": {**profile.arms, "third": profile.arms["left"]}})
+
+
+def seven_joints() -> Profile:
+    profile = load_profile(PROFILES / "twin-foreign.yaml")
+    return profile.model_copy(update={"plan": profile.plan.model_copy(update={"stops": 20})})
+
+
+def without_offset() -> Profile:
+    profile = small_twin(20)
+    smr = profile.arms["left"].smr.model_copy(update={"offset": "unknown"})
+    return with_arms(profile, smr=smr)
+
+
+def straight_ways() -> Profile:
+    return small_twin(20, plan={"steps": ()})
+
+
+@pytest.mark.parametrize("cell", [one_arm, three_arms, seven_joints, without_offset, straight_ways])
+def test_any_cell_can_be_designed(cell: Any) -> None:
+    profile = cell()
+    pools = drawn(profile, 120)
+    rows = select_stops(profile, pools, 20, np.random.default_rng(1))
+    assert {name: len(set(found.tolist())) for name, found in rows.items()} == dict.fromkeys(profile.arms, 20)
+    coupled = any(one.startswith("pedestal_coupling") for one in model_of(profile, pools, next(iter(pools))).names)
+    assert coupled == (len(profile.arms) == 2)
+
+
+@pytest.mark.parametrize(
+    ("effects", "words"),
+    [
+        (("backlsh",), "'backlsh' is no effect of the library; known are: joint_compliance,"),
+        (("unknown",), "'unknown' is no effect of the library"),
+        (("payload_compliance",), "no plan of this cell can show it in arm left"),
+    ],
+)
+def test_effects_that_no_plan_can_show_are_refused(pools: Pools, effects: tuple[str, ...], words: str) -> None:
+    with pytest.raises(InputError, match=r"plan\.effects") as refused:
+        select_stops(small_twin(COUNT, plan={"effects": effects}), pools, COUNT, np.random.default_rng(0))
+    assert words in str(refused.value)

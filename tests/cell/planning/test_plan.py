@@ -10,9 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from typer.testing import CliRunner
 
 from cellapp.cell.driving.cell import open_cell
 from cellapp.cell.planning.plan import make_stops, plan_run, plan_stops
@@ -21,46 +18,31 @@ from cellapp.cell.planning.planned_stops import (
     STOP_CONDITIONS_RESULT,
     PlannedStops,
     StopConditions,
-    joined,
-    last_motions,
     proposed_stops,
-    read_plan_design,
     read_planned_stops,
     read_stop_conditions,
-    routes,
     stop_conditions_json,
     straight_stops,
     write_planned_stops,
 )
 from cellapp.cell.planning.proposal.propose import ProposedStop, append_proposed_stops
 from cellapp.cell.planning.view import check_stops
-from cellapp.cell.run import Outcome, RunFile
+from cellapp.cell.run import RunFile
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import CellBodies, predicted_smr, refuse_motion
+from cellapp.cell.safety.gate import predicted_smr, refuse_motion
 from cellapp.commands.plan.run import freeze_stops, new_planned_run, replan
-from cellapp.ground.counting import listed_numbers
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken, Progress
 from drivers.plant.clearance import segment_distances
-from tests.cell.planning.hand_made import same_stops, some_stops
-from tests.program import app
+from tests.cell.planning.planned_cells import same_stops, some_stops
 from tests.twin import small_twin, with_arms
 
 
 @pytest.fixture(scope="module")
 def plan() -> dict[str, np.ndarray]:
     return plan_stops(small_twin())
-
-
-def test_the_shape_and_the_limits(plan: dict[str, np.ndarray]) -> None:
-    twin = cell_bodies(small_twin())
-    assert list(plan) == ["left", "right"]
-    for name, q in plan.items():
-        assert q.shape == (30, 6)
-        assert np.all((q >= twin.arms[name].limits[:, 0]) & (q <= twin.arms[name].limits[:, 1]))
-        assert np.ptp(q, axis=0).min() > math.radians(60.0), "every joint is moved a good way"
 
 
 def test_limits_and_ranges_of_the_cell_hold() -> None:
@@ -76,20 +58,6 @@ def test_the_gate_admits_every_motion_from_home_and_back(plan: dict[str, np.ndar
     cell, home = cell_bodies(profile), home_positions(profile)
     stops = [home, *({name: q[k] for name, q in plan.items()} for k in range(30)), home]
     assert [refuse_motion(cell, here, there) for here, there in pairwise(stops)] == [""] * 31
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_home_can_be_reached_from_the_last_stop(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a cell where home can only be entered with the last joint turned to one side."""
-    profile = small_twin(2).model_copy(update={"seed": seed})
-    homes = home_positions(profile)
-
-    def refuse(cell: CellBodies, here: dict[str, np.ndarray], there: dict[str, np.ndarray]) -> str:
-        entered = np.array_equal(there["left"], homes["left"]) and here["left"][5] < 0.0
-        return "home is entered from the wrong side" if entered else refuse_motion(cell, here, there)
-
-    monkeypatch.setattr("cellapp.cell.planning.plan.refuse_motion", refuse)
-    assert plan_stops(profile)["left"][-1, 5] > 0.0
 
 
 def test_no_arm_stands_in_the_beam_to_the_other() -> None:
@@ -247,18 +215,6 @@ def test_one_arm_alone_and_a_single_stop_are_planned(method: str) -> None:
 # -- Frozen stops: which are listed, what a new design leaves, what is refused -----------------------------------------
 
 
-@given(st.sets(st.integers(0, 999), min_size=1))
-def test_any_set_of_stops_can_be_listed(stops: set[int]) -> None:
-    assert listed_numbers(",".join(map(str, stops)), "configurations") == tuple(sorted(stops))
-    assert listed_numbers(f" {min(stops)}-{max(stops)} ", "configurations") == tuple(range(min(stops), max(stops) + 1))
-
-
-@pytest.mark.parametrize("text", ["", "1,", "a", "-3", "1-2-3", "1.5", "99999999"])
-def test_what_is_no_list_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="expected configurations such as 0-9,12, or none"):
-        listed_numbers(text, "configurations")
-
-
 def test_a_new_design_leaves_what_is_frozen(tmp_path: Path) -> None:
     with new_planned_run(small_twin(6, plan={"method": "random"}), tmp_path / "run") as run:
         before = read_planned_stops(run)
@@ -272,46 +228,10 @@ def test_a_new_design_leaves_what_is_frozen(tmp_path: Path) -> None:
         assert not read_planned_stops(run).frozen.any()
 
 
-def test_the_command_freezes(tmp_path: Path) -> None:
-    new_planned_run(small_twin(4, plan={"method": "random"}), tmp_path / "run").close()
-    ended = CliRunner().invoke(app, ["plan", "--run", str(tmp_path / "run"), "--freeze", "0-1,3"])
-    assert ended.exit_code == 0, ended.output
-    assert "3 of 4 stops are frozen" in ended.output
-    with RunFile.open(tmp_path / "run") as run:
-        assert read_planned_stops(run).frozen.tolist() == [True, True, False, True]
-
-
 # -- Conditions of planned stops: damaged ones are named ---------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("[]", "damaged"),
-        ('{"1": {"left": {"via": [0, 1]}}}', "6 finite joint positions"),
-        ('{"1": {"left": {"dwell_s": 1e9}}}', "between 0 and 600 s"),
-        ('{"1": {"middle": {}}}', "middle"),
-        ('{"one": {}}', "damaged"),
-    ],
-)
-def test_damaged_conditions_are_named(tmp_path: Path, text: str, says: str) -> None:
-    with RunFile.create(tmp_path / "run", small_twin(2)) as run:
-        run.write_result(STOP_CONDITIONS_RESULT, text)
-        with pytest.raises(InputError, match=says):
-            read_stop_conditions(run)
-
-
 # -- A plan in the run file: all of it comes back, old runs read the same, damaged documents are named -----------------
-
-
-def test_a_plan_comes_back_bit_for_bit(tmp_path: Path) -> None:
-    stops = some_stops(7)
-    with RunFile.create(tmp_path / "run", small_twin(7)) as run:
-        write_planned_stops(run, stops, proposed={5})
-        back = read_planned_stops(run)
-        assert proposed_stops(read_stop_conditions(run)) == {5}
-        assert read_plan_design(run) is None
-    same_stops(back, stops)
 
 
 def test_an_old_run_has_straight_ways_and_its_listed_stops_are_proposed(tmp_path: Path) -> None:
@@ -363,17 +283,6 @@ def test_a_plan_is_stored_with_all_documents_or_not_at_all(tmp_path: Path) -> No
         assert (run.read_result(PLANNED_STOPS_RESULT), run.read_result(STOP_CONDITIONS_RESULT)) == before
 
 
-def test_outcomes_of_stops_that_are_replaced_are_forgotten(tmp_path: Path) -> None:
-    stops = some_stops(4)
-    with RunFile.create(tmp_path / "run", small_twin(4)) as run:
-        write_planned_stops(run, stops)
-        for stop in (1, 2):
-            run.add_stop(stop, {}, [Outcome(stop, "left", "left out", "a column")])
-        stops.q["left"][2] += 0.01
-        write_planned_stops(run, stops)
-        assert [one.stop for one in run.outcomes()] == [1]
-
-
 def test_proposed_stops_follow_designed_ones_and_replace_earlier_proposals(tmp_path: Path) -> None:
     designed, further = some_stops(4), some_stops(9)
     with RunFile.create(tmp_path / "run", small_twin(4)) as run:
@@ -389,37 +298,3 @@ def test_proposed_stops_follow_designed_ones_and_replace_earlier_proposals(tmp_p
     same_stops(stops.take(range(4)), designed)
     assert stops.block.tolist() == [0, 0, 1, 1, 2, 2]
     assert stops.legs[4:] == ((), ())
-
-
-def test_taking_and_joining_keep_what_still_holds() -> None:
-    stops = some_stops(6)
-    same_stops(joined(stops.take(range(3)), stops.take(range(3, 6))).take(range(3)), stops.take(range(3)))
-    same_stops(joined(stops.take([]), stops), stops)
-    chosen = stops.take([0, 2, 3])
-    assert chosen.legs == (stops.legs[0], (), stops.legs[3]), "legs that begin elsewhere are dropped"
-    assert stops.repeat_of.tolist() == [-1, -1, -1, 0, -1, -1]
-    assert chosen.repeat_of.tolist() == [-1, -1, 0]
-    assert stops.take([3]).repeat_of.tolist() == [-1]
-
-
-def test_every_route_ends_with_the_planned_last_motion() -> None:
-    stops: PlannedStops = some_stops(6)
-    for stop in range(6):
-        for as_planned in (True, False):
-            for route in routes(stops, stop, as_planned=as_planned):
-                reached: dict[str, np.ndarray] = {}
-                for motion in route:
-                    before, reached = reached, {**reached, **motion}
-                for name, q in stops.targets(stop).items():
-                    np.testing.assert_array_equal(reached[name], q)
-                    if name in stops.approach_starts(stop):
-                        np.testing.assert_array_equal(before[name], stops.approach_starts(stop)[name])
-
-
-def test_last_motions_are_planned_or_straight_from_the_stop_before() -> None:
-    stops = some_stops(5)
-    homes = {name: np.full(6, 0.5) for name in stops.q}
-    motions = last_motions(stops, homes)
-    np.testing.assert_array_equal(motions["right"], stops.q["right"] - stops.approach_from["right"])
-    np.testing.assert_array_equal(motions["left"][0], stops.q["left"][0] - 0.5)
-    np.testing.assert_array_equal(motions["left"][3], stops.q["left"][3] - stops.q["left"][2])

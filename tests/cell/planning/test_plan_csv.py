@@ -6,18 +6,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as arrays
 
 from cellapp.cell.planning.plan_csv import read_plan_csv, write_plan_csv
 from cellapp.cell.planning.planned_stops import straight_stops
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile.schema import Payload
-from tests.cell.planning.hand_made import same_stops, some_stops
+from tests.cell.planning.planned_cells import same_stops, some_stops
 from tests.twin import small_twin, with_arm, with_arms
 
 PROFILE = with_arms(small_twin(4), limits=((-6.0, 6.0),) * 6)
@@ -38,38 +34,6 @@ def test_a_plan_comes_back_bit_for_bit(tmp_path: Path) -> None:
         assert back.configurations == tuple(range(len(stops)))
         write_plan_csv(back.stops, tmp_path / "again.csv", RENEWED)
         assert (tmp_path / "again.csv").read_bytes() == (tmp_path / "plan.csv").read_bytes()
-
-
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(q=arrays.arrays(np.float64, (3, 6), elements=st.floats(-6.0, 6.0)), dwell_s=st.floats(0.0, 600.0))
-def test_every_number_comes_back_bit_for_bit(q: np.ndarray, dwell_s: float, tmp_path: Path) -> None:
-    stops = straight_stops({"left": q, "right": -q})
-    stops.dwell_s["right"][:] = dwell_s
-    write_plan_csv(stops, tmp_path / "plan.csv", RENEWED)
-    back = read_plan_csv(tmp_path / "plan.csv", PROFILE).stops
-    assert back.q["left"].tobytes() == q.tobytes()
-    assert back.q["right"].tobytes() == (-q).tobytes()
-    assert back.dwell_s["right"].tobytes() == stops.dwell_s["right"].tobytes()
-
-
-def test_the_order_is_that_of_the_configurations_and_optional_columns_may_lack(tmp_path: Path) -> None:
-    path = tmp_path / "plan.csv"
-    row = "0.1,0.2,0.3,0.4,0.5"
-    path.write_text(
-        "arm,configuration,point,q6,q1,q2,q3,q4,q5,repeat_of\n"
-        f"right,40,stop,2.5,{row},\n"
-        f"left,40,stop,2,{row},\n\n"
-        f"left,7,stop,1,{row},40\n"
-        f"right,7,stop,1.5,{row},40\n"
-    )
-    file = read_plan_csv(path, PROFILE)
-    assert file.configurations == (7, 40)
-    assert file.lines == (5, 2)
-    assert file.stops.q["left"][:, 5].tolist() == [1.0, 2.0]
-    assert file.stops.q["right"][:, 5].tolist() == [1.5, 2.5]
-    assert file.stops.repeat_of.tolist() == [1, -1]
-    assert file.stops.block.tolist() == [0, 0]
-    assert not file.stops.frozen.any()
 
 
 Edit = Callable[[list[str]], list[str]]
@@ -145,27 +109,6 @@ def test_what_is_wrong_is_named_by_line_and_column(edit: Edit, says: str, tmp_pa
     path.write_text("\n".join(edit(written(path))), "utf-8")
     with pytest.raises(InputError, match=f"plan.csv.*{says}"):
         read_plan_csv(path, PROFILE)
-
-
-def test_joints_that_an_arm_does_not_have_are_named_and_their_columns_may_be_empty(tmp_path: Path) -> None:
-    path = tmp_path / "plan.csv"
-    lines = [line.split(",") for line in written(path)]
-    seventh = [[*cells[:9], "q7" if number == 0 else "", *cells[9:]] for number, cells in enumerate(lines)]
-    path.write_text("\n".join(",".join(cells) for cells in seventh), "utf-8")
-    with pytest.raises(InputError, match=":1: q7: the column is unknown"):
-        read_plan_csv(path, PROFILE)
-
-
-def test_files_that_cannot_be_read_or_written_are_told(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="file not found; give a CSV file of planned stops"):
-        read_plan_csv(tmp_path / "none.csv", PROFILE)
-    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="not UTF-8"):
-        read_plan_csv(tmp_path / "binary.csv", PROFILE)
-    with pytest.raises(InputError, match="is a folder"):
-        write_plan_csv(some_stops(2), tmp_path)
-    with pytest.raises(InputError, match="cannot be written"):
-        write_plan_csv(some_stops(2), tmp_path / "missing" / "plan.csv")
 
 
 def test_arms_of_different_joints_share_a_file(tmp_path: Path) -> None:

@@ -8,14 +8,10 @@ import re
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from cellapp.cell.profile import load_profile, profile_from_json, profile_to_json
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Traceability
 
 PROFILES = Path(__file__).parents[3] / "profiles"
@@ -72,109 +68,35 @@ def test_units_become_si() -> None:
     assert profile.tracker.transverse.proportional == pytest.approx(6e-6, rel=1e-15)
 
 
-def test_splits_of_the_imported_arm() -> None:
-    profile = load_profile(PROFILES / "ur10-real.yaml")
-    assert (profile.splits.identify, profile.splits.train, profile.splits.validate_) == (300, 0, "rest")
-    assert profile.arms["left"].smr.offset == "unknown"
-
-
-@pytest.mark.parametrize(("name", "top"), [("left", 1.427), ("right", 1.001)])
-def test_bodies_of_an_upright_arm_stand_above_its_base_and_touch(name: str, top: float) -> None:
-    arm = load_profile(PROFILES / "twin.yaml").arms[name].type
-    frames = [np.eye(4)]
-    for angle, joint in zip(np.radians([0, -90, 0, -90, 0, 0]), arm.joints, strict=True):
-        c, s, ca, sa = math.cos(angle), math.sin(angle), math.cos(joint.alpha), math.sin(joint.alpha)
-        step = [
-            [c, -s * ca, s * sa, joint.a * c],
-            [s, c * ca, -c * sa, joint.a * s],
-            [0, sa, ca, joint.d],
-            [0, 0, 0, 1],
-        ]
-        frames.append(frames[-1] @ np.array(step))
-    assert [capsule.frame for capsule in arm.capsules] == sorted(capsule.frame for capsule in arm.capsules)
-    along = np.linspace(0.0, 1.0, 101)[:, None]
-    before = None
-    for capsule in arm.capsules:
-        start, end = (frames[capsule.frame] @ [*point, 1.0] for point in (capsule.start, capsule.end))
-        line = (start + along * (end - start))[:, :3]
-        assert np.all(np.abs(line[:, 0]) < 1e-9)
-        assert np.all(np.abs(line[:, 1]) < 0.35)
-        assert line[:, 2].min() > -1e-9
-        if before is not None:
-            gap = np.linalg.norm(line[:, None] - before[0][None], axis=2).min() - capsule.radius - before[1]
-            assert gap < 0.0
-        before = (line, capsule.radius)
-    assert before is not None
-    assert before[0][:, 2].max() == pytest.approx(top, abs=1e-3)
-    # the two long links are as long as the arm's D-H table says
-    for number in (2, 3):
-        (link,) = [capsule for capsule in arm.capsules if capsule.frame == number]
-        assert math.dist(link.start, link.end) == pytest.approx(abs(arm.joints[number - 1].a), abs=1e-12)
-
-
 WRONG = [
     # old text, new text, key, what the message says
     ("  stops: 400", "  stpos: 400", "plan.stpos", "unknown key; did you mean 'stops'?"),
-    ("seed: 1 ", "sede: 1 ", "sede", "unknown key; did you mean 'seed'?"),
-    ("  clearance:", "  zzz: 3\n  clearance:", "plan.zzz", "unknown key; known here are stops, clearance"),
     ("  stops: 400", "  stops: many", "plan.stops", "expected a whole number, got 'many'"),
-    ("  stops: 400", "  stops: 1.5", "plan.stops", "expected a whole number, got 1.5"),
-    ("  stops: 400", "  stops: true", "plan.stops", "expected a whole number, got true"),
     ("  stops: 400", "  stops: 0", "plan.stops", "expected at least 1, got 0"),
     ("  stops: 400", "  stops:", "plan.stops", "expected a whole number, got nothing"),
-    ("  stops: 400", "  stops: .inf", "plan.stops", "expected a finite number, got .inf"),
     ("  stops: 400", "  stops: 1" + "0" * 400, "plan.stops", "too large a number"),
     ("  stops: 400", "  stops: !!int x", "plan.stops", "'x' is not of type int"),
     ("  stops: 400", "  stops: !!python/name:os.system x", "plan.stops", "is not used in profiles"),
     ("  noise: true", "  noise: perhaps", "plant.noise", "expected true or false, got 'perhaps'"),
     ('"50 mm"', '"50 deg"', "plan.clearance", "'deg' is not a unit of length; use one of m, cm, mm"),
-    ('"50 mm"', "50 furlongs", "plan.clearance", "'furlongs' is not a unit of length"),
     ('"50 mm"', "wide", "plan.clearance", "expected a length: a number in m"),
-    ('"50 mm"', "[1, 2]", "plan.clearance", "expected a length in m, got list"),
     ('"50 mm"', '"-50 mm"', "plan.clearance", "expected at least 0 (SI), got '-50 mm'"),
     ('"50 mm"', "500", "plan.clearance", "write '500 mm' for mm"),
     ("averaging: 1.0", "averaging: 100 s", "tracker.averaging", "expected at most 60 (SI), got '100 s'"),
     ("speed_scale: 0.5 ", "speed_scale: 2 ", "arms.left.speed_scale", "expected at most 1, got 2"),
-    ("speed_scale: 0.5 ", "speed_scale: 0 ", "arms.left.speed_scale", "expected more than 0, got 0"),
     ("false_alarm: 0.003", "false_alarm: 0.5", "discovery.false_alarm", "expected less than 0.5, got 0.5"),
     ("offset: [0.045, 0.020, 0.060]", "offset: [45, 20, 60]", "arms.left.smr.offset[0]", "write '45 mm' for mm"),
     ("offset: [0.045, 0.020, 0.060]", "offset: [1, 2]", "arms.left.smr.offset", "expected 3 values, got a list of 2"),
-    (
-        "offset: [0.045, 0.020, 0.060]",
-        "offset: [1, 2, 3, 4]",
-        "arms.left.smr.offset",
-        "at most 3 values, got a list of 4",
-    ),
-    (
-        "offset: [0.045, 0.020, 0.060]",
-        "offset: known",
-        "arms.left.smr.offset",
-        "expected a list or 'unknown', got 'known'",
-    ),
+    ("offset: [0.045, 0.020, 0.060]", "offset: known", "arms.left.smr.offset", "expected a list or 'unknown', got 'kn"),
     ("normal: [0, 0, 1]", "normal: [0, 0, 7]", "arms.left.smr.normal", "normal must be a unit vector"),
     ('rpy: [0.0, 0.0, "90 deg"]', "rpy: [0, 0, 90]", "arms.left.base.rpy[2]", "write '90 deg' for degrees"),
-    (
-        "{kind: simulated}",
-        "{kind: imaginary}",
-        "arms.left.driver.kind",
-        "expected 'simulated', 'ur' or 'none', got 'imag",
-    ),
+    ("{kind: simulated}", "{kind: imaginary}", "arms.left.driver.kind", "expected 'simulated', 'ur' or 'none', got 'i"),
     ("{kind: simulated}", "{sort: simulated}", "arms.left.driver.kind", "missing; it must be given"),
     ("{kind: simulated}", "{kind: ur}", "arms.left.driver.host", "missing; it must be given"),
-    ("{kind: simulated}", "{kind: ur, hots: x}", "arms.left.driver.hots", "unknown key; did you mean 'host'?"),
     ("{kind: simulated}", "{kind: ur, host: 5}", "arms.left.driver.host", "expected a text, got 5; put it in quotes"),
-    ("{kind: simulated}", "simulated", "arms.left.driver", "expected keys with values, got 'simulated'"),
     ("  driver: {kind: simulated}\n  # 3.8", "  # 3.8", "tracker.driver", "missing; it must be given"),
     ("parameter_set: auto", "parameter_set: papr", "calibration.parameter_set", "did you mean 'paper'?"),
-    ("validate: 100 ", "validate: some ", "splits.validate", "expected a whole number or 'rest', got 'some'"),
-    (
-        "version: 1",
-        "version: 2",
-        "version",
-        "of version 2, this cellapp reads versions up to 1; install a newer",
-    ),
-    ("version: 1", "version: one", "version", "expected 1, got 'one'"),
-    ("schema: cellapp-profile", "schema: other", "schema", "expected 'cellapp-profile', got 'other'"),
+    ("version: 1", "version: 2", "version", "of version 2, this cellapp reads versions up to 1; install a newer"),
     ("schema: cellapp-profile\n", "", "schema", "missing; it must be given"),
     (
         "    right:\n      backlash",
@@ -185,13 +107,9 @@ WRONG = [
     ("  stops: 400", "  stops: 400\n  ranges: [[-1, 1]]", "plan.ranges", "1 ranges for the 6 joints of arm left"),
     ("    speed_scale: 0.5 ", "    limits: [[-1, 1]]\n    #", "arms.left.limits", "1 ranges for the 6 joints of UR10"),
     ("  stops: 400", "  stops: 400\n  stops: 500", "plan.stops", "duplicate key (first in line"),
-    ("  stops: 400", "  5: 400", "'5' is not a key", "a key is a word"),
     ("type: arms/ur10.yaml", "type: arms/ur11.yaml", "arms.left.type", "file not found"),
-    ("type: arms/ur10.yaml", "type: " + 5000 * "x", "arms.left.type", "file not found"),
     ("type: arms/ur10.yaml", 'type: "a\\0b"', "arms.left.type", "file not found"),
     ("name: twin", 'name: "\\ud800"', "name", "half a character"),
-    ("averaging: 1.0", "averaging:", "tracker.averaging", "expected a time in s, got nothing"),
-    ("type: arms/ur10.yaml", "type: 7", "arms.left.type", "expected keys with values, got 7"),
     ("    home: ", "    # ", "arms.left.home", "missing; arm left has a driver: planning and pointing need it"),
     ("    base: ", "    # ", "arms.left.base", "missing; arm left has a driver"),
     ("  pose: ", "  # ", "tracker.pose", "missing; arm left has a driver"),
@@ -244,6 +162,14 @@ def test_errors_of_an_arm_type_file(twin: Path, old: str, new: str, says: str) -
     assert says in message
 
 
+def test_a_key_of_another_program_in_every_row_is_told_once(twin: Path) -> None:
+    ur10 = twin.parent / "arms" / "ur10.yaml"
+    ur10.write_text(ur10.read_text("utf-8").replace("- {d:", "- {offset: 0.0, d:"), "utf-8")
+    message = refusal(twin)
+    assert "\n" not in message
+    assert message.endswith("joints[0].offset: unknown key; did you mean 'theta'?")
+
+
 def test_joint_count_of_another_arm_type(twin: Path) -> None:
     ur5 = twin.parent / "arms" / "ur5.yaml"
     text = ur5.read_text("utf-8")
@@ -272,13 +198,6 @@ def test_several_errors_one_a_line_in_the_order_of_the_file(twin: Path) -> None:
         edit(twin, old, new)
     lines = refusal(twin).splitlines()
     assert [line.split(": ")[1] for line in lines] == ["plan.stops", "calibration.robust", "discovery.null_simulations"]
-
-
-def test_many_errors_are_counted(twin: Path) -> None:
-    edit(twin, "plan:\n", "plan:\n" + "".join(f"  {letter}{letter}q: 1\n" for letter in "abcdefgh"))
-    lines = refusal(twin).splitlines()
-    assert len(lines) == 6
-    assert lines[-1] == "and 3 more"
 
 
 @pytest.mark.parametrize(
@@ -335,38 +254,6 @@ def test_short_forms_of_numbers(twin: Path) -> None:
     assert profile_from_json(profile_to_json(profile)) == profile
 
 
-@settings(deadline=None)
-@given(
-    offset=st.tuples(*[st.floats(-10.0, 10.0)] * 3),
-    angle=st.floats(-12.5, 12.5),
-    number=st.floats(allow_nan=False),
-    name=st.text(min_size=1).filter(lambda text: text.isprintable()),
-)
-def test_json_gives_back_every_float_and_text(
-    offset: tuple[float, float, float], angle: float, number: float, name: str
-) -> None:
-    data = {
-        "schema": "cellapp-profile",
-        "version": 1,
-        "name": name,
-        "arms": {
-            name: {
-                "type": {"model": name, "joints": [{"theta": angle}, {"alpha": -angle}]},
-                "driver": {"kind": "simulated"},
-                "smr": {"offset": offset},
-                "base": {"position": offset},
-                "home": (angle, 0.0),
-            }
-        },
-        "tracker": {"driver": {"kind": "none"}, "pose": {"position": offset}},
-        "plant": {"effects": {name: {"e": {"p": number}}}},
-    }
-    profile = Profile.model_validate(data)
-    again = profile_from_json(profile_to_json(profile))
-    assert again == profile
-    assert repr(again) == repr(profile)  # equality takes -0.0 for 0.0
-
-
 @pytest.mark.parametrize("text", ["", "{}", "[1]", "{", '{"schema": "cellapp-profile", "version": 2}'])
 def test_stored_text_that_is_no_profile(text: str) -> None:
     with pytest.raises(InputError, match="stored profile: "):
@@ -376,24 +263,6 @@ def test_stored_text_that_is_no_profile(text: str) -> None:
 def test_limits_of_the_air_need_a_station(twin: Path) -> None:
     edit(twin, "splits:", "collection: {air: {temperature: [18.0, 24.0]}}\nsplits:")
     assert "collection.air: limits of the air need a weather station; add 'sensors.air'" in refusal(twin)
-
-
-@pytest.mark.parametrize(
-    ("section", "says"),
-    [
-        ("{air: {temperature: [24.0, 18.0]}}", "the lower limit must be below the upper one"),
-        ("{reference: {every: -1}}", "expected at least 0"),
-        ("{suspend: {weather: {times: 1}}}", "weather"),
-        ("{slow_start: {speed: 0.0}}", "expected more than 0"),
-        ("{repeat: {precision: '8 deg'}}", "length"),
-        ("{tolerated: 2.0}", "expected at most 1"),
-    ],
-)
-def test_a_wrong_collection_section_is_refused(twin: Path, section: str, says: str) -> None:
-    edit(twin, "splits:", f"collection: {section}\nsplits:")
-    found = refusal(twin)
-    assert "collection" in found
-    assert says in found
 
 
 def test_keys_that_came_later_do_not_change_the_text_of_earlier_profiles() -> None:

@@ -11,31 +11,28 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.profile.files import controller_file_text, controller_table
-from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, ReadProgram
-from cellapp.cell.programs.script_targets import read_script
+from cellapp.cell.programs.records import CorrectedTarget, ReadProgram
+from cellapp.cell.programs.script_targets import read_script, read_urp
 from cellapp.cell.programs.solving import (
     Workplace,
-    aim,
     controller_chain,
     flange_of,
-    nearest_vector,
-    outside,
     rewritten,
     solve_targets,
     true_flange,
 )
-from cellapp.cell.programs.urscript import Unreadable, parse_expression, pose_matrix, pose_numbers, tokens_of
+from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.correct import correct_run, correct_table
+from cellapp.commands.correct import correct_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.sections import controllers_section
@@ -219,26 +216,10 @@ def test_any_text_is_read_or_refused_in_words(text: str) -> None:
         assert program.encode(program.text) == text.encode()
 
 
-@given(NUMBERS)
-def test_poses_and_matrices_are_the_same(pose: list[float]) -> None:
-    again = pose_matrix(pose_numbers(pose_matrix(pose)))
-    np.testing.assert_allclose(again, pose_matrix(pose), atol=1e-9)
-
-
-@pytest.mark.parametrize("text", ["(" * 5000 + "1" + ")" * 5000, "[" * 5000, "1" + "+1" * 5000, "x" + "[0]" * 5000])
-def test_very_deep_expressions_are_unreadable_and_no_crash(text: str) -> None:
-    with pytest.raises(Unreadable):
-        parse_expression(list(tokens_of(text)))
-
-
 def test_very_long_chains_of_variables_are_named() -> None:
     chain = "".join(f"x{k} = x{k - 1}\n" for k in range(1, 3000))
     found = reasons(f"x0 = {POSE}\n{chain}movel(x2999)")
     assert "stands behind more than 40 other variables" in found[3001]
-
-
-def test_a_byte_order_mark_is_no_word() -> None:
-    assert len(read_script(f"\ufeffdef a():\nmovej({JOINTS})\nend".encode(), "a").targets) == 1
 
 
 # -- A controller with its factory's calibration: nominal in the profile, read back, compared, its programs corrected --
@@ -355,7 +336,6 @@ def term(slug: str, **values: float) -> EffectTerm:
 
 COMPLIANCE = term("joint_compliance", compliance2=1.0 / 6e4, compliance3=1.0 / 3e4, compliance5=1.0 / 1e4)
 ECCENTRICITY = term("encoder_eccentricity", cos1q1=8e-5, sin1q1=-5e-5, sin1q4=2e-4)
-SCALE = term("tracker_scale", scale=1e-5)
 
 
 def arm_model(seed: int | None = 1, *effects: EffectTerm, network: Any = None) -> ArmModel:
@@ -416,34 +396,12 @@ def test_the_model_puts_the_flange_where_the_program_means(arm: ArmModel) -> Non
         np.testing.assert_allclose(pose_matrix(pose.new or ()), pose_matrix(told), atol=1e-9)
 
 
-@settings(max_examples=15)
-@given(seed=st.integers(0, 2**31), length=st.floats(0.0, 2e-3), angle=st.floats(0.0, 3e-3))
-def test_any_arm_is_inverted_below_a_micrometre(seed: int, length: float, angle: float) -> None:
-    nominal = at_station(UR10, OFF_AXIS)
-    rng = np.random.default_rng(seed)
-    arm = replace(arm_model(), geometry=true_geometry(nominal, rng, length, angle), effects=(COMPLIANCE,))
-    q = HOME + rng.uniform(-0.4, 0.4, (5, 6))
-    found = aim(arm, arm.nominal.T_M_B() @ flange_of(controller_chain(arm), q), q, MeasurementConditions())
-    assert found.residual_m.max() < 1e-6
-    assert found.residual_rad.max() < 1e-6
-    assert np.abs(found.q - q).max() < 0.1
-
-
 def test_an_arm_without_errors_leaves_the_program_byte_for_byte() -> None:
     source = f"movej({HOME.tolist()})\nmovel({pose_text(HOME + 0.1)}, v = .1)\n"
     program = read_script(source.encode(), "a", TCP_OF_SOLVING)
     results = solve_targets(place(arm_model(None)), program.targets)
     assert [one.correction_mm for one in results] == pytest.approx([0.0, 0.0], abs=1e-6)
     assert rewritten(program.text, program.targets, results) == source
-
-
-def test_the_rotation_of_the_flange_follows_from_four_points() -> None:
-    arm = arm_model(4, COMPLIANCE, ECCENTRICITY)
-    q = HOME + np.random.default_rng(1).uniform(-0.6, 0.6, (10, 6))
-    rotations, origins = arm.flange(q)
-    poses = true_flange(arm, q, MeasurementConditions())
-    np.testing.assert_allclose(poses[:, :3, :3], rotations, atol=1e-10)
-    np.testing.assert_allclose(poses[:, :3, 3], origins, atol=1e-10)
 
 
 def test_the_branch_is_the_one_the_controller_takes() -> None:
@@ -478,55 +436,113 @@ def test_targets_without_a_correction_say_why(source: str, words: str) -> None:
     assert words in result.reason
 
 
-def test_a_shorter_arm_does_not_reach_what_the_published_one_just_does() -> None:
-    arm = arm_model(None)
-    rows = arm.geometry.rows.copy()
-    rows[1, 2] += 2e-3
-    short = replace(arm, geometry=replace(arm.geometry, rows=rows))
-    (result,) = solved("movej([0.3, -1.4, 0.0, -1.7, 1.2, 0.4])", place(short, extrapolate=True))
-    assert "edge of the reach: the calibrated arm stays" in result.reason
+# -- Programs of the pendant (.urp) ------------------------------------------------------------------------------------
 
 
-def test_only_the_position_of_the_point_on_the_way_changes() -> None:
-    q = HOME + np.array([0.1, 0.05, 0, 0, 0, 0])
-    via = [*tcp_pose(q)[:3], 0.0, 0.0, 0.0]
-    first, second = solved(f"movec(p{via}, {pose_text(HOME)})", place(arm_model()))
-    assert first.new is not None
-    assert first.new[3:] == (0.0, 0.0, 0.0)
-    assert first.correction_mm is not None
-    assert 0.1 < first.correction_mm < 20.0
-    assert second.new is not None
+ANGLES = '<JointAngles angles="0.1, -1.2, 1.3, -1.4, 1.5, 0.6"/>'
+CALIBRATED = (
+    '<Kinematics status="LINEARIZED"><deltaTheta value="0, 0.001, 0, 0, 0, 0"/><a value="0, -0.612, -0.5723, 0, 0, 0"/>'
+    '<d value="0.1273, 0, 0, 0.163941, 0.1157, 0.0922"/>'
+    '<alpha value="1.570796327, 0, 0, 1.570796327, -1.570796327, 0"/></Kinematics>'
+)
+PUBLISHED = CALIBRATED.replace("0.001", "0")
+UNKNOWN = CALIBRATED.replace("LINEARIZED", "NOT_INITIALIZED")
+OF_UR3E = (
+    '<Kinematics status="NOT_INITIALIZED"><deltaTheta value="0, 0, 0, 0, 0, 0"/>'
+    '<a value="0, -0.24355, -0.2132, 0, 0, 0"/><d value="0.15185, 0, 0, 0.13105, 0.08535, 0.0921"/>'
+    '<alpha value="1.570796327, 0, 0, 1.570796327, -1.570796327, 0"/></Kinematics>'
+)
+FOREIGN = b'<!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]>\n<URProgram>&b;</URProgram>'
+GROWING = b'<!DOCTYPE a [<!ENTITY b "bb"><!ENTITY c "&b;&b;">]><URProgram>&c;</URProgram>'
 
 
-def test_what_moves_only_the_reading_is_not_corrected() -> None:
-    source = f"movej({HOME.tolist()})"
-    assert solved(source, place(arm_model(5, SCALE)))[0].new == solved(source, place(arm_model(5)))[0].new
+def urp(body: str) -> bytes:
+    return gzip.compress(f"<URProgram name='a'>\n{body}\n</URProgram>".encode())
 
 
-def test_the_payload_of_the_program_counts() -> None:
-    source, arm = f"movej({HOME.tolist()})", arm_model(6, COMPLIANCE)
-    none, same, heavy = (solved(source, place(arm, payload_kg=mass))[0].new for mass in (None, 2.0, 9.0))
-    assert none == same
-    assert heavy != same
+def read_of_urp(body: str) -> ReadProgram:
+    return read_urp(urp(body), "a.urp", UR10, UR10)
 
 
-def test_ranges_count_whole_turns_away() -> None:
-    measured = np.array([[-0.5, 3.0], [0.5, 4.0]])
-    assert outside(np.array([2.0 * np.pi, 3.5 - 2.0 * np.pi]), measured) == []
-    assert outside(np.array([0.6, 3.5]), measured) == [0]
+def waypoint_of_urp(position: str, kind: str = "Fixed") -> str:
+    return (
+        f'<Move motionType="MoveL">\n<Waypoint type="{kind}" name="P"><position>{position}</position></Waypoint></Move>'
+    )
 
 
-def test_a_rotation_vector_stays_near_the_old_one() -> None:
-    here = nearest_vector([0.0, 0.0, -3.1], [0.0, 0.0, 3.2])
-    np.testing.assert_allclose(here, [0.0, 0.0, 2.0 * np.pi - 3.1], atol=1e-12)
-    np.testing.assert_allclose(nearest_vector([0.1, 0.2, 0.3], [0.1, 0.2, 0.3]), [0.1, 0.2, 0.3])
+@pytest.mark.parametrize("position", [ANGLES, ANGLES + PUBLISHED, ANGLES + UNKNOWN])
+def test_fixed_waypoints_are_targets(position: str) -> None:
+    (target,) = read_of_urp(waypoint_of_urp(position)).targets
+    assert (target.line, target.command, target.kind) == (3, "MoveL P", "joints")
+    assert target.numbers == (0.1, -1.2, 1.3, -1.4, 1.5, 0.6)
 
 
-def test_the_table_has_old_and_new_numbers() -> None:
-    targets = solved(f"movej({HOME.tolist()})\nmovel(p[3, 0, 0, 0, 0, 0])", place(arm_model()))
-    result = CorrectResult(program="a", out=None, arm="left", targets=tuple(targets), left=(), assumptions=())
-    rows = correct_table(result).text_rows()
-    assert [row[0] for row in rows] == ["1", "", "2", ""]
-    assert rows[0][2] == "0.300,-1.400,1.600,-1.700,1.200,0.400"
-    assert float(rows[1][3]) == pytest.approx(targets[0].correction_mm, abs=6e-4)
-    assert rows[3][2] == "not corrected, see below"
+@pytest.mark.parametrize(
+    ("body", "line", "reason"),
+    [
+        (waypoint_of_urp(ANGLES + CALIBRATED), 3, "a calibration of its own"),
+        (
+            waypoint_of_urp(ANGLES + UNKNOWN.replace("-0.612", "-0.425")),
+            3,
+            "an arm of another type: its rows are those of no arm",
+        ),
+        (OF_UR3E.replace("Kinematics", "kinematics") + waypoint_of_urp(ANGLES), 3, "its rows are those of ur3e"),
+        (waypoint_of_urp(ANGLES + OF_UR3E), 3, "an arm of another type: its rows are those of ur3e"),
+        (waypoint_of_urp(ANGLES, "Variable"), 3, "type Variable"),
+        (waypoint_of_urp(ANGLES, "Relative"), 3, "type Relative"),
+        (waypoint_of_urp(""), 3, "no six joint positions"),
+        (waypoint_of_urp('<JointAngles angles="1, 2, nan, 4, 5, 6"/>'), 3, "no six joint positions"),
+        ('<Waypoint><position joints="1,2,3,4,5,6" pose="1,2,3,4,5,6"/></Waypoint>', 2, "with a pose of its own"),
+        ("<Script>\n<cachedContents>x = 1\nmovel(p[1,2,3,4,5,6])</cachedContents></Script>", 3, "script text"),
+    ],
+)
+def test_other_motions_are_named_by_line(body: str, line: int, reason: str) -> None:
+    program = read_of_urp(body)
+    assert program.targets == ()
+    (left,) = program.left
+    assert (left.line, left.refused) == (line, True)
+    assert reason in left.reason
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"no gzip", "a.urp: no PolyScope program: it is not packed by gzip"),
+        (urp("")[:-12], "a.urp: the file ends too early"),
+        (urp("<a>"), "a.urp:3: not XML"),
+        (gzip.compress(b"<html/>"), "its XML is 'html' instead of 'URProgram'"),
+        (gzip.compress(FOREIGN), "document type"),
+        (gzip.compress(GROWING), "document type"),
+        (gzip.compress(b" " * (33 * 2**20)), "more than 32 MB"),
+    ],
+    ids=["unpacked", "cut", "open element", "page", "foreign entity", "growing entity", "too large"],
+)  # fmt: skip
+def test_damaged_and_hostile_files_are_refused_in_words(data: bytes, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        read_urp(data, "a.urp", UR10, UR10)
+
+
+NUMBERS_OF_URP = st.lists(st.floats(-6.0, 6.0, allow_nan=False), min_size=6, max_size=6)
+
+
+@given(angles=st.lists(NUMBERS_OF_URP, min_size=1, max_size=4), name=st.text(alphabet="aé&lt; ,'1", max_size=8))
+def test_only_joint_positions_change(angles: list[list[float]], name: str) -> None:
+    safe = name.replace("&", "&amp;").replace("<", "&lt;")
+    texts = [" ,".join(map(repr, q)) for q in angles]
+    body = "\n".join(
+        f"<Waypoint name=\"{safe}\"><position><JointAngles a='1' angles = '{text}'/></position></Waypoint>"
+        for text in texts
+    )
+    program = read_of_urp(body)
+    results = [
+        CorrectedTarget(
+            line=one.line, command=one.command, kind=one.kind, old=one.numbers, new=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+        )
+        for one in program.targets
+    ]
+    np.testing.assert_allclose([one.numbers for one in program.targets], angles)
+    back = gzip.decompress(program.encode(rewritten(program.text, program.targets, results))).decode()
+    new = " ,".join(f"{value:.10f}" for value in range(1, 7))
+    for text in texts:
+        body = body.replace(f"'{text}'", f"'{new}'")
+    assert back == f"<URProgram name='a'>\n{body}\n</URProgram>"

@@ -1,17 +1,77 @@
-"""Small stored runs for lists: planned, collected in part, interrupted; made in milliseconds, without devices."""
+"""Small runs, cells and files for tests of run files: of two arms, with recordings, older and spoiled ones."""
 
 from __future__ import annotations
 
 import contextlib
+import csv
+import random
 import sqlite3
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.cell.run import RunFile, SessionEnd
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Reading, Readings
+from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.profile import Profile
-from tests.cell.run.two_arm_cell import two_arms
+
+Rows = list[dict[str, str]]
+
+
+def written(path: Path, rows: Rows) -> Path:
+    """The file of these rows."""
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
+
+
+def older_reading_table(connection: sqlite3.Connection, version: int) -> None:
+    """Make the table of readings one of this schema, before 8: without later columns, and with one reading of an arm a
+    stop, which no later one replaces."""
+    connection.execute("DROP TABLE earlier_reading")
+    connection.execute("ALTER TABLE session DROP COLUMN again")
+    connection.execute("DROP INDEX reading_key")
+    for column in COLUMNS:
+        if column.since > version:
+            connection.execute(f"ALTER TABLE reading DROP COLUMN {column.sql_name}")
+    connection.execute("CREATE UNIQUE INDEX once ON reading (arm, configuration)")
+
+
+Columns = dict[str, NDArray[np.float64]]
+
+
+def joint_columns(seconds: float = 10.0, rate_hz: float = 125.0, joints: int = 2, began_s: float = 100.0) -> Columns:
+    """Positions and speeds of joints that swing, with the stamps of a controller."""
+    time_s = np.arange(0.0, seconds, 1.0 / rate_hz)
+    columns = {"time_s": began_s + time_s}
+    columns |= {f"q{j}": 0.5 * np.sin(0.7 * j * time_s + j) for j in range(1, joints + 1)}
+    return columns | {f"qd{j}": 0.35 * j * np.cos(0.7 * j * time_s + j) for j in range(1, joints + 1)}
+
+
+def point_columns(seconds: float = 10.0, rate_hz: float = 250.0, began_s: float = 3.0) -> Columns:
+    """Points on a curve, with the stamps of a tracker."""
+    time_s = np.arange(0.0, seconds, 1.0 / rate_hz)
+    noise = np.random.default_rng(1).normal(0.0, 1e-5, (3, len(time_s)))
+    curve = np.stack([2.0 + 0.3 * np.sin(time_s), 0.4 * np.cos(0.7 * time_s), 0.1 * time_s / seconds])
+    return {"time_s": began_s + time_s, **dict(zip(("x_m", "y_m", "z_m"), curve + noise, strict=True))}
+
+
+def write_columns(path: Path, columns: Mapping[str, Sequence[float | str] | NDArray[np.float64]]) -> Path:
+    """Write a file whose numbers read back bit for bit; NaN is an empty cell."""
+    cells = [[_cell(value) for value in list(its)] for its in columns.values()]
+    rows = [",".join(row) for row in zip(*cells, strict=True)]
+    path.write_text("\n".join([",".join(columns), *rows]) + "\n", "utf-8")
+    return path
+
+
+def _cell(value: float | str) -> str:
+    return value if isinstance(value, str) else "" if np.isnan(value) else repr(float(value))
 
 
 def planned_run(folder: Path, stops: int = 4, profile: Profile | None = None) -> RunFile:
@@ -49,3 +109,104 @@ def set_began(folder: Path, minute: int) -> None:
         began = f"2026-01-02T03:{minute:02}:00.000+00:00"
         connection.execute("UPDATE meta SET value = ? WHERE key = 'created'", (began,))
         connection.commit()
+
+
+def spoil_text(path: Path) -> None:
+    path.write_text("configuration,arm\n" * 100)
+
+
+def spoil_empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def spoil_short(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:50])
+
+
+def spoil_header_only(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:100])
+
+
+def spoil_cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-5000])
+
+
+def spoil_middle(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[4096 : 4096 * 4] = random.Random(1).randbytes(4096 * 3)
+    path.write_bytes(bytes(content))
+
+
+def spoil_newer(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[60:64] = struct.pack(">I", 99)
+    path.write_bytes(bytes(content))
+
+
+def spoil_other(path: Path) -> None:
+    path.unlink()
+    with contextlib.closing(sqlite3.connect(path)) as connection:
+        connection.execute("CREATE TABLE t (a)")
+        connection.commit()
+
+
+def spoil_tables(path: Path) -> None:
+    with contextlib.closing(sqlite3.connect(path)) as connection:
+        connection.execute("DROP TABLE meta")
+        connection.commit()
+
+
+def spoil_profile(path: Path) -> None:
+    with contextlib.closing(sqlite3.connect(path)) as connection:
+        connection.execute("UPDATE meta SET value = '{}' WHERE key = 'profile'")
+        connection.commit()
+
+
+SPOILED: tuple[tuple[Callable[[Path], None], str], ...] = (
+    (spoil_text, "is not a run file"),
+    (spoil_empty, r"is cut off \(0 bytes\)"),
+    (spoil_short, r"is cut off \(50 bytes\)"),
+    (spoil_header_only, "is cut off: 100 bytes of"),
+    (spoil_cut, "is cut off: .* restore it from a copy"),
+    (spoil_middle, "is damaged .* restore it from a copy"),
+    (spoil_newer, r"newer cellapp \(schema 99, this one reads up to 11\); install the newer"),
+    (spoil_other, "is an SQLite file, but not a run of cellapp"),
+    (spoil_tables, "is damaged .*no such table"),
+    (spoil_profile, "holds a profile that this cellapp cannot read"),
+)
+"""Each way to spoil a file, and what is said about it (a regular expression)."""
+
+
+def two_arms() -> Profile:
+    """Arm left with 2 joints, arm right with 3."""
+    arms = {
+        name: {
+            "type": {"model": name, "joints": [{"d": 0.1, "a": 0.3}] * joints},
+            "driver": {"kind": "none"},
+            "smr": {"offset": "unknown"},
+        }
+        for name, joints in (("left", 2), ("right", 3))
+    }
+    return Profile.model_validate(
+        {
+            "schema": "cellapp-profile",
+            "version": 1,
+            "name": "two",
+            "arms": arms,
+            "tracker": {"driver": {"kind": "none"}},
+        }
+    )
+
+
+def assert_same(first: Readings, second: Readings) -> None:
+    """All that the two hold is the same, bit for bit (so that -0.0 is not 0.0, and NaN is NaN)."""
+    for entry in fields(Readings):
+        one, other = getattr(first, entry.name), getattr(second, entry.name)
+        if isinstance(one, np.ndarray):
+            assert isinstance(other, np.ndarray), entry.name
+            assert (one.dtype, one.shape) == (other.dtype, other.shape), entry.name
+            present = ~np.isnan(other)
+            np.testing.assert_array_equal(~np.isnan(one), present, err_msg=entry.name)
+            assert one[present].tobytes() == other[present].tobytes(), entry.name
+        else:
+            assert one == other, entry.name

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
 import shutil
+import sqlite3
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +19,16 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import RunFile, import_csv, read_readings_csv, write_readings_csv
-from cellapp.cell.run.stations import STATIONS_RESULT, stored_tie_sentences
+from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.commands.import_ import import_new_run
-from cellapp.estimation.readings import Reading, Readings
+from cellapp.commands.stages import readings_digest
+from cellapp.estimation.readings import Reading, Readings, joined
+from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import apply, invert, transform
-from tests.cell.run.csv_rows import Rows, written
+from tests.cell.run.csv_rows import Rows, import_csv, read_readings_csv, written
+from tests.cell.run.small_runs import assert_same, two_arms
 from tests.cell.run.test_measured_again import change, left_alone
-from tests.cell.run.two_arm_cell import assert_same, two_arms
 
 ROOT = Path(__file__).parents[3]
 REAL = ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv"
@@ -77,14 +81,6 @@ def test_a_file_of_two_arms(path: Path) -> None:
     assert notes == [f"{path}: column 'mood' is unknown; it is kept and not used"]
 
 
-def test_rows_come_back_in_the_order_of_configurations(path: Path) -> None:
-    write(path, *reversed(ROWS))
-    readings, _ = read_readings_csv(path, JOINTS)
-    np.testing.assert_array_equal(readings["left"].configuration, [0, 1])
-    np.testing.assert_array_equal(readings["left"].time_s, [1.5, 2.5])
-    assert readings["left"].extras == {"mood": ("good", "bad")}
-
-
 def test_what_is_optional_may_be_absent(path: Path) -> None:
     write(path, "5,left,1,2,3,4,5", header="configuration,arm,q1,q2,x_m,y_m,z_m")
     readings, notes = read_readings_csv(path, JOINTS)
@@ -101,14 +97,6 @@ def test_spaces_byte_order_mark_blank_lines_and_windows_line_ends(path: Path) ->
     path.write_bytes(b"\xef\xbb\xbf" + text.encode())
     readings, _ = read_readings_csv(path, JOINTS)
     assert len(readings["left"]) == 2
-
-
-def test_a_misspelt_optional_column_is_pointed_out(path: Path) -> None:
-    write(path, *ROWS, header=HEADER.replace("sigma_m", "sigma"))
-    readings, notes = read_readings_csv(path, JOINTS)
-    assert readings["left"].sigma_m is None
-    assert readings["left"].extras["sigma"] == ("1e-5", "1e-5")
-    assert f"{path}: column 'sigma' is unknown (is 'sigma_m' meant?); it is kept and not used" in notes
 
 
 BAD_CELLS = [
@@ -259,51 +247,6 @@ def test_a_missing_file_and_a_folder(path: Path) -> None:
     assert "cannot be read" in refusal(path)
 
 
-def test_several_errors_are_told_together(path: Path) -> None:
-    rows = [row.replace("0.2,", "x,", 1).replace("3.5", "y") for row in ROWS]
-    write(path, *rows)
-    lines = refusal(path).splitlines()
-    assert [line.split(": ")[0] + ": " + line.split(": ")[1] for line in lines] == [
-        f"{path}:2: q2",
-        f"{path}:3: q2",
-        f"{path}:3: z_m",
-    ]
-
-
-def test_an_import_is_a_whole_run(path: Path, tmp_path: Path) -> None:
-    write(path, *ROWS)
-    with import_csv(two_arms(), path, tmp_path / "run") as run:
-        assert run.arms() == ["left", "right"]
-        assert run.stops_done() == {0, 1}
-        texts = [(event.level, event.text) for event in run.events()]
-        run.add_stop(2, {"left": Reading(q=np.zeros(2), p_M=np.zeros(3))})
-    assert ("info", f"imported {path}: 2 of arm left, 2 of arm right") in texts
-    assert ("note", f"{path}: column 'mood' is unknown; it is kept and not used") in texts
-    with pytest.raises(InputError, match="already holds a run"):
-        import_csv(two_arms(), path, tmp_path / "run")
-
-
-def test_an_import_without_any_reading_of_an_arm_is_refused(path: Path, tmp_path: Path) -> None:
-    write(path, *(row for row in ROWS if "left" in row))
-    with pytest.raises(InputError, match=r"readings\.csv: arm: no reading of arm right"):
-        import_csv(two_arms(), path, tmp_path / "run")
-    assert not (tmp_path / "run").exists()
-
-
-def test_export_has_the_columns_of_the_import(path: Path, tmp_path: Path) -> None:
-    header = "zeta," + HEADER + ",alpha,payload_kg"
-    write(path, *(f"{index},{row},x y,," for index, row in enumerate(ROWS)), header=header + ",empty")
-    with import_csv(two_arms(), path, tmp_path / "run") as run:
-        write_readings_csv(run, tmp_path / "out.csv")
-    with (tmp_path / "out.csv").open(newline="", encoding="utf-8") as file:
-        names, *rows = list(csv.reader(file))
-    assert sorted(names) == sorted([*header.split(","), "empty"])
-    assert [name for name in names if name in ("zeta", "mood", "alpha", "empty")] == ["zeta", "mood", "alpha", "empty"]
-    assert [row[names.index("zeta")] for row in rows] == ["0", "1", "2", "3"]
-    assert [row[names.index("mood")] for row in rows] == ["good", "", "bad", "so, so"]
-    assert not (tmp_path / "out.csv.new").exists()
-
-
 def test_a_text_is_no_formula_of_a_spreadsheet(path: Path, tmp_path: Path) -> None:
     rows = [row.replace("good", "=1+2").replace("bad", "-0.5") for row in ROWS]
     write(path, *rows)
@@ -316,22 +259,8 @@ def test_a_text_is_no_formula_of_a_spreadsheet(path: Path, tmp_path: Path) -> No
     assert read_readings_csv(tmp_path / "out.csv", JOINTS)[0]["left"].extras["mood"] == ("=1+2", "-0.5")
 
 
-def test_export_of_nothing_and_to_nowhere(path: Path, tmp_path: Path) -> None:
-    with RunFile.create(tmp_path / "run", two_arms()) as run:
-        with pytest.raises(InputError, match="no readings yet"):
-            write_readings_csv(run, path)
-        assert not path.exists()
-        run.add_stop(0, {"left": Reading(q=np.zeros(2), p_M=np.zeros(3))})
-        with pytest.raises(InputError, match="cannot be written"):
-            write_readings_csv(run, tmp_path / "none" / "out.csv")
-        path.mkdir()
-        with pytest.raises(InputError, match="is a folder"):
-            write_readings_csv(run, path)
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["readings.csv", "run"]
-
-
-NEAR = st.floats(-100.0, 100.0)
-SIGMA = st.floats(1e-10, 1.0)
+NEAR = st.floats(-100.0, 100.0).filter(bool)
+SIGMA = st.floats(1e-10, 0.01)
 SECONDS = st.floats(-1e11, 1e11)
 
 
@@ -362,7 +291,7 @@ def some_readings(draw: st.DrawFn, joints: int, extras: tuple[str, ...]) -> Read
         time_s=np.full(n, np.nan) if times is None else times,
         q=draw(hnp.arrays(np.float64, (n, joints), elements=st.floats(-12.5, 12.5))),
         approach=draw(hnp.arrays(np.int8, (n, joints), elements=st.integers(-1, 1))),
-        p_M=draw(hnp.arrays(np.float64, (n, 3), elements=NEAR)),
+        p_M=draw(hnp.arrays(np.float64, (n, 3), elements=NEAR, unique=True)),
         payload_kg=column(st.floats(0.0, 1e4), n),
         temperature_c=column(NEAR, n),
         joint_temperature_c=column(NEAR, (n, joints)),
@@ -452,34 +381,16 @@ def test_joints_beyond_their_limits_are_refused_by_row_with_a_guess(tmp_path: Pa
     assert readings["left"].q[2, 1] == 12.5
 
 
-def test_a_run_is_not_made_of_a_joint_position_in_degrees(tmp_path: Path) -> None:
-    text = REAL.read_text(encoding="utf-8").splitlines()
-    cells = text[7].split(",")
-    cells[3] = "-55.0"
-    text[7] = ",".join(cells)
-    path = tmp_path / "in.csv"
-    path.write_text("\n".join(text), encoding="utf-8")
-    with pytest.raises(InputError, match=r"in\.csv:8: q2: expected .* got -55; degrees\?"):
-        import_csv(load_profile(ROOT / "profiles" / "ur10-real.yaml"), path, tmp_path / "run")
-    assert not (tmp_path / "run").exists()
-
-
 @pytest.mark.parametrize(
     ("column", "value"),
     [
         ("q1", "1e300"),
-        ("x_m", "-1e300"),
-        ("sigma_m", "1e300"),
         ("sigma_m", "1e-300"),
-        ("payload_kg", "1e300"),
-        ("temperature_c", "-1e300"),
         ("time_s", "1e300"),
         ("dwell_s", "-1"),
-        ("step1", "1e300"),
         ("joint_temperature2", "1e300"),
         ("sequence", "1e300"),
         ("q2", "nan"),
-        ("q2", "1e999"),
         ("z_m", "inf"),
         ("sigma_m", "nan"),
     ],
@@ -591,10 +502,198 @@ def test_a_stop_of_two_stations_is_named(tmp_path: Path) -> None:
         import_new_run(left_alone(), table, tmp_path / "run", reference_nests=floor)
 
 
-def test_the_words_are_kept_for_calibration(tmp_path: Path) -> None:
-    table, floor = written(tmp_path / "in.csv", readings()), written(tmp_path / "floor.csv", nests())
-    import_new_run(left_alone(), table, tmp_path / "run", reference_nests=floor)
-    with RunFile.open(tmp_path / "run") as run:
-        (sentence,) = stored_tie_sentences(run.read_result(STATIONS_RESULT))
-    assert sentence.startswith("station south is tied to north")
-    assert stored_tie_sentences(None) == ()
+# -- All quantities of a reading as columns ----------------------------------------------------------------------------
+
+
+HEADER_OF_QUANTITIES = (
+    "configuration,arm,q1,q2,payload_kg,payload_cx_m,payload_cy_m,payload_cz_m,x_m,y_m,z_m,"
+    "quat_w,quat_x,quat_y,quat_z,sigma_rad,smr,station"
+)
+ROWS_OF_QUANTITIES = (
+    "0,left,0.1,0.2,2.5,0.01,0,0.05,1,2,3,0.5,0.5,-0.5,0.5,4e-05,A,north",
+    "0,left,0.1,0.2,,,,,1,2,3,,,,,,B,north",
+    "1,left,0.3,0.4,,,,,1,2,3,0.8,0,0.6,0,4e-05,A,south",
+)
+
+
+def written_of_quantities(path: Path, *rows: str, header: str = HEADER_OF_QUANTITIES) -> Path:
+    path.write_text("\n".join([header, *rows]) + "\n", "utf-8")
+    return path
+
+
+def test_every_quantity_comes_back_bit_for_bit(tmp_path: Path) -> None:
+    readings, notes = read_readings_csv(written_of_quantities(tmp_path / "in.csv", *ROWS_OF_QUANTITIES), {"left": 2})
+    left = readings["left"]
+    assert not notes
+    assert left.smr == ("A", "B", "A")
+    assert left.station == ("north", "north", "south")
+    assert left.quaternion_M is not None
+    np.testing.assert_array_equal(left.quaternion_M[:2], [[0.5, 0.5, -0.5, 0.5], [np.nan] * 4])
+    assert left.payload_center_F is not None
+    np.testing.assert_array_equal(left.payload_center_F[0], [0.01, 0.0, 0.05])
+    with RunFile.create(tmp_path / "run", two_arms()) as run:
+        run.add_readings("left", left)
+        stored = run.rows("left")
+        write_readings_csv(run, tmp_path / "out.csv")
+    again, _ = read_readings_csv(tmp_path / "out.csv", {"left": 2})
+    assert_same(stored, left)
+    assert_same(again["left"], left)
+    assert joined([left.take([0]), left.take([1, 2])]).smr == left.smr
+    turning = replace(left, turning_covariance_M=np.tile(1e-9 * np.eye(3), (len(left), 1, 1)))
+    both = joined([turning.take([0]), left.take([1, 2])]).turning_covariance_M
+    assert both is not None
+    np.testing.assert_array_equal(np.isfinite(both[:, 0, 0]), [True, False, False])
+
+
+def test_a_quaternion_of_four_digits_gets_the_length_one(tmp_path: Path) -> None:
+    rows = [row.replace("0.8,0,0.6,0", "0.7071,0,0.7071,0") for row in ROWS_OF_QUANTITIES]
+    readings, _ = read_readings_csv(written_of_quantities(tmp_path / "in.csv", *rows), {"left": 2})
+    found = readings["left"].quaternion_M
+    assert found is not None
+    np.testing.assert_allclose(found[2], [np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("row", "old", "new", "column", "says"),
+    [
+        (0, "0.5,0.5,-0.5,0.5", "0.5,0.5,-0.5,0.4", "quat_w..quat_z", "expected a unit quaternion, scalar first, got"),
+        (2, "0.8,0,0.6,0", "12.5,-30,90,0", "quat_w..quat_z", "are these angles in degrees?"),
+        (2, "0.8,0,0.6,0", "0.8,0,,0", "quat_y", "the value is missing; give all four of the quaternion or none"),
+        (0, "4e-05", "0.4", "sigma_rad", "expected 1e-09 to 0.1 rad, got 0.4; degrees or mrad?"),
+        (0, "4e-05", "0", "sigma_rad", "expected 1e-09 to 0.1 rad, got 0"),
+        (0, "0.01,0,0.05", "10.5,0,50", "payload_cx_m", "expected -10 to 10 m, got 10.5"),
+        (1, ",B,", ",A,", "configuration", "give one row per stop, SMR and station"),
+    ],
+)
+def test_a_bad_value_is_named_by_row(tmp_path: Path, row: int, old: str, new: str, column: str, says: str) -> None:
+    rows = list(ROWS_OF_QUANTITIES)
+    assert old in rows[row]
+    rows[row] = rows[row].replace(old, new, 1)
+    path = written_of_quantities(tmp_path / "in.csv", *rows)
+    with pytest.raises(InputError) as caught:
+        import_csv(two_arms(), path, tmp_path / "run")
+    assert str(caught.value).startswith(f"{path}:{row + 2}: {column}: ")
+    assert says in str(caught.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_component_that_has_no_column_is_named(tmp_path: Path) -> None:
+    path = written_of_quantities(
+        tmp_path / "in.csv", *ROWS_OF_QUANTITIES, header=HEADER_OF_QUANTITIES.replace("quat_z", "qz")
+    )
+    with pytest.raises(InputError, match="quat_z: the column is missing; give all of quat_w, quat_x, quat_y, quat_z"):
+        read_readings_csv(path, {"left": 2})
+
+
+UNREAD = ("tau1,tau2,current1,current2", ("10.5,-3.0,1.5,0.25", ",,,", "11.0,,,"))
+HASH_BEFORE = "8879a20a4418201db55b6bbe25ac17f3fb7fb220de10912a6f53763bbfc83cdf"
+"""Of these readings, when torques and currents were still read."""
+
+
+def with_torques(path: Path) -> Path:
+    cells = ("0,left,0.1,0.2,1,2,3", "1,left,0.1,0.3,1,2,3", "2,left,0.3,0.4,1,2,3")
+    rows = [f"{row},{its}" for row, its in zip(cells, UNREAD[1], strict=True)]
+    return written_of_quantities(path, *rows, header=f"configuration,arm,q1,q2,x_m,y_m,z_m,{UNREAD[0]}")
+
+
+def test_a_run_that_stored_torques_gives_them_back_and_keeps_its_hash(tmp_path: Path) -> None:
+    readings, _ = read_readings_csv(with_torques(tmp_path / "in.csv"), {"left": 2})
+    with RunFile.create(tmp_path / "run", two_arms()) as run:
+        run.add_readings("left", replace(readings["left"], extras={}))
+    with sqlite3.connect(tmp_path / "run" / "run.sqlite") as connection:
+        for name, stem in (("tau_nm", "tau"), ("current_a", "current")):
+            connection.execute(f"ALTER TABLE reading ADD COLUMN {name} TEXT")
+            texts = zip(*(readings["left"].extras[f"{stem}{joint}"] for joint in (1, 2)), strict=True)
+            for stop, its in enumerate(texts):
+                cell = json.dumps([float(text) if text else None for text in its]) if any(its) else None
+                connection.execute(f"UPDATE reading SET {name} = ? WHERE configuration = ?", (cell, stop))
+        for table in ("reading", "earlier_reading"):
+            for column in ("turning_covariance_rad2", "q_spread"):
+                connection.execute(f"ALTER TABLE {table} DROP COLUMN {column}")
+        connection.execute("PRAGMA user_version=9")
+    connection.close()
+    with RunFile.open(tmp_path / "run", write=True) as run:
+        assert readings_digest(run.readings("left")) == HASH_BEFORE
+        write_readings_csv(run, tmp_path / "out.csv")
+        again, _ = read_readings_csv(tmp_path / "out.csv", {"left": 2})
+        run.add_readings("left", replace(readings["left"].take([0]), configuration=np.array([7]), extras={}))
+        assert run.readings("left").extras["tau1"] == ("10.5", "", "11.0", "")
+    assert again["left"].extras == readings["left"].extras
+
+
+# -- Orientations as other programs write them -------------------------------------------------------------------------
+
+
+TURNS = Rotation.from_rotvec([[0.3, -1.2, 2.0], [-0.4, 0.1, 0.9], [1.0, 0.2, -0.3]])
+FORMS = {
+    "qx,qy,qz,qw": TURNS.as_quat(),
+    "o_w,o_x,o_y,o_z": TURNS.as_quat(scalar_first=True),
+    "Rotation_vector_x [rad],Rotation_vector_y [rad],Rotation_vector_z [rad]": TURNS.as_rotvec(),
+    "rotvec_x_deg,rotvec_y_deg,rotvec_z_deg": np.degrees(TURNS.as_rotvec()),
+    "yaw_deg,pitch_deg,roll_deg": TURNS.as_euler("ZYX", degrees=True),
+    "r11,r12,r13,r21,r22,r23,r31,r32,r33": TURNS.as_matrix().reshape(3, 9),
+}
+
+
+def table(path: Path, names: str, values: np.ndarray, **changed: str) -> Path:
+    rows = [",".join(map(repr, row.tolist())) for row in values]
+    rows = [changed.get(f"row{number}", row) for number, row in enumerate(rows)]
+    head = f"configuration,arm,q1,q2,x_m,y_m,z_m,{names}"
+    lines = [f"{number},left,0.{number},0.2,1,2,3,{row}" for number, row in enumerate(rows)]
+    path.write_text("\n".join([head, *lines]) + "\n", "utf-8")
+    return path
+
+
+@pytest.mark.parametrize("names", list(FORMS))
+def test_names_that_say_what_they_are_are_understood(names: str, tmp_path: Path) -> None:
+    readings, notes = read_readings_csv(table(tmp_path / "in.csv", names, FORMS[names]), {"left": 2})
+    found = readings["left"].quaternion_M
+    assert found is not None
+    assert (Rotation.from_quat(found, scalar_first=True) * TURNS.inv()).magnitude().max() < 1e-7
+    assert "of the probe's orientation in the tracker frame" in notes[0]
+    assert not readings["left"].extras
+
+
+@pytest.mark.parametrize(
+    ("names", "row", "words"),
+    [
+        ("qx,qy,qz,qw", "10,20,30,0", "are these angles in degrees?"),
+        ("rotvec_x,rotvec_y,rotvec_z", "17,-69,115", "are these angles in degrees?"),
+        ("rotvec_x,rotvec_y,rotvec_z", "1,,2", "rotvec_y: the value is missing; give all 3"),
+        ("rotvec_x,rotvec_y,rotvec_z", "1,a,2", "rotvec_y: expected a finite number"),
+        ("r11,r12,r13,r21,r22,r23,r31,r32,r33", "1,0,0,0,1,0,0,0,-1", "reflection"),
+        ("r11,r12,r13,r21,r22,r23,r31,r32,r33", "1,0,0,0,1,0,0,0,0.9", "off unit length"),
+    ],
+)
+def test_what_is_no_rotation_is_named_by_row(names: str, row: str, words: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"in\.csv:3: ") as refused:
+        read_readings_csv(table(tmp_path / "in.csv", names, FORMS.get(names, TURNS.as_rotvec()), row1=row), {"left": 2})
+    assert words in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        ("rx,ry,rz", "name them rotvec_x"),
+        ("A [deg],B [deg],C [deg]", "name them rotvec_x"),
+        ("roll,pitch,yaw", "write _deg or _rad"),
+        ("qx,qy,qz", "a column for w is missing"),
+    ],
+)
+def test_names_that_say_too_little_are_kept_with_a_note(names: str, words: str, tmp_path: Path) -> None:
+    readings, notes = read_readings_csv(table(tmp_path / "in.csv", names, TURNS.as_rotvec()), {"left": 2})
+    assert readings["left"].quaternion_M is None
+    assert any(words in note for note in notes)
+    assert list(readings["left"].extras) == names.split(",")
+
+
+# -- A new column of readings is one declaration -----------------------------------------------------------------------
+
+
+def test_every_column_is_an_attribute_and_no_attribute_is_forgotten() -> None:
+    names = {column.name for column in COLUMNS}
+    beside = {"extras", "other_q"}  # not of a table's row
+    assert names == set(Readings.__dataclass_fields__) - beside
+    assert names - {"configuration"} == set(Reading.__dataclass_fields__) - {"extras"}
+    csv_names = [name for column in COLUMNS for name in column.csv_names(7)]
+    assert len(csv_names) == len(set(csv_names))

@@ -17,24 +17,20 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.run import Outcome, RunFile, import_csv, read_readings_csv, write_readings_csv
+from cellapp.cell.run import Outcome, RunFile, write_readings_csv
 from cellapp.cell.run.csv_import import WhichSmr
 from cellapp.cell.run.measured_again import earlier_readings, replace_stop, replaced_counts
 from cellapp.cell.run.measurement_order import in_measured_order
 from cellapp.cell.run.records import ArmOrder
 from cellapp.commands.import_ import ImportRequest, import_new_run
 from cellapp.commands.import_ import run as import_run
-from cellapp.commands.show.overview import run_overview
-from cellapp.commands.show.view import overview_sentences
-from cellapp.estimation.calibration.quantities import measurement_conditions
-from cellapp.estimation.readings import Reading, Readings, joined
+from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
 from cellapp.robot.kinematics.transforms import rotation_vectors
-from tests.cell.run.csv_rows import Rows, written
-from tests.cell.run.small_runs import add_stop, planned_run
-from tests.cell.run.two_arm_cell import assert_same, two_arms
+from tests.cell.run.csv_rows import Rows, import_csv, read_readings_csv, written
+from tests.cell.run.small_runs import add_stop, assert_same, planned_run, two_arms
 from tests.commands.emulated_cell import quiet_work
 from tests.twin import PROFILES, small_twin
 
@@ -83,13 +79,6 @@ def test_an_arm_without_a_new_reading_keeps_what_it_has_and_one_that_had_none_ge
     assert [(one.stop, one.reason) for one in run.outcomes()] == [(3, "still hidden")]
 
 
-def test_what_cannot_be_stored_leaves_the_stop_as_it_was(run: RunFile) -> None:
-    with pytest.raises(ValueError, match="not finite"):
-        replace_stop(run, 1, {"left": replace(seen(2, 2.0), p_M=np.full(3, np.nan))})
-    assert run.readings("left").p_M[1, 0] == 1.0
-    assert replaced_counts(run) == {}
-
-
 def test_a_file_of_the_eighth_schema_has_none_and_takes_some(run: RunFile) -> None:
     session = run.begin_session()
     run.end_session(session, "complete", "")
@@ -118,29 +107,6 @@ def test_a_file_of_the_eighth_schema_has_none_and_takes_some(run: RunFile) -> No
 def reading(number: int, **more: object) -> Readings:
     values = {"q": np.full(3, 0.1 * number), "p_M": np.full(3, float(number)), **more}
     return Reading(**values).as_readings(number)  # type: ignore[arg-type]
-
-
-def test_rows_stand_one_after_the_other_and_what_one_part_lacks_is_missing_there():
-    parts = [
-        reading(4, payload_kg=1.5, split="validate"),
-        reading(2, approach=np.array([1, -1, 0], dtype=np.int8), covariance_M=np.eye(3)),
-    ]
-    whole = joined(parts)
-    assert whole.configuration.tolist() == [4, 2]
-    assert whole.p_M[:, 0].tolist() == [4.0, 2.0]
-    assert whole.approach.tolist() == [[0, 0, 0], [1, -1, 0]]
-    assert whole.split == ("validate", None)
-    assert whole.payload_kg is not None
-    assert whole.covariance_M is not None
-    np.testing.assert_equal(whole.payload_kg, [1.5, np.nan])
-    assert np.isnan(whole.covariance_M[0]).all()
-    assert whole.step is None
-    np.testing.assert_array_equal(joined([whole]).q, whole.q)
-
-
-def test_arms_of_other_joints_do_not_join():
-    with pytest.raises(ValueError, match="dimension"):
-        joined([reading(1), Reading(q=np.zeros(4), p_M=np.zeros(3)).as_readings(2)])
 
 
 # -- Import in the order of measurement: each joint's last motion from the row before, and what contradicts it ---------
@@ -184,15 +150,6 @@ def test_motions_follow_from_the_row_before_not_from_the_number_of_the_stop(path
     assert not plain.approach.any()
 
 
-def test_a_joint_at_rest_keeps_the_sign_of_its_motion_before() -> None:
-    encoder_noise = 4e-5
-    found, derived = in_measured_order(some([[0.0, 0.0], [0.5, encoder_noise], [0.5 - encoder_noise, 0.3], [0.1, 0.3]]))
-    assert found.step is not None
-    np.testing.assert_array_equal(found.approach, [[0, 0], [1, 0], [1, 1], [-1, 1]])
-    np.testing.assert_allclose(found.step, [[np.nan, np.nan], [0.5, 0.0], [0.0, 0.3], [-0.4, 0.0]], atol=2e-4)
-    assert derived == ArmOrder(by="rows", approach=5, step=6)
-
-
 def test_values_that_are_given_stay_and_a_detour_leaves_the_step_unknown() -> None:
     approach = np.array([[1, 0], [-1, 0], [0, 0]], dtype=np.int8)
     step = np.array([[np.nan, np.nan], [np.nan, -0.2], [np.nan, np.nan]])
@@ -215,11 +172,6 @@ def test_with_times_the_order_is_by_time_and_without_the_flag_nothing_is_derived
     assert plain.step is None
 
 
-def test_equal_times_stand_in_the_order_of_the_rows(path: Path) -> None:
-    write(path, HEADER.replace("arm,", "arm,time_s,"), *(f"{k},left,60,{q},0,1,2,3" for k, q in ((4, 0.1), (1, 0.4))))
-    np.testing.assert_array_equal(left(path).approach, [[1, 0], [0, 0]])
-
-
 def test_contradictory_orders_are_refused(path: Path) -> None:
     header = HEADER.replace("arm,", "arm,time_s,sequence,")
     write(path, header, "0,left,1,,0,0,1,2,3", "1,left,,,0,0,1,2,3")
@@ -237,42 +189,6 @@ def test_contradictory_orders_are_refused(path: Path) -> None:
         left(path)
 
 
-def test_a_single_row_has_no_motion() -> None:
-    found, derived = in_measured_order(some([[0.1, 0.2]]))
-    assert found.step is None
-    assert derived == ArmOrder(by="rows", approach=0, step=0)
-
-
-def test_the_run_keeps_what_was_derived_and_says_so(path: Path, tmp_path: Path) -> None:
-    profile = two_arms()
-    profile = profile.model_copy(update={"arms": {"left": profile.arms["left"]}})
-    write(path, HEADER, "0,left,0.1,0.5,1,2,3", "1,left,0.3,0.2,1,2,3")
-    result = import_new_run(profile, path, tmp_path / "run", in_order=True)
-    said = (
-        "arm left: measured in the order of the rows; 2 approach signs and 2 steps of joints derived from the reading"
-        " before"
-    )
-    assert result.in_order == {"left": ArmOrder(by="rows", approach=2, step=2)}
-    assert result.notes == (said,)
-    with RunFile.open(tmp_path / "run") as run:
-        overview = run_overview(run)
-    assert overview.in_order == result.in_order
-    assert said in overview_sentences(overview)
-    assert import_new_run(profile, path, tmp_path / "plain").in_order == {}
-
-
-def test_conditions_have_the_order_in_stops_and_no_made_up_time() -> None:
-    found, _ = in_measured_order(some([[0.0, 0.0], [0.5, 0.1], [0.2, 0.3]]))
-    conditions = measurement_conditions(found.take([2, 0]))
-    assert conditions.time_s is None
-    assert conditions.order is not None
-    np.testing.assert_array_equal(measurement_conditions(found).order, [0, 1, 2])
-    np.testing.assert_array_equal(conditions.order, [1, 0])
-    assert measurement_conditions(some([[0.0, 0.0]])).order is None
-    timed = some([[0.0, 0.0], [0.5, 0.1]], time_s=np.array([50.0, 20.0]))
-    np.testing.assert_array_equal(measurement_conditions(timed).order, [1, 0])
-
-
 @settings(max_examples=40, deadline=None)
 @given(
     q=hnp.arrays(np.float64, st.tuples(st.integers(1, 6), st.just(2)), elements=st.floats(-3.0, 3.0)), data=st.data()
@@ -282,7 +198,11 @@ def test_export_then_import_gives_the_same_readings_with_and_without_the_flag(
 ) -> None:
     folder = tmp_path_factory.mktemp("order")
     stops = data.draw(st.permutations(range(len(q))))
-    write(folder / "in.csv", HEADER, *(f"{stop},left,{a!r},{b!r},1,2,3" for stop, (a, b) in zip(stops, q.tolist())))
+    write(
+        folder / "in.csv",
+        HEADER,
+        *(f"{stop},left,{a!r},{b!r},1,2,{stop + 3}" for stop, (a, b) in zip(stops, q.tolist())),
+    )
     profile = two_arms()
     profile = profile.model_copy(update={"arms": {"left": profile.arms["left"]}})
     with import_csv(profile, folder / "in.csv", folder / "run", in_order=True) as run:
@@ -385,15 +305,6 @@ def test_position_and_rotation_are_as_good_as_their_covariances_say(
     assert not more or 0.7 < np.mean(chi_of_points) < 1.3
 
 
-def test_the_frame_of_the_rotation_lies_in_the_smrs(tmp_path: Path) -> None:
-    """x points from the first SMR to the second one, z is normal to the first three: as the places are written here."""
-    truth = measured()
-    with imported(truth.rows, tmp_path) as run:
-        quaternion = run.readings("left").quaternion_M
-    turned = rotation_vectors(Rotation.from_quat(quaternion, scalar_first=True).as_matrix().swapaxes(1, 2) @ truth.R_M)
-    assert np.abs(turned).max() < 8.0 * SIGMA_M / 0.09
-
-
 def test_what_was_made_is_said_stored_and_taken_again(tmp_path: Path) -> None:
     rows = measured(sigma_m=repr(SIGMA_M)).rows
     fewer = [row for row in rows if not (row["configuration"] == "3" and row["smr"] != "A")]
@@ -466,26 +377,3 @@ def change(key: str, value: str, place: int) -> Callable[[Rows], None]:
         rows[place][key] = value
 
     return act
-
-
-@pytest.mark.parametrize(
-    ("spoil", "line", "column", "says"),
-    [
-        (exchange, 14, "smr", "the SMRs are off their places at other stops by"),
-        (change("q3", "0.7", 7), 9, "q3", "rad from another row of the stop"),
-        (change("split", "train", 4), 6, "split", "train, but identify in another row of the same stop"),
-        (change("x_m", "3.5", 10), 11, "smr", "the SMRs are off their places at other stops by"),
-        (change("smr", "A", 1), 3, "configuration", "0 of arm left was given in line 2 already"),
-    ],
-)
-def test_a_mistake_is_named_by_row(
-    tmp_path: Path, spoil: Callable[[Rows], None], line: int, column: str, says: str
-) -> None:
-    rows = measured().rows
-    spoil(rows)
-    path = written(tmp_path / "in.csv", rows)
-    with pytest.raises(InputError) as caught:
-        import_csv(left_alone(), path, tmp_path / "run")
-    first = str(caught.value).splitlines()[0]
-    assert first.startswith(f"{path}:{line}: {column}: "), caught.value
-    assert says in str(caught.value)

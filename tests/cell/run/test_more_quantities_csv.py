@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cellapp.cell.run import RunFile, import_csv, read_readings_csv, write_readings_csv
+from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.commands.stages import readings_digest
 from cellapp.estimation.readings import joined
 from cellapp.ground.errors import InputError
-from tests.cell.run.two_arm_cell import assert_same, two_arms
+from tests.cell.run.csv_rows import import_csv, read_readings_csv
+from tests.cell.run.small_runs import assert_same, two_arms
 
 HEADER = (
     "configuration,arm,q1,q2,payload_kg,payload_cx_m,payload_cy_m,payload_cz_m,x_m,y_m,z_m,"
@@ -23,7 +24,7 @@ HEADER = (
 ROWS = (
     "0,left,0.1,0.2,2.5,0.01,0,0.05,1,2,3,0.5,0.5,-0.5,0.5,4e-05,A,north",
     "0,left,0.1,0.2,,,,,1,2,3,,,,,,B,north",
-    "1,left,0.3,0.4,,,,,1,2,3,0.8,0,0.6,0,4e-05,A,south",
+    "1,left,0.3,0.4,,,,,1,2,4,0.8,0,0.6,0,4e-05,A,south",
 )
 
 
@@ -107,7 +108,7 @@ def with_torques(path: Path) -> Path:
 
 def test_torques_and_currents_are_kept_and_not_used(tmp_path: Path) -> None:
     readings, notes = read_readings_csv(with_torques(tmp_path / "in.csv"), {"left": 2})
-    assert notes[0].endswith("column 'tau1' is unknown; it is kept and not used")
+    assert notes[0].endswith("columns 'tau1', 'tau2', 'current1', 'current2' are unknown; they are kept and not used")
     assert readings["left"].extras["tau1"] == ("10.5", "", "11.0")
     assert readings_digest(readings["left"]) == HASH_BEFORE
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import sqlite3
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.columns import understood
 from cellapp.cell.run.csv_export import write_recordings_csv
 from cellapp.cell.run.recorded_csv import converted, read_recorded
 from cellapp.cell.run.recordings import (
@@ -27,11 +27,14 @@ from cellapp.cell.run.recordings import (
 )
 from cellapp.cell.run.recordings_csv import read_recordings
 from cellapp.ground.errors import InputError
-from tests.cell.run.older_files import older_reading_table
-from tests.cell.run.recorded_motion import Columns, joint_columns, point_columns, write_columns
-from tests.cell.run.two_arm_cell import two_arms
-
-FIXTURES = Path(__file__).parents[2] / "fixtures"
+from tests.cell.run.small_runs import (
+    Columns,
+    joint_columns,
+    older_reading_table,
+    point_columns,
+    two_arms,
+    write_columns,
+)
 
 
 @given(hnp.arrays(np.float64, hnp.array_shapes(min_dims=1, max_dims=1, min_side=0, max_side=50)))
@@ -46,22 +49,6 @@ def test_damaged_columns_are_noticed() -> None:
             unpacked(spoiled, 10)
     with pytest.raises(ValueError, match=r"."):
         unpacked(data, 11)
-
-
-def test_a_million_points_are_small_and_soon_read() -> None:
-    time_s = np.arange(1_000_000) / 1000.0
-    noise = np.random.default_rng(0).normal(0.0, 1e-5, (3, len(time_s)))
-    columns = [time_s, *(np.sin(0.3 * time_s + np.arange(3)[:, None]) + noise)]
-    stored = [packed(one) for one in columns]
-    assert sum(map(len, stored)) < 25e6
-    began = time.thread_time()
-    back = [unpacked(one, len(time_s)) for one in stored]
-    unpacking = time.thread_time() - began
-    began = time.thread_time()
-    raw = [np.array(one.tolist()) for one in columns]
-    assert unpacking < 2.0 * (time.thread_time() - began), "reading must not be slower than numbers as objects"
-    assert all(np.array_equal(*pair) for pair in zip(back, columns, strict=True))
-    assert len(raw) == len(back)
 
 
 def imported(tmp_path: Path, joints: Columns, points: Columns, arm: str | None = "left") -> RunFile:
@@ -102,51 +89,6 @@ def test_a_recording_is_stored_and_exported_bit_for_bit(tmp_path: Path) -> None:
         (there,) = recording_states(again)
         assert (there.name, there.unknown) == ("a", ("voltage", "mood"))
         assert recordings_digest(again, "left")[0] == digest[0] == 2500
-
-
-def test_stamps_that_are_not_steady_are_kept_and_counted(tmp_path: Path) -> None:
-    joints, points = joint_columns(), point_columns()
-    joints["time_s"][501:] += 3.0  # the clock steps, which looks like a gap
-    joints["time_s"][700] = joints["time_s"][699]
-    points["time_s"][1000:] -= 1.0
-    for name in ("x_m", "y_m", "z_m"):
-        points[name][200:230] = np.nan
-    with imported(tmp_path, joints, points) as run:
-        (state,) = recording_states(run)
-        notes = " / ".join(event.text for event in run.events() if event.level == "note")
-        (found,) = read_recordings_of(run, "left")
-    assert (state.joints.gaps, state.joints.repeats) == (1, 1)
-    assert state.joints.longest_gap_s == pytest.approx(3.008)
-    assert (state.points.backward, state.points.lost, state.points.n) == (1, 30, 2470)
-    assert state.points.rate_hz == pytest.approx(250.0)
-    assert np.array_equal(found.joints.time_s, joints["time_s"])
-    for said in ("1 gaps", "1 stamps of joints repeat", "30 rows of points have no coordinates", "share no time"):
-        assert said in notes
-
-
-def test_files_of_both_arms_and_several_names(tmp_path: Path) -> None:
-    parts = [("left", "one"), ("left", "two"), ("right", "one")]
-
-    def joined(made: Callable[[], Columns]) -> Columns:
-        its = [made() for _ in parts]
-        columns = {name: np.concatenate([one[name] for one in its]) for name in its[0]}
-        n = len(its[0]["time_s"])
-        for place, name in enumerate(("arm", "recording")):
-            columns[name] = [part[place] for part in parts for _ in range(n)]  # type: ignore[assignment]
-        return columns
-
-    points = joined(point_columns)
-    points["split"] = ["validate" if t < 5.0 else "identify" for t in points["time_s"]]  # type: ignore[assignment]
-    joints = joined(lambda: joint_columns(joints=3))
-    left = [arm == "left" for arm in joints["arm"]]
-    for name in ("q3", "qd3"):
-        joints[name] = np.where(left, np.nan, joints[name])
-    with imported(tmp_path, joints, points, None) as run:
-        assert [(one.arm, one.name) for one in recording_states(run)] == parts
-        (right,) = read_recordings_of(run, "right")
-        assert right.joints.q.shape == (1250, 3)
-        assert right.points.held_out is not None
-        assert np.array_equal(right.points.held_out, right.points.time_s < 5.0)
 
 
 def refused(tmp_path: Path, joints: Columns, points: Columns, arm: str | None = "left") -> str:
@@ -365,33 +307,6 @@ def test_degrees_millimetres_and_decimal_commas(
     np.testing.assert_allclose(rows, np.hstack([Q, P]), atol=2e-11)
 
 
-def test_the_columns_of_cellapp_and_others(tmp_path: Path) -> None:
-    names = "configuration,arm,q1,q2,q3,x_m,y_m,z_m,sigma_m,split,qw,qx,qy,qz,remark"
-    rows = [f"{i},left,{i},0.5,1.5,0.1,{i},0.3,1e-5,identify,1,0,0,0,fine" for i in range(4)]
-    found = read_recorded(written(tmp_path, "\n".join([names, *rows])))
-    assert found.arms == ("left",)
-    header, cells = converted(found, "rad", "m", "robot")
-    assert header == tuple(names.replace(",q", ",quat_").replace("quat_1,quat_2,quat_3", "q1,q2,q3").split(",")[:-1])
-    assert cells[2][:3] == ("2", "left", "2")
-    assert "remark" not in header
-
-
-@pytest.mark.parametrize(
-    ("q", "p", "angles", "lengths"),
-    [
-        (0.01 * Q, P, None, "m"),  # degrees, if the arm hardly moved
-        (4.0 * Q, P, None, "m"),  # beyond a revolution, as some controllers count
-        (Q, 1e-4 * P, "rad", None),
-        (Q, 10.0 * P, "rad", None),
-    ],
-)
-def test_what_is_not_sure_is_said_so(
-    tmp_path: Path, q: np.ndarray, p: np.ndarray, angles: str | None, lengths: str | None
-) -> None:
-    found = read_recorded(written(tmp_path, text_of("q1,q2,q3,x,y,z", q, p)))
-    assert (found.angles, found.lengths) == (angles, lengths)
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -417,17 +332,148 @@ def test_files_that_cannot_be_understood(tmp_path: Path, text: str, words: str) 
         read_recorded(written(tmp_path, text))
 
 
-def test_measured_columns_are_preferred_and_torques_are_not_used(tmp_path: Path) -> None:
-    text = text_of("target_q_0,target_q_1,target_q_2,actual_q_0,actual_q_1,actual_q_2", Q + 1.0, Q)
-    lines = text.replace("actual_q_2", "actual_q_2,x_um,y_um,z_um,tau_0,tau_1,tau_2").splitlines()
-    rows = [f"{line},{','.join(map(repr, (1e6 * p).tolist()))},1,2,3" for line, p in zip(lines[1:], P, strict=True)]
-    found = read_recorded(written(tmp_path, "\n".join([lines[0], *rows, "# end of the table"])))
-    header, cells = converted(found, "rad", "um", "robot")
-    assert header[2:] == ("q1", "q2", "q3", "x_m", "y_m", "z_m")
-    assert found.unknown[-3:] == ("tau_0", "tau_1", "tau_2")
-    np.testing.assert_allclose(np.array([row[2:8] for row in cells], dtype=float), np.hstack([Q, P]), atol=1e-9)
+# -- Recordings as other programs write them ---------------------------------------------------------------------------
 
 
-def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="file not found"):
-        read_recorded(tmp_path / "none.csv")
+J, P_STRANGE = joint_columns(), point_columns()
+STAMPS, Q_STRANGE, QD = J["time_s"], np.column_stack([J["q1"], J["q2"]]), np.column_stack([J["qd1"], J["qd2"]])
+TIMES, POINTS = P_STRANGE["time_s"], np.column_stack([P_STRANGE["x_m"], P_STRANGE["y_m"], P_STRANGE["z_m"]])
+
+
+def columns_of(head: str, table: np.ndarray, separator: str = ",", *, comma: bool = False, end: str = "") -> str:
+    """A header and rows, numbers in the shortest form that is exact."""
+    rows = "".join(separator.join(map(repr, row)) + end + "\n" for row in table.tolist())
+    return head + end + "\n" + (rows.replace(".", ",") if comma else rows)
+
+
+def joints(*columns: np.ndarray) -> np.ndarray:
+    return np.column_stack(columns)
+
+
+FILES = {
+    "RTDE": (
+        columns_of("timestamp target_q_0 target_q_1 actual_q_0 actual_q_1 actual_qd_0 actual_qd_1",
+                joints(STAMPS, Q_STRANGE + 1.0, Q_STRANGE, QD), " "),
+        columns_of("Leica\nUnit: mm\n\nTime [s];X [mm];Y [mm];Z [mm]", joints(TIMES, 1e3 * POINTS), ";", comma=True),
+    ),
+    "degrees": (
+        columns_of("Time;Joint 1 [deg];Joint 2 [deg];Joint 1 speed [deg/s];Joint 2 speed [deg/s]",
+                joints(STAMPS, np.degrees(Q_STRANGE), np.degrees(QD)), ";", end=";"),
+        columns_of("t\tpx\tpy\tpz", joints(TIMES, 1e3 * POINTS), "\t"),
+    ),
+    "units below the names": (
+        columns_of(
+            "# Robot\n# time,J1,J2,J1_vel,J2_vel", joints(STAMPS, *(10 * np.degrees(one) for one in (Q_STRANGE, QD)))),
+        columns_of("time|X|Y|Z\nms|mm|mm|mm", joints(1e3 * TIMES, 1e3 * POINTS), "|"),
+    ),
+    "nanoseconds since 1970": (
+        columns_of("%time,field.header.stamp,field.position0,field.position1,field.velocity0,field.velocity1",
+                joints(1e9 * STAMPS, 1e9 * STAMPS, Q_STRANGE, QD)),
+        columns_of("timestamp,x,y,z,qw,qx,qy,qz", joints(1e9 * TIMES, POINTS, TIMES > 0.0, np.zeros((len(TIMES), 3)))),
+    ),
+    "joints of both in the file of points": (
+        columns_of("time_s,q1,q2,qd1,qd2", joints(STAMPS, Q_STRANGE, QD)),
+        columns_of("time_s,x_m,y_m,z_m,q1,q2", joints(TIMES, POINTS, POINTS[:, :2])),
+    ),
+}  # fmt: skip
+
+
+def read(tmp_path: Path, joint_text: str, point_text: str):
+    """The one recording of two texts, and what is said."""
+    files = tmp_path / "joints.txt", tmp_path / "points.txt"
+    for file, text in zip(files, (joint_text, point_text), strict=True):
+        file.write_text(text, "utf-8")
+    (one,), notes = read_recordings(two_arms(), [files[0]], [files[1]], "left")
+    return one, notes
+
+
+@pytest.mark.parametrize("case", FILES)
+def test_files_of_other_programs_are_understood(case: str, tmp_path: Path) -> None:
+    one, notes = read(tmp_path, *FILES[case])
+    factor = 10.0 if case == "units below the names" else 1.0
+    assert one.joints.columns["time_s"] == pytest.approx(STAMPS, abs=1e-6)
+    assert one.points.columns["time_s"] == pytest.approx(TIMES, abs=1e-6)
+    for number in (1, 2):
+        assert one.joints.columns[f"q{number}"] == pytest.approx(factor * Q_STRANGE[:, number - 1], abs=1e-12)
+        assert one.joints.columns[f"qd{number}"] == pytest.approx(factor * QD[:, number - 1], abs=1e-12)
+    assert np.column_stack([one.points.columns[name] for name in ("x_m", "y_m", "z_m")]) == pytest.approx(POINTS)
+    assert case.startswith("joints") or any("understood as time_s = " in note for note in notes)
+
+
+def test_one_family_of_numbered_columns_are_the_joints() -> None:
+    own = {"time_s", "q1", "q2", "q3", "q4"}
+    traced = [f"AxisQMsr_LBR_7_R800_1[{number}]" for number in range(1, 8)]
+    assert understood(("Zeit [ms]", *traced), "joints", own).names == ("time_s", *(f"q{n}" for n in range(1, 8)))
+    assert understood(("t", *(f"Krc.{n} [deg]" for n in range(4))), "joints", own).factors["q4"] == np.pi / 180.0
+    for other in ("tau_x1_", "b"):  # torques are none; of two families either may be
+        names = ("t", *(f"{other}{n}" for n in range(4)), *(f"c{n}" for n in range(4 * (other == "b"))))
+        assert not {"q1", "q2"} & set(understood(names, "joints", own).names)
+
+
+def test_stamps_may_be_dates_and_lost_beams_nan_or_zero(tmp_path: Path) -> None:
+    rows = joints(TIMES, POINTS).tolist()
+    clock = [f"2026-05-03T10:00:{row[0]:09.6f}" for row in rows]
+    cells = [[stamp, *map(repr, row[1:])] for stamp, row in zip(clock, rows, strict=True)]
+    cells = [[*row, "1", "0", "0", "0"] for row in cells]
+    cells[0][1:], cells[7][1:], cells[9][1:] = ["NaN"] * 7, ["NaN"] * 7, ["0.0"] * 7
+    text = "stamp;x;y;z;qw;qx;qy;qz\n" + "".join(";".join(row) + "\n" for row in cells)
+    one, notes = read(tmp_path, columns_of("time_s,q1,q2", joints(STAMPS, Q_STRANGE)), text)
+    assert f"3 of {len(rows)} rows have no orientation" in notes[1]
+    assert one.state.points.lost == 3
+    kept = np.delete(TIMES, [0, 7, 9])
+    assert np.diff(one.points.columns["time_s"]) == pytest.approx(np.diff(kept), abs=2e-6)
+
+
+def test_data_frames_and_files_of_windows_are_read(tmp_path: Path) -> None:
+    points = columns_of("time_s,x_m,y_m,z_m", joints(TIMES, POINTS))
+    frame = columns_of(",time,q0,q1", joints(np.arange(len(STAMPS)), STAMPS, Q_STRANGE))
+    one, notes = read(tmp_path, frame, points)
+    assert one.joints.columns["q2"] == pytest.approx(Q_STRANGE[:, 1])
+    assert any("'index' is unknown" in note for note in notes)
+    title = columns_of("Leica AT960;;;\nt;X;Y;Z", joints(TIMES, POINTS), ";")  # as spreadsheets fill a line up
+    assert read(tmp_path, frame, title)[0].points.columns["z_m"] == pytest.approx(POINTS[:, 2])
+    degrees = columns_of("Zeit [s];A1 [°];A2 [°]", joints(STAMPS, np.degrees(Q_STRANGE)), ";", comma=True)
+    for encoding in ("latin-1", "utf-16"):
+        file = tmp_path / encoding
+        file.write_bytes(degrees.encode(encoding))
+        (one,), _ = read_recordings(two_arms(), [file], [tmp_path / "points.txt"], "left")
+        assert one.joints.columns["q2"] == pytest.approx(Q_STRANGE[:, 1])
+
+
+BAD_STRANGE = {
+    "swapped": (FILES["RTDE"][1], FILES["RTDE"][0], r"joints.txt:4: q1: .*this file has points: are .* swapped"),
+    "no names": (
+        columns_of("1;2;3", joints(STAMPS, Q_STRANGE), ";"),
+        FILES["RTDE"][1],
+        r"joints.txt:1: there is no row of names",
+    ),
+    "two clocks": (
+        columns_of("time,stamp,q1,q2", joints(STAMPS, STAMPS, Q_STRANGE)),
+        FILES["RTDE"][1],
+        r"time_s: .* rename the",
+    ),
+    "short row": (FILES["RTDE"][0], "t;x;y;z\n" + "1;2;3;4\n" * 9 + "1;2;3\n", r"points.txt:11: the row has 3 cells"),
+    "no time": (
+        FILES["RTDE"][0],
+        "t;x;y;z\n" + "10:00:01;2;3;4\n" * 9 + "error;2;3;4\n" + ";2;3;4\n",
+        r"points.txt:11: time_s: expected a date with its time, or a time of day, got 'error'",
+    ),
+    "empty time": (FILES["RTDE"][0], "t;x;y;z\n" + "10:00:01;2;3;4\n" * 9 + ";2;3;4\n", r"txt:11: time_s: .* missing"),
+    "stops with dates": (
+        FILES["RTDE"][0],
+        "t;x;y;z\n" + "".join(f"10:{n // 6:02d}:{10 * (n % 6):02d};{n};2;3\n" for n in range(30)),
+        "time_s: the median step is 10; expected seconds, 2 to 20000 samples each$",
+    ),
+    "no number": (
+        FILES["RTDE"][0],
+        "t;x;y;z\n" + "1;2;3;4\n" * 9 + "1;2;a;4\n",
+        r"points.txt:11: y_m: expected .* 'a'",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_STRANGE)
+def test_what_is_not_clear_is_refused_where_it_is_wrong(case: str, tmp_path: Path) -> None:
+    *texts, said = BAD_STRANGE[case]
+    with pytest.raises(InputError, match=said):
+        read(tmp_path, *texts)

@@ -10,9 +10,10 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,14 +21,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from cellapp.cell.run import Outcome, RunFile
+from cellapp.cell.run.sqlite_file import ReferenceRow
+from cellapp.cell.run.unseen_arms import BY_PERSON, note_at_rest, note_halt, unseen_arms
+from cellapp.commands.show.overview import run_overview
+from cellapp.commands.show.view import overview_sentences
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from tests.cell.run.older_files import older_reading_table
-from tests.cell.run.spoiled import SPOILED
-from tests.cell.run.two_arm_cell import assert_same, two_arms
+from cellapp.ground.progress import Halt
+from tests.cell.run.small_runs import SPOILED, assert_same, older_reading_table, two_arms
+from tests.twin import small_twin
 from tests.waiting import WAIT_S, within
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
@@ -132,37 +138,6 @@ def test_every_bit_of_a_stop_comes_back(data: st.DataObject, tmp_path_factory: p
     shutil.rmtree(folder)
 
 
-def test_a_stop_with_all_its_values(profile: Profile, folder: Path) -> None:
-    full = Reading(
-        q=np.array([0.1, -0.2]),
-        p_M=np.array([1.0, 2.0, 3.0]),
-        time_s=12.5,
-        approach=np.array([-1, 1], dtype=np.int8),
-        payload_kg=0.3,
-        temperature_c=21.5,
-        joint_temperature_c=np.array([30.0, np.nan]),
-        covariance_M=np.diag([1e-10, 2e-10, 3e-10]),
-        sigma_m=1.5e-5,
-        split="train",
-        extras={"operator": "Köhler"},
-    )
-    with RunFile.create(folder, profile) as run:
-        run.add_stop(7, {"left": full})
-        run.add_stop(3, {"left": reading(3), "right": reading(4, 3)})
-        left = run.readings("left")
-    np.testing.assert_array_equal(left.configuration, [3, 7])
-    np.testing.assert_array_equal(left.time_s, [3.0, 12.5])
-    np.testing.assert_array_equal(left.approach, [[0, 0], [-1, 1]])
-    np.testing.assert_array_equal(left.payload_kg, [np.nan, 0.3])
-    np.testing.assert_array_equal(left.joint_temperature_c, [[np.nan, np.nan], [30.0, np.nan]])
-    assert left.covariance_M is not None
-    np.testing.assert_array_equal(left.covariance_M[1], np.diag([1e-10, 2e-10, 3e-10]))
-    assert np.all(np.isnan(left.covariance_M[0]))
-    assert left.split == (None, "train")
-    assert left.extras == {"operator": ("", "Köhler")}
-    np.testing.assert_array_equal(left.in_split("train"), [1])
-
-
 def test_a_stop_is_stored_for_all_arms_or_for_none(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(0, {"right": reading(0, 3)})
@@ -193,33 +168,6 @@ def test_values_that_are_no_reading(profile: Profile, folder: Path, arm: str, wr
         with pytest.raises((InputError, ValueError), match=says):
             run.add_stop(0, {arm: wrong})
         assert run.stops_done() == set()
-
-
-def test_plan_splits_events_and_results(profile: Profile, folder: Path) -> None:
-    rng = np.random.default_rng(0)
-    plan = {"right": rng.normal(size=(12, 3)), "left": rng.normal(size=(12, 2))}
-    with RunFile.create(folder, profile) as run:
-        run.write_plan({"left": np.zeros((3, 2))})
-        run.write_plan(plan)
-        for stop in (2, 0, 1):
-            run.add_stop(stop, {"left": reading(stop)})
-        run.assign_splits("left", ["identify", None, "validate"])
-        run.log("info", "began")
-        run.log("warning", "target lost", time_s=3.25)
-        run.write_result("calibration", "{}")
-        run.write_result("calibration", '{"a": 1}')
-    with RunFile.open(folder) as run:
-        back = run.read_plan()
-        assert list(back) == ["left", "right"]
-        for arm, q in plan.items():
-            np.testing.assert_array_equal(back[arm], q)
-        assert run.readings("left").split == ("identify", None, "validate")
-        assert [(e.level, e.text, e.time_s) for e in run.events()] == [
-            ("info", "began", None),
-            ("warning", "target lost", 3.25),
-        ]
-        assert run.read_result("calibration") == '{"a": 1}'
-        assert run.read_result("other") is None
 
 
 def test_a_plan_does_not_change_under_measured_stops(profile: Profile, folder: Path) -> None:
@@ -261,32 +209,6 @@ def test_wrong_splits(profile: Profile, folder: Path) -> None:
         assert run.readings("left").split is None
 
 
-def test_a_reader_looks_on_while_another_writes(profile: Profile, folder: Path) -> None:
-    with RunFile.create(folder, profile) as run, RunFile.open(folder) as reader:
-        for stop in range(3):
-            run.add_stop(stop, {"left": reading(stop)})
-            assert reader.stops_done() == set(range(stop + 1))
-    with RunFile.open(folder) as run:
-        assert len(run.readings("left")) == 3
-
-
-def test_threads_share_a_run(profile: Profile, folder: Path) -> None:
-    with RunFile.create(folder, profile) as run:
-
-        def work(first: int) -> None:
-            for stop in range(first, first + 10):
-                run.add_stop(stop, {"left": reading(stop)})
-                run.log("info", str(stop))
-
-        threads = [threading.Thread(target=work, args=(first,)) for first in (0, 10, 20)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            within(thread.join, "the end of a writer")
-        assert run.stops_done() == set(range(30))
-        assert len(run.events()) == 30
-
-
 def test_a_full_disk_is_a_sentence_and_costs_only_that_stop(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(0, {"left": reading(0)})
@@ -300,14 +222,6 @@ def test_a_full_disk_is_a_sentence_and_costs_only_that_stop(profile: Profile, fo
         assert run.read_result("big") is None
 
 
-def test_using_a_closed_run_is_a_sentence(profile: Profile, folder: Path) -> None:
-    run = RunFile.create(folder, profile)
-    run.close()
-    run.close()
-    with pytest.raises(InputError, match="closed"):
-        run.stops_done()
-
-
 # -- folders that hold something else ---------------------------------------------------------------------------------
 
 
@@ -319,14 +233,6 @@ def test_a_folder_with_a_run_is_not_used_again(profile: Profile, folder: Path) -
     assert str(folder) in str(caught.value)
     assert "choose a new folder" in str(caught.value)
     assert files(folder) == before
-
-
-def test_a_folder_with_something_else_is_not_used(profile: Profile, folder: Path) -> None:
-    folder.mkdir(parents=True)
-    (folder / "thesis.tex").write_text("draft")
-    with pytest.raises(InputError, match=r"is not empty \(thesis.tex\)"):
-        RunFile.create(folder, profile)
-    assert files(folder) == {"thesis.tex": b"draft"}
 
 
 def test_a_file_is_no_folder(profile: Profile, tmp_path: Path) -> None:
@@ -456,24 +362,6 @@ def test_nothing_committed_is_lost_by_a_kill_at_any_moment(profile: Profile, fol
         assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
 
 
-def test_a_commit_waits_for_the_disk(profile: Profile, folder: Path) -> None:
-    """SIGKILL cannot show this: after a power cut only what was synchronised is there."""
-    with RunFile.create(folder, profile) as run:
-        run.log("info", "from the first change on")
-        (synchronous,) = run._connection.execute("PRAGMA synchronous").fetchone()
-        (journal,) = run._connection.execute("PRAGMA journal_mode").fetchone()
-    assert (synchronous, journal) == (2, "wal")
-
-
-def test_who_changes_nothing_leaves_every_byte_as_it_was(profile: Profile, folder: Path) -> None:
-    RunFile.create(folder, profile).close()
-    before = (folder / "run.sqlite").read_bytes()
-    with RunFile.open(folder, write=True) as run:
-        assert run.stops_done() == set()
-    assert (folder / "run.sqlite").read_bytes() == before
-    assert list(files(folder)) == ["run.sqlite"]
-
-
 def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lacks(
     profile: Profile, folder: Path
 ) -> None:
@@ -500,47 +388,6 @@ def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lac
         np.testing.assert_array_equal(left.dwell_s, [np.nan, 1.5])
 
 
-def test_a_file_of_the_third_schema_gets_the_tables_of_collecting_and_keeps_its_stages(
-    profile: Profile, folder: Path
-) -> None:
-    with RunFile.create(folder, profile) as run:
-        run.append_stage("calibrate", None, "{}", None)
-    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
-        older_reading_table(connection, 3)
-        for table in ("session", "request", "outcome", "reference", "recording", "stream"):
-            connection.execute(f"DROP TABLE {table}")
-        connection.execute("PRAGMA user_version=3")
-        connection.commit()
-    with RunFile.open(folder) as run:
-        assert (run.sessions(), run.outcomes(), run.references()) == ([], [], [])
-    with RunFile.open(folder, write=True) as run:
-        session = run.begin_session()
-        run.record_request(session, "pause", "by a person")
-        run.end_session(session, "stopped", "by a person")
-        assert [row.name for row in run.stage_rows()] == ["calibrate"]
-        (found,) = run.sessions()
-    assert (found.outcome, found.reason) == ("stopped", "by a person")
-    assert [request[1:] for request in found.requests] == [("pause", "by a person")]
-
-
-def test_a_file_of_the_fourth_schema_gets_the_order_of_measurement(profile: Profile, folder: Path) -> None:
-    with RunFile.create(folder, profile) as run:
-        run.add_stop(1, {"left": reading(1)})
-        session = run.begin_session()
-    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
-        older_reading_table(connection, 4)
-        for table in ("recording", "stream"):
-            connection.execute(f"DROP TABLE {table}")
-        connection.execute("PRAGMA user_version=4")
-        connection.commit()
-    with RunFile.open(folder) as run:
-        assert run.readings("left").sequence is None
-    with RunFile.open(folder, write=True) as run:
-        run.add_stop(2, {"left": replace(reading(2), sequence=1.0)})
-        run.end_session(session, "stopped", "by a person")
-        np.testing.assert_array_equal(run.readings("left").sequence, [np.nan, 1.0])
-
-
 def test_a_file_of_the_seventh_schema_takes_several_rows_of_a_stop(profile: Profile, folder: Path) -> None:
     with RunFile.create(folder, profile) as run:
         run.add_stop(1, {"left": reading(1)})
@@ -561,18 +408,227 @@ def test_a_file_of_the_seventh_schema_takes_several_rows_of_a_stop(profile: Prof
             run.readings("left")
 
 
-def test_an_outcome_counts_until_the_stop_is_measured(profile: Profile, folder: Path) -> None:
-    with RunFile.create(folder, profile) as run:
-        run.add_stop(1, {"left": reading(1)}, [Outcome(1, "right", "not measured", "hidden")])
-        run.add_stop(2, {}, [Outcome(2, "left", "left out", "too near"), Outcome(2, "right", "left out", "too near")])
-        assert [(one.stop, one.arm, one.kind) for one in run.outcomes()] == [
-            (1, "right", "not measured"),
-            (2, "left", "left out"),
-            (2, "right", "left out"),
-        ]
-        assert run.stops_done() == {1}
-        run.add_stop(2, {"left": reading(2)}, [Outcome(2, "right", "not measured", "hidden")])
-        assert [(one.stop, one.arm, one.reason) for one in run.outcomes()] == [
-            (1, "right", "hidden"),
-            (2, "right", "hidden"),
-        ]
+# -- Arms that were not seen at rest -----------------------------------------------------------------------------------
+
+
+LOST = Halt("not seen at rest", "arm left: link lost")
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> RunFile:
+    return RunFile.create(tmp_path / "run", small_twin(4))
+
+
+def test_a_doubt_survives_a_restart_and_other_arms(run: RunFile) -> None:
+    note_halt(run, "left", LOST)
+    note_halt(run, "right", Halt("not seen at rest", "arm right: link lost"))
+    note_halt(run, "right", Halt("at rest", "seen"))
+    note_halt(run, "left", Halt("braking", "commanded"))
+    run.close()
+    with RunFile.open(run.folder) as again:
+        assert {name: arm.reason for name, arm in unseen_arms(again).items()} == {"left": "arm left: link lost"}
+        levels = [(event.level, event.text.split(",")[0]) for event in again.events()]
+        assert ("error", "arm left: NOT SEEN AT REST") in levels
+        first = overview_sentences(run_overview(again))[0]
+    assert first.startswith("arm left: NOT SEEN AT REST since 2")
+    assert f"cellapp at-rest {run.folder} left" in first
+
+
+def test_the_first_time_is_kept(run: RunFile) -> None:
+    note_halt(run, "left", LOST)
+    since = unseen_arms(run)["left"].since
+    note_halt(run, "left", Halt("not seen at rest", "again"))
+    assert unseen_arms(run)["left"].since == since
+
+
+def test_a_person_settles_it_once(run: RunFile) -> None:
+    note_halt(run, "left", LOST)
+    assert note_at_rest(run, "left", BY_PERSON)
+    assert not note_at_rest(run, "left", BY_PERSON)
+    assert unseen_arms(run) == {}
+    assert run.events()[-1].text.startswith("arm left: at rest: a person has seen it at rest")
+    with pytest.raises(InputError, match="arm 'middle' not found; arms are left, right"):
+        note_at_rest(run, "middle", BY_PERSON)
+
+
+def test_a_damaged_record_makes_no_arm_safe(run: RunFile) -> None:
+    run.write_result("not seen at rest: left", "{}")
+    assert "left" in unseen_arms(run)
+
+
+def test_a_run_that_cannot_be_written_keeps_nothing_from_braking(run: RunFile) -> None:
+    run.close()
+    note_halt(run, "left", LOST)
+
+
+# -- A run file under random sequences of what may happen to it --------------------------------------------------------
+
+
+PROFILE = two_arms()
+JOINTS = {"left": 2, "right": 3}
+STOPS = 6
+MANY_PAGES = 1_000_000
+LONG_TEXT = "x" * 20_000
+"""More than one page of the file, so that a full disk is noticed."""
+
+
+def reading_of_machine(arm: str, seed: int) -> Reading:
+    rng = np.random.default_rng(seed)
+    return Reading(q=rng.normal(size=JOINTS[arm]), p_M=rng.normal(size=3), time_s=float(seed))
+
+
+@dataclass
+class Model:
+    """What was committed: seeds of readings, reasons, and the rest as plain values."""
+
+    readings: dict[tuple[int, str], int] = field(default_factory=dict)
+    outcomes: dict[tuple[int, str], str] = field(default_factory=dict)
+    sessions: list[list[str | None]] = field(default_factory=list)
+    requests: list[tuple[int, str]] = field(default_factory=list)
+    references: list[tuple[str, int]] = field(default_factory=list)
+    stages: list[str] = field(default_factory=list)
+
+    def check(self, run: RunFile) -> None:
+        """Compare everything with a run file."""
+        for arm in JOINTS:
+            stored = run.readings(arm)
+            expected = {stop: seed for (stop, name), seed in self.readings.items() if name == arm}
+            assert stored.configuration.tolist() == sorted(expected)
+            for row, stop in enumerate(sorted(expected)):
+                assert stored.p_M[row].tobytes() == reading_of_machine(arm, expected[stop]).p_M.tobytes()
+        assert run.stops_done() == {stop for stop, _ in self.readings}
+        missing = {key: why for key, why in self.outcomes.items() if key not in self.readings}
+        assert {(one.stop, one.arm): one.reason for one in run.outcomes()} == missing
+        sessions = run.sessions()
+        assert [one.outcome for one in sessions] == [outcome for (outcome,) in self.sessions]
+        assert [(one.number, kind) for one in sessions for _, kind, _ in one.requests] == sorted(
+            self.requests, key=lambda request: request[0]
+        )
+        assert [(row.name, row.stops_done) for row in run.references()] == self.references
+        assert [row.text for row in run.stage_rows()] == self.stages
+
+
+class RunMachine(RuleBasedStateMachine):
+    """One run, written by one program that may die, and read by others."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.root = Path(tempfile.mkdtemp())
+        self.copies = 0
+        self.model = Model()
+        self.run = RunFile.create(self.root / "run", PROFILE)
+        self.seed = 0
+
+    def teardown(self) -> None:
+        self.run.close()
+        shutil.rmtree(self.root)
+
+    # -- writing -------------------------------------------------------------------------------------------------------
+
+    @rule(stop=st.integers(0, STOPS - 1), missed=st.sampled_from(["", "left", "right", "both"]))
+    def add_stop(self, stop: int, missed: str) -> None:
+        self.seed += 1
+        rows = {arm: reading_of_machine(arm, self.seed) for arm in JOINTS if missed not in (arm, "both")}
+        outcomes = [Outcome(stop, arm, "not measured", f"beam {self.seed}") for arm in JOINTS if arm not in rows]
+        if any((stop, arm) in self.model.readings for arm in rows):
+            with pytest.raises(InputError, match="stored already"):
+                self.run.add_stop(stop, rows, outcomes)
+            return
+        self.run.add_stop(stop, rows, outcomes)
+        self.model.readings |= {(stop, arm): self.seed for arm in rows}
+        self.model.outcomes |= {(one.stop, one.arm): one.reason for one in outcomes}
+
+    @rule()
+    def begin_session(self) -> None:
+        assert self.run.begin_session() == len(self.model.sessions) + 1
+        self.model.sessions.append([None])
+
+    @precondition(lambda self: self.model.sessions)
+    @rule(kind=st.sampled_from(["pause", "resume", "stop"]))
+    def record_request(self, kind: str) -> None:
+        number = len(self.model.sessions)
+        self.run.record_request(number, kind, "by a person")
+        self.model.requests.append((number, kind))
+
+    @precondition(lambda self: self.model.sessions)
+    @rule(outcome=st.sampled_from(["complete", "stopped", "failed"]))
+    def end_session(self, outcome: str) -> None:
+        self.run.end_session(len(self.model.sessions), outcome, "")  # type: ignore[arg-type]
+        self.model.sessions[-1][0] = outcome
+
+    @rule(name=st.sampled_from(["arm left", "nest a"]))
+    def add_reference(self, name: str) -> None:
+        self.run.add_reference(ReferenceRow(name, self.seed, 0.0, np.arange(3.0), 1))
+        self.model.references.append((name, self.seed))
+
+    @rule()
+    def append_stage(self) -> None:
+        self.seed += 1
+        self.run.append_stage("calibrate", None, f"result {self.seed}", None)
+        self.model.stages.append(f"result {self.seed}")
+
+    # -- trouble -------------------------------------------------------------------------------------------------------
+
+    @rule()
+    def reopen(self) -> None:
+        self.run.close()
+        self.run = RunFile.open(self.root / self.run.folder.name, write=True)
+
+    @rule()
+    def die_and_continue(self) -> None:
+        """Only the files as they are at this moment survive."""
+        self._continue_with(self._copied())
+
+    @rule()
+    def die_while_writing(self) -> None:
+        """A death in the middle of a transaction leaves nothing of it."""
+        with contextlib.suppress(KeyboardInterrupt), self.run.change() as connection:
+            connection.execute("INSERT INTO event (written, level, text) VALUES ('', 'info', ?)", (LONG_TEXT,))
+            connection.execute("DELETE FROM reading")
+            copy = self._copied()
+            raise KeyboardInterrupt
+        self._continue_with(copy)
+
+    @rule()
+    def write_to_a_full_disk(self) -> None:
+        connection = self.run._connection
+        connection.execute("PRAGMA max_page_count=1").fetchall()  # as many as there are
+        try:
+            self.run.append_stage("calibrate", None, LONG_TEXT, None)
+        except InputError as error:
+            assert "disk" in str(error)  # noqa: PT017 - free pages of the file may still take it
+        else:
+            self.model.stages.append(LONG_TEXT)
+        finally:
+            connection.execute(f"PRAGMA max_page_count={MANY_PAGES}").fetchall()
+
+    @rule()
+    def read_only(self) -> None:
+        with RunFile.open(self.run.folder) as reader:
+            self.model.check(reader)
+            with pytest.raises(InputError, match="reading only"):
+                reader.add_stop(STOPS, {"left": reading_of_machine("left", 1)})
+            with pytest.raises(InputError, match="reading only"):
+                reader.begin_session()
+
+    @invariant()
+    def holds_what_was_committed(self) -> None:
+        self.model.check(self.run)
+
+    def _copied(self) -> Path:
+        self.copies += 1
+        copy = self.root / f"copy{self.copies}"
+        copy.mkdir()
+        for suffix in ("", "-wal"):
+            source = Path(f"{self.run.path}{suffix}")
+            if source.exists():
+                shutil.copyfile(source, copy / source.name)
+        return copy
+
+    def _continue_with(self, folder: Path) -> None:
+        self.run.close()
+        self.run = RunFile.open(folder, write=True)
+
+
+RunMachine.TestCase.settings = settings(max_examples=25, stateful_step_count=20, deadline=None, derandomize=True)
+TestRunMachine = RunMachine.TestCase

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cellapp.cell.run import read_readings_csv
 from cellapp.cell.run.recorded_csv import converted, read_recorded
 from cellapp.ground.errors import InputError
+from tests.cell.run.csv_rows import read_readings_csv
 
 TURNS = Rotation.from_rotvec([[0.3, -1.2, 2.0], [-0.4, 0.1, 0.9], [1.0, 0.2, -0.3]])
 FORMS = {

@@ -4,16 +4,34 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
-from cellapp.cell.safety.bodies import ArmBodies, place
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import CellBodies, predicted_smr, refuse_motion, refuse_stop, visible
+from cellapp.cell.planning.candidates import draw_pool
+from cellapp.cell.planning.view import why_hidden as hidden_words
+from cellapp.cell.safety.bodies import ArmBodies, place, segment_distance
+from cellapp.cell.safety.cell_bodies import cell_bodies, cover, home_positions
+from cellapp.cell.safety.gate import (
+    CellBodies,
+    clear_stops,
+    predicted_smr,
+    refuse_motion,
+    refuse_stop,
+    visible,
+    visible_stops,
+)
+from cellapp.cell.safety.many_motions import FreeMotions, free_motions
+from cellapp.cell.safety.shapes import Cylinder, Obstacle, RoundedBox, Shape
 from cellapp.cell.safety.visibility import TrackerField
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, CylinderObstacle, Placement, SphereObstacle
 from cellapp.robot.kinematics.chain import nominal_geometry
-from cellapp.robot.kinematics.transforms import transform
+from cellapp.robot.kinematics.transforms import apply, rotation_from_vector, transform
 from drivers.plant.clearance import segment_distances
 from drivers.plant.config import TrackerConfig
 from drivers.plant.optics import why_hidden
@@ -86,13 +104,6 @@ def test_the_clearance_is_kept_between_samples_too() -> None:
             assert "of each other" in refuse_motion(cell, at(a=start, b=math.pi), at(a=1.5, b=math.pi))
 
 
-@pytest.mark.parametrize("start", np.linspace(-1.5, -1.45, 9))
-def test_thin_bars_do_not_slip_through_between_samples(start: float) -> None:
-    cell = CellBodies({"a": turnstile(0.0, 0.001), "b": turnstile(2.0015, 0.001)}, None, 0.0, -1.0)
-    assert "of each other" in refuse_motion(cell, at(a=start, b=math.pi), at(a=1.5, b=math.pi))
-    assert refuse_motion(cell, at(a=start, b=1.0), at(a=1.5, b=1.0)) == ""
-
-
 def test_nan_and_vectors_of_wrong_length_are_refused(twin: CellBodies) -> None:
     for bad in (np.nan, np.inf):
         q = HOME["left"].copy()
@@ -132,12 +143,6 @@ def test_an_arm_outside_its_limits_may_come_back(twin: CellBodies) -> None:
     outside = HOME["left"].copy()
     outside[5] = 6.5
     assert refuse_motion(twin, {**HOME, "left": outside}, HOME) == ""
-
-
-def test_the_ceiling(twin: CellBodies) -> None:
-    low = dataclasses.replace(twin, ceiling=1.2)  # the upright UR10 is 1.43 m high
-    assert "arm left: collides with the ceiling" in refuse_stop(low, HOME)
-    assert refuse_stop(dataclasses.replace(twin, ceiling=1.6), HOME) == ""
 
 
 def test_the_floor(twin: CellBodies) -> None:
@@ -264,3 +269,424 @@ def test_a_body_in_the_beam_hides_the_smr() -> None:
     assert visible(cell, "a", np.array([[0.3]]), {"b": np.array([[QUARTER]])}).tolist() == [False]
     assert visible(cell, "a", np.full((1, 1), math.pi)).tolist() == [False], "it looks away"
     assert not visible(dataclasses.replace(cell, field=None), "a", np.zeros((1, 1))).any()
+
+
+# -- Why an SMR is hidden, in words ------------------------------------------------------------------------------------
+
+
+FIELD = TrackerField(transform(np.eye(3), [-3.0, 0.0, 0.0]), (-1.0, 1.0), (-0.5, 0.5), (1.0, 10.0))
+"""A tracker before two bars at its own height, looking along x."""
+SEEN = {"a": np.array([math.pi]), "b": np.array([math.pi])}
+"""Both bars point at the tracker; the second stands behind the first, to its side."""
+
+
+def bars(**changes: Any) -> CellBodies:
+    aside = turnstile(1.5).geometry.with_T_M_B(transform(np.eye(3), [1.5, 1.2, 0.0]))
+    second = dataclasses.replace(turnstile(1.5), geometry=aside)
+    cell = CellBodies({"a": turnstile(0.0), "b": second}, FIELD, 0.1, -1.0)
+    return dataclasses.replace(cell, **changes)
+
+
+def changed(arm: ArmBodies, **changes: Any) -> CellBodies:
+    cell = bars()
+    return dataclasses.replace(cell, arms={**cell.arms, "a": dataclasses.replace(arm, **changes)})
+
+
+def box(position: list[float], size: float) -> Obstacle:
+    return Obstacle("pillar", RoundedBox(np.full(3, 0.5 * size)), transform(np.eye(3), position))
+
+
+def moved(**changes: Any) -> CellBodies:
+    return bars(field=dataclasses.replace(FIELD, **changes))
+
+
+A = turnstile(0.0)
+CASES: dict[str, tuple[CellBodies, dict[str, np.ndarray], str]] = {
+    "near": (moved(distance=(2.5, 9.0)), SEEN, "arm a: its SMR is 2.00 m from the tracker, allowed are 2.5 to 9 m"),
+    "aside": (moved(azimuth=(0.1, 1.0)), SEEN, "arm a: its SMR is at azimuth 0.0 deg, allowed are 5.73 to 57.3 deg"),
+    "low": (moved(elevation=(0.2, 0.5)), SEEN, "its SMR is at elevation 0.0 deg, allowed are 11.46 to 28.65 deg"),
+    "away": (
+        bars(),
+        {**SEEN, "a": np.array([0.0])},
+        "arm a: its SMR looks 180.0 deg past the tracker, allowed are 54.3 deg",
+    ),
+    "own body": (
+        changed(A, frames=np.array([0, 1]), start=np.array([[-1.3, 0.0, 0.1], A.start[0]]),
+                end=np.array([[-1.3, 0.0, 0.1], A.end[0]]), radius=np.array([0.09, 0.05])),
+        SEEN,
+        "arm a: its own body is 10 mm from the beam to its SMR, 20 mm are needed",
+    ),
+    "obstacle": (
+        bars(obstacles=(box([-2.0, 0.0, 0.0], 0.1),)), SEEN, "arm a: obstacle 'pillar' is in the beam to its SMR"
+    ),
+    "both": (
+        bars(obstacles=(box([-2.0, 0.0, 0.0], 1.0),)),
+        SEEN,
+        "arm a: obstacle 'pillar' is in the beam to its SMR; arm b: obstacle 'pillar' is in the beam to its SMR",
+    ),
+    "no tracker": (bars(field=None), SEEN, "arm a: the cell has no tracker; arm b: the cell has no tracker"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_condition_that_is_missed_is_named(case: str) -> None:
+    cell, q, reason = CASES[case]
+    assert reason in hidden_words(cell, q)
+
+
+def test_the_other_arm_in_the_beam_is_named() -> None:
+    cell = CellBodies({"a": turnstile(0.0), "b": turnstile(1.5)}, FIELD, 0.1, -1.0)
+    assert hidden_words(cell, SEEN) == "arm b: arm a is in the beam to its SMR"
+
+
+def test_a_mounted_obstacle_is_named() -> None:
+    cap = Obstacle("cap", RoundedBox(np.full(3, 0.02)), transform(np.eye(3), [0.1, 0.0, 0.0]))
+    assert "mounted beside the SMR" in hidden_words(changed(turnstile(0.0), mounted=(cap,)), SEEN)
+
+
+def test_there_is_a_reason_exactly_where_the_gate_sees_nothing() -> None:
+    profile = small_twin()
+    cell, rng = cell_bodies(profile), np.random.default_rng(6)
+    usable = {name: draw_pool(cell, profile, name, 60, rng).q for name in cell.arms}
+    q = {name: np.concatenate([seen, rng.uniform(-2.0, 2.0, (60, 6))]) for name, seen in usable.items()}
+    seen = visible_stops(cell, q)
+    assert 20 < seen.sum() < 100
+    for k in range(120):
+        reason = hidden_words(cell, {name: value[k] for name, value in q.items()})
+        assert (reason == "") == seen[k]
+        assert "does not see its SMR" not in reason, "every reason has a name"
+
+
+# -- Obstacles, and what a base or a flange carries --------------------------------------------------------------------
+
+
+SHAPES: dict[str, Shape] = {
+    "box": RoundedBox(np.array([0.4, 0.25, 0.1])),
+    "plate": RoundedBox(np.array([0.5, 0.5, 0.001])),
+    "sphere": RoundedBox(np.zeros(3), 0.3),
+    "capsule": RoundedBox(np.array([0.0, 0.0, 0.4]), 0.15),
+    "cylinder": Cylinder(0.2, 0.45),
+    "disc": Cylinder(0.4, 0.02),
+}
+
+
+def coal_shape(name: str) -> Any:
+    """The same solid for the collision library."""
+    coal = pytest.importorskip("coal")
+    made = {
+        "box": lambda: coal.Box(0.8, 0.5, 0.2),
+        "plate": lambda: coal.Box(1.0, 1.0, 0.002),
+        "sphere": lambda: coal.Sphere(0.3),
+        "capsule": lambda: coal.Capsule(0.15, 0.8),
+        "cylinder": lambda: coal.Cylinder(0.2, 0.9),
+        "disc": lambda: coal.Cylinder(0.4, 0.04),
+    }
+    return made[name]()
+
+
+def random_pose(rng: np.random.Generator) -> np.ndarray:
+    return transform(rotation_from_vector(rng.normal(size=3)), rng.uniform(-1.0, 1.0, 3))
+
+
+def random_segments(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Segments about the origin, some of them points, some along an axis."""
+    start = rng.uniform(-1.2, 1.2, (count, 3))
+    end = start + rng.normal(size=(count, 3)) * rng.choice([0.0, 0.01, 0.5], (count, 1))
+    end[: count // 4, 1:] = start[: count // 4, 1:]
+    return start, end
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_distances_are_those_of_the_library(name: str) -> None:
+    coal = pytest.importorskip("coal")
+    rng = np.random.default_rng(len(name))
+    solid = coal_shape(name)
+    obstacle = Obstacle(name, SHAPES[name], random_pose(rng))
+    start, end = random_segments(rng, 400)
+    start, end = apply(obstacle.pose, start), apply(obstacle.pose, end)
+    radius = rng.uniform(0.01, 0.1, len(start))
+    ours = obstacle.gaps(start, end, radius, np.inf)
+    request = coal.DistanceRequest()
+    at_obstructed = coal.Transform3s(obstacle.pose[:3, :3], obstacle.pose[:3, 3])
+    for a, b, r, gap in zip(start, end, radius, ours, strict=True):
+        length = float(np.linalg.norm(b - a))
+        z = (b - a) / length if length else np.array([0.0, 0.0, 1.0])
+        x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+        x /= np.linalg.norm(x)
+        capsule = coal.Transform3s(np.stack([x, np.cross(z, x), z], axis=1), 0.5 * (a + b))
+        theirs = coal.distance(solid, at_obstructed, coal.Capsule(r, length), capsule, request, coal.DistanceResult())
+        if theirs > 0.0:
+            assert gap == pytest.approx(theirs, abs=2e-6)
+        else:
+            assert gap <= 1e-6
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_no_point_of_a_segment_is_nearer_than_its_distance(name: str) -> None:
+    """The distance of a point from each solid is written down once more, by its definition."""
+    start, end = random_segments(np.random.default_rng(7), 300)
+    share = np.linspace(0.0, 1.0, 401)[:, None, None]
+    x, y, z = np.moveaxis(start + share * (end - start), 2, 0)
+    shape = SHAPES[name]
+    if isinstance(shape, Cylinder):
+        radial = np.maximum(np.hypot(x, y) - shape.radius, 0.0)
+        points = np.hypot(radial, np.maximum(np.abs(z) - shape.half_length, 0.0))
+    else:
+        assert isinstance(shape, RoundedBox)
+        out = [np.maximum(np.abs(value) - half, 0.0) for value, half in zip((x, y, z), shape.core, strict=True)]
+        points = np.sqrt(sum(value**2 for value in out)) - shape.radius
+    found = shape.segment_distance(start, end)
+    nearest = points.min(axis=0)
+    assert np.all(found <= nearest + 1e-12)
+    assert np.all(found >= nearest - np.linalg.norm(end - start, axis=1) / 800 - 1e-8)
+
+
+# -- covers -----------------------------------------------------------------------------------------------------------
+
+
+def surface(shape: Shape, rng: np.random.Generator) -> np.ndarray:
+    """Points of a solid, those of its edges and corners among them."""
+    points = rng.uniform(-1.0, 1.0, (4000, 3)) * shape.half
+    points[:2000] = np.sign(points[:2000]) * shape.half * rng.choice([1.0, 0.999, 0.5], (2000, 3))
+    return points[shape.segment_distance(points, points) <= 1e-9]
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_covers_contain_the_solid_and_reach_out_no_farther_than_they_say(name: str) -> None:
+    rng = np.random.default_rng(4)
+    obstacle = Obstacle(name, SHAPES[name], random_pose(rng))
+    found = cover(obstacle)
+    points = apply(obstacle.pose, surface(SHAPES[name], rng))[:, None]
+    assert len(points) > 500
+    gaps = segment_distance(points, points, found.start, found.end) - found.radius
+    assert gaps.min(axis=1).max() <= 1e-9
+    # points of the capsules' surfaces
+    direction = rng.normal(size=(3000, 1, 3))
+    direction /= np.linalg.norm(direction, axis=2, keepdims=True)
+    along = rng.choice([0.0, 0.3, 1.0], (3000, 1, 1))
+    out = found.start + along * (found.end - found.start) + direction * found.radius[:, None]
+    excess = obstacle.gaps(out.reshape(-1, 3), out.reshape(-1, 3), 0.0, np.inf)
+    assert excess.max() <= found.excess + 1e-9
+    if name in ("sphere", "capsule"):
+        assert (len(found.radius), found.excess) == (1, 0.0)
+
+
+# -- the gate ---------------------------------------------------------------------------------------------------------
+
+
+def post(x: float, y: float, radius: float = 0.05) -> Obstacle:
+    """A post through the plane in which the bars turn."""
+    return Obstacle("post", Cylinder(radius, 1.0), transform(np.eye(3), [x, y, 0.0]))
+
+
+def turning(*obstacles: Obstacle, clearance: float = 0.1) -> CellBodies:
+    """A bar of 1 m that turns about the origin among obstacles."""
+    return CellBodies({"a": turnstile(0.0)}, None, clearance, -1.0, math.inf, obstacles)
+
+
+def at_obstructed(angle: float) -> dict[str, np.ndarray]:
+    return {"a": np.array([angle])}
+
+
+def test_a_refusal_names_the_obstacle_and_says_by_how_much() -> None:
+    cell = turning(post(1.1235, 0.0))
+    assert refuse_stop(cell, at_obstructed(0.0)) == "arm a: comes within 23 mm of obstacle 'post', 100 mm asked"
+    assert refuse_stop(cell, at_obstructed(QUARTER)) == ""
+    assert refuse_motion(cell, at_obstructed(-QUARTER), at_obstructed(QUARTER)).startswith("arm a: comes within 2")
+    assert refuse_stop(turning(post(0.9, 0.0)), at_obstructed(0.0)) == "arm a: collides with obstacle 'post'"
+
+
+def test_a_larger_clearance_never_admits_more() -> None:
+    rng = np.random.default_rng(5)
+    obstacles = [Obstacle(name, shape, random_pose(rng)) for name, shape in SHAPES.items()]
+    ways = rng.uniform(-math.pi, math.pi, (40, 2))
+    admitted = [
+        [
+            not refuse_motion(turning(*obstacles, clearance=clearance), at_obstructed(a), at_obstructed(b))
+            for a, b in ways
+        ]
+        for clearance in (0.0, 0.02, 0.05, 0.15, 0.4)
+    ]
+    assert 3 < sum(admitted[0]) < 40
+    assert all(not more or less for pair in pairwise(admitted) for less, more in zip(*pair))
+
+
+def with_obstacles(profile: Profile | None = None, **obstacles: Any) -> Profile:
+    return (profile or small_twin()).model_copy(update={"obstacles": obstacles})
+
+
+def crowded() -> Profile:
+    """The twin cell with a pillar, a table with pedestals, and a gripper on the left arm."""
+    return with_obstacles(
+        small_twin(plan={"floor": -2.0, "clearance": 0.03}),
+        pillar=CylinderObstacle(
+            shape="cylinder", radius=0.1, length=2.0, pose=Placement(position=(0.7, 0.2, 0.6), rpy=(0.2, 0.0, 0.0))
+        ),
+        table=BoxObstacle(shape="box", size=(3.0, 3.0, 0.1), pose=Placement(position=(0.0, 0.0, -0.25))),
+        left_pedestal=CylinderObstacle(
+            shape="cylinder",
+            fixed_to="base",
+            arm="left",
+            radius=0.09,
+            length=0.2,
+            pose=Placement(position=(0.0, 0.0, -0.1)),
+        ),
+        lamp=SphereObstacle(shape="sphere", radius=0.15, pose=Placement(position=(0.4, -0.6, 0.8))),
+        gripper=BoxObstacle(
+            shape="box",
+            fixed_to="flange",
+            arm="left",
+            size=(0.2, 0.06, 0.05),
+            pose=Placement(position=(0.1, 0.0, 0.03)),
+        ),
+        hose=CapsuleObstacle(
+            shape="capsule",
+            fixed_to="flange",
+            arm="right",
+            radius=0.02,
+            length=0.15,
+            pose=Placement(position=(0.0, -0.08, 0.0)),
+        ),
+    )
+
+
+def random_stops(cell: CellBodies, count: int, seed: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return {name: HOME[name] + rng.uniform(-1.5, 1.5, (count, 6)) for name in cell.arms}
+
+
+def test_bases_may_stand_on_what_links_may_not_touch() -> None:
+    cell = cell_bodies(crowded())
+    table, pedestal = (
+        next(k for k, one in enumerate(cell.obstacles) if one.name == name) for name in ("table", "left_pedestal")
+    )
+    left, right = (cell.obstacle_clearances[cell.arms[name]] for name in ("left", "right"))
+    assert left[pedestal].tolist() == [-np.inf, -np.inf, *[0.02] * (len(left[0]) - 2)]
+    assert right[pedestal].tolist() == [-np.inf, *[0.03] * 8], "another arm's pedestal is like a pillar"
+    assert left[table, :3].tolist() == [-np.inf, 0.03, 0.03], "the table is a pedestal's height below"
+    assert refuse_stop(cell, HOME) == ""
+
+
+def test_obstacles_of_a_base_move_with_it() -> None:
+    profile = crowded()
+    here = cell_bodies(profile)
+    base = profile.arms["left"].base
+    assert base is not None
+    x, y, z = base.position
+    shifted = base.model_copy(update={"position": (x - 0.1, y, z)})
+    arms = {**profile.arms, "left": profile.arms["left"].model_copy(update={"base": shifted})}
+    there = cell_bodies(profile.model_copy(update={"arms": arms}))
+    moved = {
+        one.name: (other.pose[:3, 3] - one.pose[:3, 3]).tolist()
+        for one, other in zip(here.obstacles, there.obstacles, strict=True)
+    }
+    assert moved.pop("left_pedestal") == pytest.approx([-0.1, 0.0, 0.0])
+    assert not np.any(list(moved.values()))
+
+
+def test_what_a_flange_carries_is_checked_against_everything() -> None:
+    bare = cell_bodies(small_twin(plan={"floor": -2.0}))
+    long = BoxObstacle(
+        shape="box", fixed_to="flange", arm="left", size=(0.05, 0.05, 1.2), pose=Placement(position=(0.0, 0.0, 0.65))
+    )
+    armed = cell_bodies(with_obstacles(small_twin(plan={"floor": -2.0}), lance=long))
+    q = random_stops(armed, 600, 8)
+    clear, clear_bare = clear_stops(armed, q), clear_stops(bare, q)
+    assert not np.any(clear & ~clear_bare)
+    assert clear.sum() < clear_bare.sum()
+    reasons = [refuse_stop(armed, {name: value[k] for name, value in q.items()}) for k in np.flatnonzero(clear_bare)]
+    assert any("each other" in reason for reason in reasons)
+    low = dataclasses.replace(armed, floor=0.0)
+    assert sum("floor" in refuse_stop(low, {name: value[k] for name, value in q.items()}) for k in range(100)) > 3
+
+
+# -- the tracker's beam -----------------------------------------------------------------------------------------------
+
+
+def test_an_obstacle_in_the_beam_hides_the_smr() -> None:
+    bare = cell_bodies(small_twin())
+    rng = np.random.default_rng(2)
+    q = rng.uniform(-math.pi, math.pi, (20_000, 6))
+    q = q[visible(bare, "left", q)]
+    assert bare.field is not None
+    head = bare.field.T_C_M[:3, 3]
+    smr = place(bare.arms["left"], q).smr
+    wall = RoundedBox(np.array([0.01, 0.4, 0.4]))
+    middle = 0.5 * (head + smr.mean(axis=0))
+    cell = dataclasses.replace(bare, obstacles=(Obstacle("screen", wall, transform(np.eye(3), middle)),))
+    seen = visible(cell, "left", q)
+    share = (middle[0] - head[0]) / (smr[:, 0] - head[0])
+    crossing = head + share[:, None] * (smr - head)
+    inside = np.all(np.abs(crossing - middle)[:, 1:] < 0.4, axis=1)
+    outside = np.any(np.abs(crossing - middle)[:, 1:] > 0.45, axis=1)
+    assert inside.sum() > 20
+    assert outside.sum() > 20
+    assert not seen[inside].any()
+    assert seen[outside].all()
+
+
+# -- bad input --------------------------------------------------------------------------------------------------------
+
+
+def test_obstacles_that_hold_an_arm_or_the_tracker_are_named() -> None:
+    profile = small_twin()
+    assert profile.tracker.pose is not None
+    inside = SphereObstacle(shape="sphere", radius=0.2, pose=Placement(position=profile.tracker.pose.position))
+    with pytest.raises(InputError, match=r"profile .*: obstacles\.cupboard\.pose: the tracker's head, tracker\.pose"):
+        cell_bodies(with_obstacles(cupboard=inside))
+    base = profile.arms["right"].base
+    assert base is not None
+    x, y, z = base.position
+    above = SphereObstacle(shape="sphere", radius=0.2, pose=Placement(position=(x, y, z + 0.7)))
+    with pytest.raises(InputError, match=r"obstacles\.balloon\.pose: arm right at home reaches \d+ mm into it"):
+        cell_bodies(with_obstacles(balloon=above))
+    assert home_positions(profile).keys() == {"left", "right"}
+
+
+# -- Many motions at once ----------------------------------------------------------------------------------------------
+
+
+def motions(cell: CellBodies, count: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Short and long motions; with a position that is no number, and a target outside the limits."""
+    start, end = random_stops(cell, count, 1), random_stops(cell, count, 2)
+    rng = np.random.default_rng(3)
+    for name, q in end.items():
+        q[::2] = start[name][::2] + rng.normal(0.0, 0.05, q[::2].shape)
+        end[name] = np.clip(q, *cell.arms[name].limits.T)
+    first, last = next(iter(start)), next(reversed(end))
+    start[first][5, 2] = end[last][6, 0] = np.nan
+    end[last][7, 1] = cell.arms[last].limits[1, 1] + 0.1
+    return start, end
+
+
+@pytest.mark.parametrize(
+    ("profile", "apart"), [(small_twin(), 0.0), (small_twin(), 0.3), (crowded(), 0.0)], ids=["twin", "apart", "crowded"]
+)
+def test_many_motions_are_judged_as_one_by_one(profile, apart, monkeypatch) -> None:
+    cell = replace(cell_bodies(profile), apart=apart)
+    start, end = motions(cell, 160)
+    of = [({name: q[k] for name, q in start.items()}, {name: q[k] for name, q in end.items()}) for k in range(160)]
+    expected = np.array([not refuse_motion(cell, *motion) for motion in of])
+    assert 5 < expected.sum() < 155
+    np.testing.assert_array_equal(free_motions(cell, start, end), expected)
+    known = FreeMotions(cell)
+    known.ask(of[:100])
+    monkeypatch.setattr("cellapp.cell.safety.many_motions.free_motions", None)  # what was asked is not asked again
+    known.ask(of[:100])
+    assert [known.free(*motion) for motion in of] == expected.tolist()
+
+
+def test_a_path_that_only_comes_near_between_its_ends_is_refused() -> None:
+    cell = cell_bodies(small_twin())
+    start, end = motions(cell, 400)
+    ends_free = free_motions(cell, start, start) & free_motions(cell, end, end)
+    refused = np.flatnonzero(ends_free & ~free_motions(cell, start, end))
+    assert len(refused) > 5
+    for k in refused[:5].tolist():
+        assert refuse_motion(cell, {n: q[k] for n, q in start.items()}, {n: q[k] for n, q in end.items()})
+
+
+def test_other_arms_than_those_of_the_cell_are_no_motion() -> None:
+    cell = cell_bodies(small_twin())
+    with pytest.raises(ValueError, match="for the arms left, right"):
+        free_motions(cell, {"left": np.zeros((1, 6))}, {"left": np.zeros((1, 6))})

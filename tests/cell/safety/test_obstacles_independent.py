@@ -10,16 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.cell.profile import load_profile
-from cellapp.cell.safety.cell_bodies import cell_bodies, cover, home_positions
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, refuse_stop, visible
-from cellapp.cell.safety.shapes import Obstacle, RoundedBox, load_mesh
+from cellapp.cell.safety.shapes import load_mesh
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, CylinderObstacle, MeshObstacle, Placement
 from tests.cell.safety.collision_check import CollisionCheck
-from tests.cell.safety.test_obstacles import crowded, random_segments
-from tests.twin import PROFILES, small_twin
+from tests.cell.safety.test_gate import crowded, random_segments
+from tests.twin import small_twin
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("fcl")
@@ -47,27 +46,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # -- meshes -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_mesh_of_a_box_is_as_far_as_the_box(folder: Path) -> None:
-    mesh, centre = load_mesh(str(folder / "box.stl"), 0.001)
-    assert centre == pytest.approx([0.1, 0.0, -0.05])
-    start, end = random_segments(np.random.default_rng(1), 400)
-    box = RoundedBox(np.array([0.2, 0.15, 0.1]))
-    assert mesh.segment_distance(start, end) == pytest.approx(box.segment_distance(start, end), abs=1e-9)
-    assert not mesh.segment_distance(0.05 * start, 0.05 * end).any(), "all inside"
-
-
-def test_the_hole_of_a_ring_is_free(folder: Path) -> None:
-    mesh, _ = load_mesh(str(folder / "ring.stl"), 1.0)
-    axis = np.array([[0.0, 0.0, 0.5]])
-    inner = 0.15 * math.cos(math.pi / 24)
-    assert mesh.segment_distance(axis, -axis) == pytest.approx([inner], abs=1e-3)
-    across = np.array([[0.5, 0.0, 0.0]])
-    assert mesh.segment_distance(across, -across).tolist() == [0.0]
-    inside = np.array([[0.2, 0.0, 0.0]])
-    assert mesh.segment_distance(inside, inside + 0.01).tolist() == [0.0]
-    assert np.isnan(mesh.segment_distance(axis, axis * np.nan)).all()
-
-
 def test_meshes_are_as_far_as_the_other_library_says(folder: Path) -> None:
     coal = pytest.importorskip("coal")
     mesh, centre = load_mesh(str(folder / "ring.stl"), 1.0)
@@ -87,17 +65,6 @@ def test_meshes_are_as_far_as_the_other_library_says(folder: Path) -> None:
             assert gap == pytest.approx(found, abs=2e-6)
             compared += 1
     assert compared > 150
-
-
-def test_the_cover_of_a_mesh_contains_it(folder: Path) -> None:
-    mesh, _ = load_mesh(str(folder / "ring.stl"), 1.0)
-    found = cover(Obstacle("ring", mesh, np.eye(4)))
-    points = mesh.vertices[:, None]
-    along = np.clip(np.einsum("vca,ca->vc", points - found.start, found.end - found.start), 0.0, None)
-    length = np.linalg.norm(found.end - found.start, axis=1)
-    share = np.clip(along / np.maximum(length, 1e-9) ** 2, 0.0, 1.0)[..., None]
-    gaps = np.linalg.norm(points - found.start - share * (found.end - found.start), axis=2) - found.radius
-    assert gaps.min(axis=1).max() <= 1e-9
 
 
 def meshed(profile: Profile, file: Path, **keys: Any) -> Profile:
@@ -122,19 +89,6 @@ def test_bad_meshes_are_named(folder: Path, name: str, words: str) -> None:
     assert "obstacles.part.file: " in str(caught.value)
     assert name in str(caught.value)
     assert words in str(caught.value)
-
-
-def test_a_mesh_that_is_missing_is_told_with_its_line(tmp_path: Path, folder: Path) -> None:
-    text = (PROFILES / "twin.yaml").read_text("utf-8").replace("type: arms/", f"type: {PROFILES}/arms/")
-    path = tmp_path / "cell.yaml"
-    path.write_text(f"{text}\nobstacles:\n  part: {{shape: mesh, file: part.stl, scale: 0.001}}\n", "utf-8")
-    line = len(text.splitlines()) + 3
-    with pytest.raises(InputError, match=rf"cell\.yaml:{line}: obstacles\.part\.file: file not found: .*part\.stl"):
-        load_profile(path)
-    (tmp_path / "part.stl").write_bytes((folder / "box.stl").read_bytes())
-    part = load_profile(path).obstacles["part"]
-    assert isinstance(part, MeshObstacle)
-    assert Path(part.file) == tmp_path / "part.stl"
 
 
 def test_without_the_libraries_a_mesh_is_refused_with_what_to_install(

@@ -20,15 +20,12 @@ from cellapp.cell.targets.compensate import (
     compensate_result,
     invert_model,
     with_approach,
-    without_effects,
 )
-from cellapp.cell.targets.ranges import ConditionRanges, MeasuringNoise
-from cellapp.cell.targets.targets import Partner, Target, WorkingConditions, load_targets
+from cellapp.cell.targets.targets import Partner, Target, load_targets
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm
-from cellapp.robot.kinematics.chain import Geometry, flange_poses, frame_poses, smr_positions
+from cellapp.robot.kinematics.chain import flange_poses
 from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
 from tests.postures import far_from_singular
@@ -143,15 +140,6 @@ def test_the_side_that_a_joint_arrives_from_is_made_good(model: CellModel) -> No
     np.testing.assert_allclose(with_approach(arm, command, command), command, atol=1e-12)
 
 
-def test_effects_are_taken_out_to_the_last_bit_that_counts(model: CellModel) -> None:
-    strong = term("joint_compliance", compliance2=1e-4, compliance3=1e-4)  # 10 mrad: far beyond any sound arm
-    arm = with_effects(model, "left", strong, ECCENTRICITY)
-    true = np.random.default_rng(1).uniform(-2.0, 2.0, (50, 6))
-    q = without_effects(arm, true, np.zeros((50, 6)))
-    assert np.abs(q - true).max() > 5e-3
-    np.testing.assert_allclose(arm.true_joints(q), true, atol=1e-11)
-
-
 def one(arm: str, position: tuple[float, float, float], rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Target:
     return Target(name="it", arm=arm, position=position, rpy=rpy)
 
@@ -197,11 +185,6 @@ def test_whole_turns_bring_a_joint_into_its_limits(run: RunFile, model: CellMode
         else:
             assert command.refusal
     assert reached >= 3
-
-
-def test_the_same_seed_gives_the_same_commands(run: RunFile, model: CellModel, commands: tuple[Command, ...]) -> None:
-    for first, again in zip(commands[:4], compensate(run.profile, model, TARGETS[:4])):
-        np.testing.assert_array_equal(first.q_compensated, again.q_compensated)
 
 
 def test_a_profile_or_calibration_that_does_not_fit(run: RunFile, model: CellModel) -> None:
@@ -347,165 +330,7 @@ def test_if_one_arm_cannot_both_are_refused(run: RunFile, model: CellModel) -> N
     assert "arms left and right" in meeting.refusal or "arm right" in meeting.refusal
 
 
-def test_any_rotation(run: RunFile, model: CellModel) -> None:
-    free = [target.model_copy(update={"rpy": None}) for target in TARGETS[:6]]
-    bound = compensate(run.profile, model, TARGETS[:6])
-    homes = home_positions(run.profile)
-    nearer = seen = 0
-    for command, with_rotation in zip(compensate(run.profile, model, free), bound, strict=True):
-        assert command.refusal == ""
-        assert command.residual_urad is None
-        assert_reached(model, command)
-        assert command.q_nominal is not None
-        nominal = smr_positions(model.arms["left"].nominal, command.q_nominal[None])[0]
-        np.testing.assert_allclose(nominal, np.asarray(command.nominal_M), atol=1e-8)
-        seen += bool(command.visible)
-        if with_rotation.q_nominal is not None:
-            reach = [np.abs(one - homes["left"]).max() for one in (command.q_nominal, with_rotation.q_nominal)]
-            nearer += int(reach[0] <= reach[1])
-    assert seen >= 5, "the tracker sees each with some rotation"
-    assert nearer >= 3, "freedom is used"
-
-
-def test_one_arm_and_three(run: RunFile, model: CellModel) -> None:
-    alone = run.profile.model_copy(update={"arms": {"left": run.profile.arms["left"]}})
-    own = [target for target in TARGETS if target.arm == "left"][:4]
-    for command in compensate(alone, CellModel(arms={"left": model.arms["left"]}), own):
-        assert_reached(model, command)
-    profile, three = with_third_arm(run.profile, model)
-    for command in compensate(profile, three, [*own, own[0].model_copy(update={"name": "third", "arm": "third"})]):
-        assert command.refusal == ""
-        assert_reached(three, command)
-
-
-def with_third_arm(profile: Profile, model: CellModel) -> tuple[Profile, CellModel]:
-    """A copy of the left arm, ten metres to the side."""
-    left = profile.arms["left"]
-    assert left.base is not None
-    x, y, z = left.base.position
-    third = left.model_copy(update={"base": left.base.model_copy(update={"position": (x, y + 10.0, z)})})
-    T = model.arms["left"].geometry.T_M_B()
-    T[1, 3] -= 10.0
-    moved = dataclasses.replace(
-        model.arms["left"],
-        geometry=model.arms["left"].geometry.with_T_M_B(T),
-        nominal=model.arms["left"].nominal.with_T_M_B(T),
-    )
-    return (
-        profile.model_copy(update={"arms": {**profile.arms, "third": third}}),
-        dataclasses.replace(model, arms={**model.arms, "third": moved}),
-    )
-
-
-def test_reasons_name_joints_and_sizes(run: RunFile, model: CellModel) -> None:
-    narrow = with_arms(run.profile, limits=((-0.1, 0.1),) * 6, home=(0.0,) * 6)
-    (command,) = compensate(narrow, model, TARGETS[:1])
-    assert command.refusal.startswith("beyond limits: joint ")
-    assert "outside its limits -5.7 to 5.7 deg" in command.refusal
-    assert command.branches == 0
-    arm = model.arms["left"]
-    q = np.array([0.3, -1.2, 0.9, -1.0, 1e-4, 0.2])  # axes 4 and 6 all but parallel
-    T = np.linalg.inv(arm.nominal.T_M_B())
-    R = T[:3, :3] @ rotation_of(arm.nominal, q)
-    position = T[:3, :3] @ smr_positions(arm.nominal, q[None])[0] + T[:3, 3]
-    target = Target(name="it", arm="left", position=tuple(position.tolist()), rpy=rpy_of(pose(position, R)))
-    (singular,) = compensate(run.profile, model, [target])
-    assert singular.refusal == "" or singular.refusal.startswith("singular: joints ")
-    assert compensate(run.profile, model, []) == ()
-
-
-def rotation_of(geometry: Geometry, q: np.ndarray) -> np.ndarray:
-    return np.asarray(flange_poses(geometry, q[None])[0][0])
-
-
-def test_stated_conditions_are_used_and_kept_for_the_way(run: RunFile, model: CellModel) -> None:
-    arm = dataclasses.replace(
-        model.arms["left"],
-        effects=(term("backlash", half_play2=2e-4), term("joint_compliance", compliance2=1.0 / 6e4)),
-        posterior=None,
-    )
-    changed = dataclasses.replace(model, arms={**model.arms, "left": arm})
-    plain = TARGETS[0]
-    heavy = plain.model_copy(update={"name": "heavy", "conditions": WorkingConditions(payload=8.0)})
-    from_above = plain.model_copy(update={"name": "side", "approach": (0, 1, 0, 0, 0, 0)})
-    first, loaded, sided = compensate(run.profile, changed, [plain, heavy, from_above])
-    for command in (first, loaded, sided):
-        assert_reached(changed, command)
-    q, q_loaded, q_sided = (np.asarray(command.q_compensated) for command in (first, loaded, sided))
-    assert np.abs(q_loaded - q).max() > 1e-5
-    assert first.side == (0, int(np.sign(q[1] - home_positions(run.profile)["left"][1])), 0, 0, 0, 0)
-    assert (q_sided - q)[1] == pytest.approx(2e-4 * (1 - first.side[1]), rel=0.01, abs=1e-6), "from above"
-    here = q - 0.3
-    for command in (first, loaded, sided):
-        sent = with_approach(arm, np.asarray(command.q_compensated), here, command.conditions)
-        assert command.conditions is not None
-        driven = dataclasses.replace(command.conditions, approach=np.ones((1, 6)))
-        reached = arm.predict(sent[None], conditions=driven)[0]
-        np.testing.assert_allclose(reached, np.asarray(command.expected_M), atol=1e-9)
-    assert compensate_result([sided]).targets[0].approach == (0, 1, 0, 0, 0, 0)
-
-
-def test_outside_the_readings_is_a_note(run: RunFile, model: CellModel) -> None:
-    q = run.readings("left").q
-    ranges = {"left": ConditionRanges(q=np.stack([q.min(axis=0), np.minimum(q.max(axis=0), -0.5)]))}
-    commands = compensate(run.profile, model, TARGETS[:8], ranges=ranges)
-    notes = [command.note for command in commands if not command.refusal]
-    assert any(note.startswith("outside the calibrated joint ranges: joint ") for note in notes)
-    assert any("this adds" in note for note in notes)
-
-
-def test_nominal_and_compensated_commands_are_of_the_same_branch(run: RunFile, model: CellModel) -> None:
-    for command in compensate(run.profile, model, TARGETS[:10]):
-        if command.q_nominal is None or command.q_compensated is None:
-            continue
-        assert np.abs(command.q_nominal - command.q_compensated).max() < 0.2
-        assert command.target.rpy is not None
-        roll, pitch, yaw = command.target.rpy
-        nominal = model.arms[command.arm].nominal
-        wanted = nominal.T_M_B()[:3, :3] @ rotation_zyx(yaw, pitch, roll)
-        np.testing.assert_allclose(rotation_of(nominal, command.q_nominal), wanted, atol=1e-9)
-        assert command.branches is not None
-        assert 1 <= command.branches <= 8
-
-
-@pytest.mark.parametrize("rpy", [(0.0, 0.0, 0.0), None], ids=["pose", "position"])
-def test_out_of_reach_by_how_much(run: RunFile, model: CellModel, rpy: tuple[float, float, float] | None) -> None:
-    """A position three times as far from the shoulder as a stretched arm is."""
-    nominal = model.arms["left"].nominal
-    q = np.array([[0.3, -0.7, 1e-9, -1.5, 1.1, 0.4]])
-    _, origins = frame_poses(nominal, q)
-    smr = smr_positions(nominal, q)[0]
-    outwards = smr - origins[1, 0]
-    far = nominal.T_M_B()
-    position = np.linalg.inv(far) @ np.append(smr + 2.0 * outwards, 1.0)
-    target = Target(name="far", arm="left", position=tuple(position[:3].tolist()), rpy=rpy)
-    (command,) = compensate(run.profile, model, [target])
-    missed_mm = float(command.refusal.split(" mm")[0].split()[-1])
-    assert command.refusal.startswith("out of reach")
-    shortest = 1e3 * (3.0 * np.linalg.norm(outwards) - longest_reach(nominal))
-    assert shortest - 1.0 < missed_mm
-    if rpy is None:
-        assert missed_mm < 1e3 * 2.0 * np.linalg.norm(outwards) + 1.0
-
-
-def longest_reach(geometry: Geometry) -> float:
-    """Upper bound on the distance of the SMR from the shoulder [m]: the length of the chain beyond it."""
-    lengths = np.hypot(geometry.rows[1:, 1], geometry.rows[1:, 2])
-    return float(lengths.sum() + np.linalg.norm(geometry.tool))
-
-
 # -- Noise of measuring: the tracker's shape, the readings' size -------------------------------------------------------
-
-POINTS = np.random.default_rng(0).uniform([2.0, -2.0, -1.0], [6.0, 2.0, 1.0], (50, 3))
-
-
-def stated(points: np.ndarray) -> np.ndarray:
-    """Half of 15 um + 6 um/m across the beam and of 0.5 um/m along it, squared."""
-    distance = np.linalg.norm(points, axis=1)
-    beam = points / distance[:, None]
-    along, across = 2.5e-7 * distance, 7.5e-6 + 3e-6 * distance
-    outer = beam[:, :, None] * beam[:, None]
-    return np.asarray(along[:, None, None] ** 2 * outer + across[:, None, None] ** 2 * (np.eye(3) - outer))
 
 
 def readings(points: np.ndarray, covariance: np.ndarray | None) -> Readings:
@@ -518,26 +343,3 @@ def readings(points: np.ndarray, covariance: np.ndarray | None) -> Readings:
         p_M=points,
         covariance_M=covariance,
     )
-
-
-def test_the_statement_is_found_again_and_scatter_beyond_it_is_added() -> None:
-    covariance = stated(POINTS)
-    noise = MeasuringNoise.of(readings(POINTS, covariance))
-    assert noise is not None
-    as_stated = float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean() / 3.0))
-    elsewhere = POINTS[:10] * 1.2
-    np.testing.assert_allclose(noise.covariance(elsewhere, as_stated), stated(elsewhere), rtol=1e-6, atol=1e-16)
-    more = noise.covariance(elsewhere, np.hypot(as_stated, 2e-5))
-    np.testing.assert_allclose(more - stated(elsewhere), np.tile(4e-10 * np.eye(3), (10, 1, 1)), atol=1e-16)
-    assert noise.excess(np.hypot(as_stated, 2e-5)) == pytest.approx(4e-10, rel=1e-6)
-    assert noise.excess(0.5 * as_stated) == 0.0
-    less = noise.covariance(elsewhere, 0.5 * as_stated)
-    np.testing.assert_allclose(less, 0.25 * stated(elsewhere), rtol=1e-6, atol=1e-16)
-
-
-def test_readings_that_state_nothing_or_stand_at_one_distance() -> None:
-    assert MeasuringNoise.of(readings(POINTS, None)) is None
-    ring = POINTS / np.linalg.norm(POINTS, axis=1)[:, None] * 3.0
-    noise = MeasuringNoise.of(readings(ring, stated(ring)))
-    assert noise is not None
-    assert noise.across == pytest.approx((1.65e-5, 0.0))

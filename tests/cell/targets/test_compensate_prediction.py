@@ -10,14 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.cell.run import RunFile
-from cellapp.cell.targets.invert import Inverted
 from cellapp.cell.targets.prediction import length_bounds, outside_notes, predicted_verdict, predictions, spread_of
 from cellapp.cell.targets.ranges import (
     ConditionRanges,
     MeasuringNoise,
     approach_sides,
-    sided_commands,
     unknown_conditions,
 )
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
@@ -76,22 +73,6 @@ def test_a_verdict_is_about_the_true_position() -> None:
     ]
 
 
-def test_parts_add_up_and_a_measurement_strays_further_than_the_smr(arm: ArmModel) -> None:
-    q = configurations(50)
-    known = predictions(arm, q, NOTHING, [0.1] * 50, HOME, ConditionRanges())
-    for one, size in zip(known, arm.uncertainty(q), strict=True):
-        assert one is not None
-        parts = one.parts
-        own = (parts.parameters, parts.effects, parts.network, parts.extrapolation, parts.conditions)
-        assert np.linalg.norm(own) == pytest.approx(size * 1e3)
-        assert parts.noise == pytest.approx(0.015)
-        assert one.uncertainty_mm == pytest.approx(np.hypot(size * 1e3, 0.015))
-        assert 1.959 * np.sqrt(3.0) <= one.within_mm / one.uncertainty_mm * np.sqrt(1.5) <= 1.96 * 3.0
-        assert one.unknown == ()
-    silent = replace(arm, posterior=None)
-    assert predictions(silent, q, NOTHING, [None] * 50, HOME, ConditionRanges()) == [None] * 50
-
-
 def test_stated_distances_hold_for_errors_drawn_from_the_model(arm: ArmModel) -> None:
     q = configurations(40)
     assert arm.posterior is not None
@@ -131,25 +112,6 @@ def test_an_unknown_side_counts_with_what_it_moves(arm: ArmModel) -> None:
     less = approach_sides(played, q, half, ConditionRanges())
     assert less is not None
     assert np.all(less.other_sides(np.zeros(q.shape)).largest_m < unknown.largest_m)
-
-
-def test_a_side_is_chosen_where_it_matters_and_the_command_is_for_it(arm: ArmModel) -> None:
-    posterior = replace(arm.posterior, terms=(np.zeros((64, 1)),)) if arm.posterior else None
-    played = replace(arm, effects=(term("backlash", half_play2=2e-4),), posterior=posterior)
-    q = HOME + np.array([[0.2, -0.3, 0.1, 0.2, 0.2, 0.2]])
-    wanted_M, rotation_M = played.predict(q), played.flange(q)[0]
-    middle = Inverted(q, np.zeros(1), np.zeros(1))
-    sided = sided_commands(played, wanted_M, rotation_M, middle, NOTHING, HOME, ConditionRanges())
-    assert sided.approach(0) == (0, -1, 0, 0, 0, 0)
-    assert sided.found.q[0, 1] - q[0, 1] == pytest.approx(-2e-4, rel=0.01)
-    np.testing.assert_allclose(played.predict(sided.found.q, sided.signs), wanted_M, atol=1e-9)
-    (one,) = predictions(played, sided.found.q, sided.conditions, [0.06], HOME, ConditionRanges(), sided.others)
-    assert one is not None
-    assert [entry.condition for entry in one.unknown] == ["approach"]
-    assert one.unknown[0].mm > 0.05, "what the other side would do"
-    assert one.parts.conditions == 0.0
-    assert one.verdict == "in"
-    assert one.within_mm < 0.06
 
 
 @pytest.mark.parametrize(
@@ -229,15 +191,3 @@ def test_what_a_measurement_finds_is_judged_with_all_of_its_scatter(arm: ArmMode
     (met,) = predictions(arm, q, NOTHING, bound, HOME, ConditionRanges(noise=exact))
     assert met is not None
     assert met.verdict == "in", "the bound that the row states decides"
-
-
-def test_ranges_of_a_run(run: RunFile) -> None:
-    readings = run.readings("left")
-    ranges = ConditionRanges.of(readings)
-    assert ranges.q is not None
-    np.testing.assert_array_equal(ranges.q[1], readings.q.max(axis=0))
-    assert ranges.time_s is not None
-    assert ranges.time_s[0] < ranges.time_s[1]
-    assert ranges.step is not None
-    assert np.all(ranges.step > 0.0)
-    assert ConditionRanges.of(readings.take(np.empty(0, dtype=np.intp))).q is None

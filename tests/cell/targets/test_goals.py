@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
-import json
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,20 +17,15 @@ from cellapp.cell.exports.command_table import COMMAND_TABLE
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate, compensate_result
-from cellapp.cell.targets.goals import ArmGoals, goals_of_arm, work_frame_pose
-from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
-from cellapp.cell.targets.target_text import new_texts, targets_text, typed_target, typed_texts
+from cellapp.cell.targets.goals import work_frame_pose
+from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import (
     FramePoint,
-    Partner,
-    Target,
     WorkFrame,
     load_targets,
     same_target,
-    target_record,
 )
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.certificate.run import certificate_run
 from cellapp.commands.certificate.view import certificate_sections, certificate_tables
 from cellapp.commands.compensate.tables import measured_turn_tables, turn_tables
@@ -45,42 +37,20 @@ from cellapp.commands.push.run import push_run
 from cellapp.commands.run_results import read_stage_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
-from cellapp.commands.view.words import judgement_table
 from cellapp.estimation.calibration.quantities import measurement_conditions
-from cellapp.estimation.discovery.plan_forecast import nominal_model
-from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.profile.sections import Smr, Tolerances
+from cellapp.ground.profile.sections import Smr
 from cellapp.interfaces.page.page import certificate_page
-from cellapp.interfaces.tui.widgets.charts_view import verdict_lines
-from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_zyx, transform, zyx_angles
-from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.kinematics.transforms import Array, apply, transform
+from cellapp.robot.model import CellModel
 from tests.twin import HIDDEN, PROFILES, finished_twin, small_twin
 
-_AT_M = 1e-12
-"""Rounding of a few transforms of coordinates of some metres."""
-
-
-def _moved_base(arm: ArmModel) -> ArmModel:
-    """The arm with its calibrated base some millimetres and milliradians off the nominal one."""
-    offset = transform(rotation_zyx(2e-3, -1e-3, 3e-3), [4e-3, -2e-3, 1e-3])
-    return dataclasses.replace(arm, geometry=arm.nominal.with_T_M_B(offset @ arm.nominal.T_M_B()))
-
-
 PROFILE = small_twin()
-MODEL = CellModel({name: _moved_base(nominal_model(PROFILE, name)) for name in PROFILE.arms})
 
 coordinates = st.floats(-5.0, 5.0)
 points = st.tuples(coordinates, coordinates, coordinates)
 quaternions = st.tuples(*[st.floats(-1.0, 1.0)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1)
 poses = st.builds(lambda p, q: transform(Rotation.from_quat(q).as_matrix(), p), points, quaternions)
-
-
-def target_at(name: str, T: Array, **keys: object) -> Target:
-    """A target of the left arm at a pose (4, 4) in its frame."""
-    yaw, pitch, roll = zyx_angles(T[:3, :3])
-    keys |= {"name": name, "arm": "left", "position": T[:3, 3].tolist(), "rpy": (roll, pitch, yaw)}
-    return Target.model_validate(keys)
 
 
 def work_frame(T_parent_W: Array, parent: str) -> WorkFrame:
@@ -93,75 +63,6 @@ def work_frame(T_parent_W: Array, parent: str) -> WorkFrame:
             for at, there in zip(nominal.tolist(), apply(T_parent_W, nominal).tolist())
         ),
     )
-
-
-def everywhere(T_M_S: Array, T_M_W: Array) -> list[Target]:
-    """One physical pose (4, 4) in the tracker frame as a target in every kind of frame."""
-    bases = {name: arm.geometry.T_M_B() for name, arm in MODEL.arms.items()}
-    on_left = work_frame(invert(bases["left"]) @ T_M_W, "left")
-    in_tracker = work_frame(T_M_W, "tracker")
-    in_work_frame = invert(T_M_W) @ T_M_S
-    return [
-        target_at("tracker", T_M_S, frame="tracker"),
-        target_at("own base", invert(bases["left"]) @ T_M_S),
-        target_at("own base by name", invert(bases["left"]) @ T_M_S, frame="left"),
-        target_at("other base", invert(bases["right"]) @ T_M_S, frame="right"),
-        target_at("work frame", in_work_frame, frame="fixture", work_frame=in_tracker),
-        target_at("work frame on a base", in_work_frame, frame="fixture", work_frame=on_left),
-    ]
-
-
-def check_goals(goals: ArmGoals, position_M: Array, rotation_M: Array) -> None:
-    np.testing.assert_allclose(goals.position_M, np.broadcast_to(position_M, goals.position_M.shape), atol=_AT_M)
-    np.testing.assert_allclose(goals.rotation_M, np.broadcast_to(rotation_M, goals.rotation_M.shape), atol=_AT_M)
-
-
-@given(poses, poses)
-def test_one_physical_pose_is_one_goal_in_every_frame(T_M_S: Array, T_M_W: Array) -> None:
-    targets = everywhere(T_M_S, T_M_W)
-    goals = goals_of_arm(MODEL, targets, "left")
-    assert goals.rows.tolist() == list(range(len(targets)))
-    check_goals(goals, T_M_S[:3, 3], T_M_S[:3, :3])
-
-
-@given(poses, poses)
-def test_the_nominal_goal_is_that_of_the_nominal_base(T_M_S: Array, T_M_W: Array) -> None:
-    goals = goals_of_arm(MODEL, everywhere(T_M_S, T_M_W), "left")
-    expected = []
-    for base in (None, "left", "left", "right", None, "left"):
-        arm = None if base is None else MODEL.arms[base]
-        shift = np.eye(4) if arm is None else arm.nominal.T_M_B() @ invert(arm.geometry.T_M_B())
-        expected.append(shift @ T_M_S)
-    np.testing.assert_allclose(goals.nominal_position_M, np.array(expected)[:, :3, 3], atol=_AT_M)
-    np.testing.assert_allclose(goals.nominal_rotation_M, np.array(expected)[:, :3, :3], atol=_AT_M)
-
-
-@given(poses, poses, poses)
-def test_the_partner_is_seen_from_the_first_arm(T_M_S: Array, T_M_W: Array, T_S_P: Array) -> None:
-    yaw, pitch, roll = zyx_angles(T_S_P[:3, :3])
-    partner = Partner(arm="right", position=tuple(T_S_P[:3, 3].tolist()), rpy=(roll, pitch, yaw))
-    targets = [target.model_copy(update={"partner": partner}) for target in everywhere(T_M_S, T_M_W)]
-    check_goals(goals_of_arm(MODEL, targets, "left"), T_M_S[:3, 3], T_M_S[:3, :3])
-    T_M_P = T_M_S @ T_S_P
-    check_goals(goals_of_arm(MODEL, targets, "right"), T_M_P[:3, 3], T_M_P[:3, :3])
-
-
-def test_free_rotations_are_nan_and_their_positions_are_not() -> None:
-    free = Target(name="free", arm="left", position=(0.1, 0.2, 0.3), frame="tracker")
-    partner = Partner(arm="right", position=(0.0, 0.0, 0.1))
-    pair = Target(name="pair", arm="left", position=(1, 2, 3), rpy=(0, 0, 0), frame="tracker", partner=partner)
-    left, right = (goals_of_arm(MODEL, [free, pair], name) for name in ("left", "right"))
-    np.testing.assert_array_equal(np.isnan(left.rotation_M).any(axis=(1, 2)), [True, False])
-    np.testing.assert_allclose(left.position_M, np.array([[0.1, 0.2, 0.3], [1, 2, 3]]))
-    assert right.rows.tolist() == [1]
-    assert np.isnan(right.rotation_M).all()
-    np.testing.assert_allclose(right.position_M, np.array([[1.0, 2.0, 3.1]]))
-
-
-def test_no_target_no_goal() -> None:
-    goals = goals_of_arm(MODEL, [], "left")
-    assert [len(getattr(goals, field.name)) for field in dataclasses.fields(goals)] == [0] * 5
-    assert goals.rotation_M.shape == (0, 3, 3)
 
 
 @given(poses, st.floats(-1e-3, 1e-3))
@@ -261,17 +162,6 @@ def test_verdicts_follow_the_one_rule(run: RunFile, model: CellModel) -> None:
     assert turns[2].within_mrad > 0.0
 
 
-def test_the_run_is_judged_and_the_table_carries_both_units(run: RunFile, verified: VerifyResult) -> None:
-    judged = judge_run(run.profile, read_stage_results(run))
-    (one,) = [one for one in judged if one.characteristic == "orientation"]
-    assert (one.conformity, one.unit, one.n, one.value_mm) == ("conforms", "mrad", len(LEFT), None)
-    assert one.tolerance == pytest.approx(0.5)
-    assert "of orientation mrad" in judgement_table(judged).title
-    assert any("0.500 mrad" in line.plain for line in verdict_lines(judged, 100))
-    others = [judgement for judgement in judged if judgement.characteristic != "orientation"]
-    assert all("value_mrad" not in judgement.model_dump() for judgement in others)
-
-
 def test_a_stored_measurement_is_judged_by_another_tolerance(run: RunFile, verified: VerifyResult) -> None:
     target = LEFT[0].model_copy(update={"orientation_tolerance": 1e-6})
     (state,) = target_states([target], read_stage_results(run))
@@ -326,50 +216,3 @@ def test_what_a_rigid_chain_loses_is_stated_of_the_rotation_too(run: RunFile, mo
     assert lost.rms_mrad > 0.05
     assert "mrad rms" in lost.words
     assert lost_by(arm.of_positions().geometry, arm.of_positions(), space).rms_mrad is None
-
-
-def test_positions_alone_leave_every_result_without_a_key(run: RunFile, model: CellModel) -> None:
-    alone = CellModel({"left": model.arms["left"].of_positions()})
-    plain = LEFT[0].model_copy(update={"orientation_tolerance": None})
-    (command,) = compensate_result(compensate(run.profile, alone, [plain])).targets
-    assert command.orientation is None
-    assert not {"orientation", "orientation_tolerance_mrad"} & set(json.loads(command.model_dump_json()))
-    assert "orientation" not in json.loads(
-        MeasuredTarget(
-            **dict(target_record(plain, "left")), nominal_mm=None, compensated_mm=None, note=""
-        ).model_dump_json()
-    )
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("orientation_tolerance_mrad", 500, "at most 20 mrad, got 0.5 rad"),
-        ("orientation_tolerance_mm", 1, "orientation_tolerance"),
-        ("orientation_tolerance_mrad", 0.5, "give the target a rotation"),
-    ],
-)
-def test_bad_tolerances_are_refused(tmp_path: Path, name: str, value: float, words: str) -> None:
-    path = tmp_path / "list.csv"
-    path.write_text(f"name,arm,x_mm,y_mm,z_mm,{name}\na,left,-300,-400,700,{value}\n", "utf-8")
-    with pytest.raises(InputError, match=words):
-        load_targets(path, small_twin())
-
-
-def test_a_tolerance_is_typed_and_written_as_it_was(tmp_path: Path) -> None:
-    profile = small_twin()
-    texts = new_texts("left") | {"position": "-300 mm, -400 mm, 700 mm", "orientation_tolerance": "0.4 mrad"}
-    typed = typed_target(texts, None, (), profile)
-    assert typed.problems == {}
-    assert typed.target is not None
-    assert typed.target.orientation_tolerance == pytest.approx(4e-4)
-    assert typed_texts(typed.target)["orientation_tolerance"] == "0.4 mrad"
-    path = tmp_path / "list.yaml"
-    path.write_text(targets_text([typed.target]), "utf-8")
-    assert load_targets(path, profile) == (typed.target,)
-    wrong = typed_target(texts | {"orientation_tolerance": "0.4 mm"}, None, (), profile)
-    assert "orientation_tolerance" in wrong.problems
-
-
-def test_profiles_without_a_tolerance_of_orientation_keep_their_text() -> None:
-    assert "orientation" not in json.loads(Tolerances().model_dump_json())

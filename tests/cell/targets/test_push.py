@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,13 +15,16 @@ import pytest
 
 from cellapp.cell.driving import target_visit
 from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.motion import Mover
 from cellapp.cell.driving.push import push
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.cell.targets.compensate import Command, compensate, compensate_result
-from cellapp.cell.targets.records import ArmVerification, CompensateResult, MeasuredTarget, VerifyResult
+from cellapp.cell.targets.command import Command
+from cellapp.cell.targets.compensate import compensate, compensate_result
+from cellapp.cell.targets.records import ArmVerification, CompensateResult, VerifyResult
 from cellapp.cell.targets.targets import Target, load_targets, same_target
 from cellapp.commands.compensate.tables import predicted_tables, verification_tables
+from cellapp.commands.compensate.words import verify_lines
 from cellapp.commands.push.run import judge_of, push_run
 from cellapp.commands.report.result import read_results
 from cellapp.estimation.discovery.plan_forecast import nominal_model
@@ -31,8 +36,8 @@ from cellapp.ground.progress import Cancelled, Progress
 from cellapp.ground.results import ErrorSummary
 from cellapp.robot.model import CellModel
 from drivers.plant import Clearance
-from tests.cell.planning.planned_cells import one_arm, seven_joints, three_arms
-from tests.cell.targets.pairs import pair_targets
+from tests.cell.planning.planned_cells import three_arms
+from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.twin import PROFILES, plant_of, small_twin
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
@@ -169,21 +174,6 @@ def arm(nominal_mm: float, compensated_mm: float) -> ArmVerification:
     return ArmVerification(nominal_mm=before, compensated_mm=after)
 
 
-def test_a_verification_that_does_not_hold_is_reported() -> None:
-    good, bad = arm(2.0, 0.02), arm(0.5, 0.75)
-    targets = tuple(
-        MeasuredTarget(name=f"t{k}", arm=name, nominal_mm=None, compensated_mm=None, note="")
-        for k, name in enumerate(("left", "right", "left"))
-    )
-    assert VerifyResult(arms={"left": good, "right": good}, targets=targets).complaints() == []
-    missing = VerifyResult(arms={"left": good}, targets=targets).complaints()
-    assert missing == ["arm right: no target could be measured"]
-    (complaint,) = VerifyResult(arms={"left": bad, "right": good}, targets=targets).complaints()
-    assert complaint.startswith(
-        "arm left: the mean error at compensated targets is 0.750 mm, at uncompensated ones 0.5"
-    )
-
-
 def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, model: CellModel) -> None:
     """The tracker scatters by some 20 um, so 1 um is never met and 2 mm always."""
     sizes = (2e-3, 1e-6, None)
@@ -238,17 +228,6 @@ def exact(profile: Profile) -> tuple[Profile, CellModel]:
     return profile, CellModel({name: nominal_model(profile, name) for name in profile.arms})
 
 
-@pytest.mark.parametrize("cell", [one_arm, three_arms, seven_joints])
-def test_single_targets_are_driven_and_corrected_in_other_cells(cell: Callable[[], Profile]) -> None:
-    profile, model = exact(cell())
-    targets = [target for target in TARGETS_OF_PUSH_CELLS if target.arm == "left"][:3]
-    found = push(profile, model, compensate(profile, model, targets), verify=True, rounds=2)
-    assert [target.note for target in found.targets] == ["", "", ""]
-    assert found.pairs == ()
-    assert found.arms["left"].compensated_mm.mean < 40e-3
-    assert found.arms["left"].corrected_mm is not None
-
-
 def test_a_third_arm_waits_at_home_while_two_hold_a_target(run: RunFile) -> None:
     profile, model = exact(three_arms())
     pairs = pair_targets(run, model, [0, 5])
@@ -257,3 +236,92 @@ def test_a_third_arm_waits_at_home_while_two_hold_a_target(run: RunFile) -> None
     assert [pair.arms for pair in found.pairs] == [("left", "right")] * 2
     assert [pair.note for pair in found.pairs] == ["", ""]
     assert max(pair.compensated_mm for pair in found.pairs if pair.compensated_mm is not None) < 0.1
+
+
+# -- Cooperative targets -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def stops(run: RunFile, model: CellModel) -> list[int]:
+    return stops_with_room(run, model, 4)
+
+
+@pytest.fixture(scope="module")
+def pairs(run: RunFile, model: CellModel, stops: list[int]) -> list[Command]:
+    return list(compensate(run.profile, model, pair_targets(run, model, stops, tolerance=2e-3)))
+
+
+def test_both_arms_are_measured_at_each_cooperative_target(
+    run: RunFile, model: CellModel, stops: list[int], pairs: list[Command], cells: list[Any]
+) -> None:
+    found = push(run.profile, model, pairs, verify=True, judge=judge_of(run, run.profile))
+    assert [(target.name, target.arm, target.partner, target.note) for target in found.targets] == [
+        (f"pair-{stop}", name, other, "") for stop in stops for name, other in (("left", "right"), ("right", "left"))
+    ]
+    assert [(pair.name, pair.arms, pair.note) for pair in found.pairs] == [
+        (f"pair-{stop}", ("left", "right"), "") for stop in stops
+    ]
+    for pair, (left, right) in zip(found.pairs, zip(found.targets[::2], found.targets[1::2])):
+        measured, wanted = (
+            1e3 * math.dist(points[0], points[1])
+            for points in ((left.measured_M, right.measured_M), (left.wanted_M, right.wanted_M))
+            if points[0] is not None and points[1] is not None
+        )
+        assert pair.wanted_mm == pytest.approx(wanted)
+        assert pair.compensated_mm == pytest.approx(abs(measured - wanted))
+        assert pair.verdict == "in"
+        assert left.within_mm is not None
+        assert 0.02 < left.within_mm < 0.5
+        assert left.measured_M is not None
+        assert left.predicted_M is not None
+        assert math.dist(left.measured_M, left.predicted_M) < 0.2e-3
+    assert found.cooperative is not None
+    assert found.cooperative.compensated_mm.n == len(stops)
+    assert found.cooperative.nominal_mm.mean > 10.0 * found.cooperative.compensated_mm.mean
+    assert found.complaints() == []
+    assert any("pairs" in line or "distance" in line for line in verify_lines(found))
+    (cell,) = cells
+    assert plant_of(cell).clearance.arms_m > 0.0  # type: ignore[union-attr]
+    for name, home in home_positions(run.profile).items():
+        np.testing.assert_array_equal(plant_of(cell).q(name), home)
+    assert VerifyResult.from_json(found.to_json(), "again") == found
+
+
+def test_a_partner_that_cannot_go_keeps_both_at_home(
+    run: RunFile, model: CellModel, pairs: list[Command], cells: list[Any]
+) -> None:
+    refused = replace(pairs[1], q_nominal=None, q_compensated=None, refusal="out of reach")
+    found = push(run.profile, model, [pairs[0], refused, *pairs[2:4]], verify=True)
+    assert [target.note for target in found.targets] == ["arm right: out of reach", "out of reach", "", ""]
+    assert found.targets[0].compensated_mm is None
+    assert found.pairs[0].note == "arm right: out of reach"
+    assert found.pairs[0].compensated_mm is None
+    assert found.pairs[1].compensated_mm is not None
+
+
+def test_an_smr_that_the_tracker_does_not_see_is_not_measured(
+    run: RunFile, model: CellModel, pairs: list[Command]
+) -> None:
+    unseen = replace(pairs[1], visible=False)
+    found = push(run.profile, model, [pairs[0], unseen], verify=True)
+    left, right = found.targets
+    assert (left.note, right.note) == ("", "not measured: the tracker does not see the SMR there")
+    assert left.compensated_mm is not None
+    assert (right.compensated_mm, found.pairs[0].compensated_mm, found.cooperative) == (None, None, None)
+    assert found.complaints() == ["arm right: no target could be measured"]
+
+
+def test_arms_that_may_not_move_together_go_one_after_the_other(
+    run: RunFile, model: CellModel, pairs: list[Command], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The gate is made to refuse that two arms move at once; nothing else changes."""
+    asked = Mover.refusal
+
+    def refusal(self: Mover, *legs: Any) -> str:
+        return "not at once" if any(len(leg) > 1 for leg in legs) else asked(self, *legs)
+
+    monkeypatch.setattr(Mover, "refusal", refusal)
+    found = push(run.profile, model, pairs[:2], verify=True)
+    assert [target.note for target in found.targets] == ["", ""]
+    assert found.pairs[0].compensated_mm is not None
+    assert found.pairs[0].compensated_mm < 0.2

@@ -15,13 +15,11 @@ from cellapp.cell.driving.push import push
 from cellapp.cell.driving.verification import Agreement
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.goals import UNPLACED, is_unplaced
-from cellapp.cell.targets.ranges import ConditionRanges, OpenElasticity, payload_covariance
-from cellapp.cell.targets.records import VerifyResult
+from cellapp.cell.targets.ranges import ConditionRanges, payload_covariance
 from cellapp.cell.targets.targets import Target, WorkingConditions, load_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.run import compensate_run
@@ -30,7 +28,6 @@ from cellapp.commands.import_ import import_new_run
 from cellapp.commands.init.own_data import OwnData, write_own_data
 from cellapp.commands.push.run import push_run
 from cellapp.commands.report.result import read_results
-from cellapp.commands.show.overview import run_overview
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Cancelled
@@ -42,7 +39,7 @@ from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmIdentity
 from drivers.arms.simulated import SimulatedArm
 from tests.arms import UR5
-from tests.twin import HIDDEN, PROFILES, plant_of, small_twin
+from tests.twin import PROFILES, plant_of, small_twin
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 TARGETS = (*ALL[:4], *ALL[20:22])
@@ -107,15 +104,6 @@ def test_an_unknown_smr_offset_is_no_other_mount(run: RunFile, model: CellModel,
     require_same_arms(run.profile.model_copy(update={"arms": {**run.profile.arms, "left": unknown}}), model, commands)
 
 
-def test_another_controller_is_refused(run: RunFile, cells: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    assert set(recorded_controllers(run)) == {"left", "right"}
-    other = ArmIdentity(model="UR10", serial="SIM-other", software="simulated")
-    monkeypatch.setattr(SimulatedArm, "identify", lambda self: other)
-    with pytest.raises(HardwareError, match="began with controller SIM-left, this one is SIM-other; nothing was moved"):
-        push_run(run, TARGETS, verify=True)
-    assert nothing_moved(cells, run)
-
-
 def test_another_dh_checksum_is_refused_unless_one_insists(
     run: RunFile, cells: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -130,24 +118,6 @@ def test_another_dh_checksum_is_refused_unless_one_insists(
     found = push_run(run, TARGETS[:1], verify=True, out_of_date=True)
     assert found.targets[0].compensated_mm is not None
     assert any("checksum of the controller's D-H" in note for note in found.notes)
-
-
-def test_where_readings_had_several_loads_a_target_is_for_one_of_them(
-    run: RunFile, cells: list[Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    readings = RunFile.readings
-    with_several = np.array([0.3, 5.0])
-    monkeypatch.setattr(
-        RunFile,
-        "readings",
-        lambda self, name: replace(its := readings(self, name), payload_kg=np.resize(with_several, len(its))),
-    )
-    tool = SimulatedArm.tool
-    monkeypatch.setattr(SimulatedArm, "tool", lambda self: replace(tool(self), payload_kg=5.0))
-    words = "5.000 kg, the readings had several, and target 'left-01', which states none, is for 0.300 kg"
-    with pytest.raises(HardwareError, match=words):
-        push_run(run, TARGETS[:1], verify=False, out_of_date=True)
-    assert nothing_moved(cells, run)
 
 
 @pytest.mark.parametrize(
@@ -211,12 +181,6 @@ def test_a_moved_tracker_ends_the_job_after_two_targets(
         np.testing.assert_array_equal(plant_of(cell).q(name), home)
 
 
-def test_one_target_is_enough_at_the_end_of_the_list(run: RunFile, model: CellModel) -> None:
-    moved = moved_tracker(model, 0.01)
-    found = push(run.profile, moved, compensate(run.profile, moved, TARGETS[:1]), verify=True)
-    assert found.stopped.startswith("arm left: measured 10.")
-
-
 def test_a_single_outlier_does_not_end_the_job() -> None:
     agreement = Agreement()
     agreement.add({"left": "off"})
@@ -244,20 +208,6 @@ def test_what_was_measured_before_a_stop_is_kept(run: RunFile, cells: list[Any])
     assert stored.stopped.startswith("stopped after 3 of 6 targets: ")
     assert stored.complaints()[0] == stored.stopped
     assert all(target.compensated_mm is not None for target in stored.targets)
-
-
-def test_a_stop_before_the_first_target_stores_nothing(run: RunFile, cells: list[Any]) -> None:
-    before = read_results(run).verify
-    control = JobControl()
-    with pytest.raises(Cancelled):
-        push_run(run, TARGETS, lambda event: control.stop(), control, verify=True)
-    assert read_results(run).verify == before
-
-
-def test_results_without_the_new_keys_are_read() -> None:
-    old = '{"schema": "cellapp-verify", "version": 1, "arms": {}, "targets": [], "notes": []}'
-    found = VerifyResult.from_json(old, "old")
-    assert (found.stopped, found.pairs, found.cooperative) == ("", (), None)
 
 
 # -- Commands for an arm of which only readings are known: they bring the true arm to its targets; nothing is driven ---
@@ -297,11 +247,6 @@ def test_the_commands_bring_the_true_arm_to_its_targets(calibrated: Path) -> Non
         errors_mm = 1e3 * np.linalg.norm(smr_positions(TRUE, commands) - wanted, axis=1)
         assert errors_mm.max() < 0.1
         assert not any("tracker" in one.note for one in found.targets)
-
-
-def test_the_next_step_is_never_one_that_moves(calibrated: Path) -> None:
-    with RunFile.open(calibrated) as run:
-        assert "push" not in run_overview(run).next_step
 
 
 def test_a_table_is_written_and_a_program_refused(calibrated: Path, tmp_path: Path) -> None:
@@ -366,18 +311,6 @@ def test_a_payload_that_was_never_measured_widens_the_bound_to_what_the_arm_does
     assert [note for note in silent_notes if "payload" in note] == []
     assert np.mean(as_measured) < np.mean(own)
     assert len(measured) == len(errors)
-
-
-def test_what_readings_leave_open(run: RunFile, model: CellModel) -> None:
-    """A joint that the arm's own weight loads is known, the last one is not; without draws nothing is."""
-    arm, readings = model.arms["left"], run.readings("left")
-    found = OpenElasticity.of(arm, readings)
-    assert found is not None
-    size = np.sqrt(np.diag(found.covariance))[:6]
-    assert size[1] < 5e-6 < 5e-5 < size[5]
-    assert found.values[1] == pytest.approx(1.0 / HIDDEN["left"]["joint_compliance"]["stiffness"][1], rel=0.2)
-    assert OpenElasticity.of(replace(arm, posterior=None), readings) is None
-    assert OpenElasticity.of(arm, readings.take(np.empty(0, dtype=np.intp))) is None
 
 
 def test_a_law_that_only_the_measured_load_makes_true_is_doubted_under_another_one(

@@ -14,13 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.targets.goals import work_frame_pose
 from cellapp.cell.targets.target_text import (
-    FIELDS,
-    TypedTarget,
-    frame_choices,
-    new_texts,
     targets_text,
-    typed_target,
-    typed_texts,
 )
 from cellapp.cell.targets.targets import (
     FramePoint,
@@ -111,21 +105,13 @@ def points_text(measured: Sequence[Sequence[float]], nominal: Sequence[Sequence[
             "4: frame 'table': point 3 is 500.000 mm from point 1 by its nominal coordinates and 512.000 mm as"
             " measured, 12.000 mm apart; expected at most 5 mm: check the order",
         ),
-        (
-            points_text([*CORNERS[:3], (0, 0, -0.5)]),
-            "4: frame 'table': the measured points are the mirror image of the nominal ones: point ",
-        ),
+        (points_text([*CORNERS[:3], (0, 0, -0.5)]), "4: frame 'table': the measured points are the mirror image of th"),
         (points_text([*CORNERS[:2], (0, 500, 0), CORNERS[3]]), "8: frame 'table': points[2].measured[1]: 500 m is"),
         (FRAME.replace("tracker", "middle"), "4: frame 'table': in: expected tracker, left, right, where its points"),
         (FRAME.replace("table", "left"), "4: frame 'left': 'left' is the name of a frame that every cell has"),
-        (FRAME.replace("table", "base"), "4: frame 'base': 'base' is the name of a frame that every cell has"),
-        (FRAME.replace("table", "tracker"), "4: frame 'tracker': 'tracker' is the name of a frame"),
         (FRAME.replace("xy:", "yx:"), "4: frame 'table': xy: missing; give origin, x, xy, or points"),
         (FRAME.replace("500 mm", "500 deg"), "4: frame 'table': x[1]: 'deg' is not a unit of length"),
-        (FRAME.replace("{in:", "{inn:"), "4: frame 'table': inn: unknown key; did you mean 'in'?"),
         (FRAME.replace("xy: [0.5", "xy: [1"), "4: frame 'table': the nominal points lie on one line"),
-        ("frames: [1]\n", "3: frames: expected keys with values, got a list of 1"),
-        ("frames:\n", "3: frames: expected keys with values, got nothing"),
         ("frames: {table: 1}\n", "3: frame 'table': expected keys with values"),
         (FRAME + "  table: {in: left}\n", "5: not YAML: key 'table' is there twice"),
     ],
@@ -167,24 +153,12 @@ def test_units_in_a_rotation_vector_and_no_rotation(path: Path) -> None:
     [
         ({"quaternion": "[1, 0, 0]"}, "quaternion[3]: missing; it must be given"),
         ({"quaternion": "[0.99, 0, 0, 0]"}, "quaternion: its norm is 0.99, 0.01 from one (at most 0.001), so it is no"),
-        ({"quaternion": "[.nan, 0, 0, 1]"}, "quaternion[0]: "),
-        ({"quaternion": "1"}, "quaternion: expected a list, got 1"),
-        (
-            {"matrix": "[[1, 0, 0], [0, 1, 0], [0, 0.01, 1]]"},
-            "matrix: its rows are off unit length and right angles by 0.01",
-        ),
+        ({"matrix": "[[1, 0, 0], [0, 1, 0], [0, 0.01, 1]]"}, "matrix: its rows are off unit length and right angles b"),
         ({"matrix": "[[1, 0, 0], [0, 1, 0], [0, 0, -1]]"}, "matrix: its determinant is -1: a reflection, no rotation"),
-        (
-            {"matrix": "[[1e200, 0, 0], [0, 1, 0], [0, 0, 1]]"},
-            "matrix: its rows are off unit length and right angles",
-        ),
         ({"matrix": "[[1, 0, 0], [0, 1, 0]]"}, "matrix[2]: missing"),
         ({"matrix": "[[1, 0, 0], [0, 1, x], [0, 0, 1]]"}, "matrix[1][2]: expected a number, got 'x'"),
         ({"rotation_vector": "[180, 0, 0]"}, "rotation_vector[0]: 180 rad is more than two turns"),
-        (
-            {"rpy": "[0, 0, 0]", "quaternion": "[1, 0, 0, 0]"},
-            "quaternion: 'rpy' is there too; give one of rpy, quaternion",
-        ),
+        ({"rpy": "[0, 0, 0]", "quaternion": "[1, 0, 0, 0]"}, "quaternion: 'rpy' is there too; give one of rpy, quater"),
     ],
 )
 def test_a_rotation_that_is_none(path: Path, keys: dict[str, str], says: str) -> None:
@@ -197,70 +171,26 @@ def test_a_rotation_that_is_none(path: Path, keys: dict[str, str], says: str) ->
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (
-            one(frame="tabel"),
-            "targets.yaml:4: target 'one': no frame 'tabel'; frames are base, tracker, left, right; ",
-        ),
-        (
-            FRAME + one(frame="tabel"),
-            "6: target 'one': no frame 'tabel'; frames are base, tracker, left, right, table",
-        ),
+        (one(frame="tabel"), "targets.yaml:4: target 'one': no frame 'tabel'; frames are base, tracker, left, right; "),
         (one(frame="3"), "target 'one': frame: expected a text, got 3; put it in quotes"),
-        (
-            one(position="[-0.4, 0.25, 50]"),
-            "target 'one': 50 m is farther from the base than any arm reaches; is it 50 mm?",
-        ),
+        (one(position="[-0.4, 0.25, 50]"), "target 'one': 50 m is farther from the base than any arm reaches; is it 5"),
         (one(approach="[1, 0]"), "target 'one': approach: expected 6 signs, one for each joint of arm left, got 2"),
-        (one(approach="[1, 0, 0, 0, 0, 3]"), "target 'one': approach[5]: expected -1, 0 or 1, got 3"),
-        (
-            one(partner="{arm: left, position: [0, 0, 0]}", rpy="[0, 0, 0]"),
-            "arm left cannot be its own partner; the",
-        ),
-        (
-            one(partner="{arm: top, position: [0, 0, 0]}", rpy="[0, 0, 0]"),
-            "partner: no arm 'top'; the others are right",
-        ),
+        (one(partner="{arm: top, position: [0, 0, 0]}", rpy="[0, 0, 0]"), "partner: no arm 'top'; the others are righ"),
         (one(partner="{arm: right, position: [0, 0, 0]}"), "give the target a rotation"),
         (one(partner="{arm: right, position: [0, 0, 50]}"), "target 'one': partner.position[2]: 50 m is beyond 10 m"),
-        (
-            one(partner="{arm: right, positon: [0, 0, 0]}"),
-            "partner.positon: unknown key; did you mean 'position'?",
-        ),
-        (
-            one(partner="{arm: right, position: [0, 0, 0], quaternion: [2, 0, 0, 0]}"),
-            "partner.quaternion: its norm is 2",
-        ),
+        (one(partner="{arm: right, position: [0, 0, 0], quaternion: [2, 0, 0, 0]}"), "partner.quaternion: its norm is"),
         (one(conditions="{payload: -1}"), "target 'one': conditions.payload: expected at least 0, got -1"),
-        (
-            one(conditions="{load: 1}"),
-            "target 'one': conditions.load: unknown key; did you mean 'payload'?",
-        ),
-        (
-            one(colour="red"),
-            "target 'one': colour: unknown key; known here are name, arm, position, rpy, frame",
-        ),
-        (
-            "conditions: {middle: {payload: 1}}\n" + ONE,
-            "targets.yaml:3: conditions: no arm 'middle'; arms are left",
-        ),
+        ("conditions: {middle: {payload: 1}}\n" + ONE, "targets.yaml:3: conditions: no arm 'middle'; arms are left"),
         ("conditions: {left: {payload: 1 m}}\n" + ONE, "3: conditions.left.payload: 'm' is not a unit of mass"),
         ("tragets: 1\n" + ONE, "targets.yaml:3: tragets: unknown key; did you mean 'targets'?"),
         (one(position="[0, 0, 0], position: [0, 0, 1]"), "targets.yaml:4: not YAML: key 'position' is there twice"),
-        ("targets: " + "[" * 60 + "]" * 60, "targets.yaml:3: nested too deeply"),
         ("targets: " + "[" * 100_000, "targets.yaml:3: nested too deeply"),
         ("targets: " + "- " * 100_000, "targets.yaml:3: not YAML"),
-        ("targets:\n  " + "- " * 100_000, "targets.yaml:4: nested too deeply"),
         ("targets: [2026-99-99]\n", "targets.yaml: not YAML: month must be in 1..12"),
     ],
 )
 def test_a_list_that_is_refused(path: Path, text: str, says: str) -> None:
     assert says in refusal(path, text)
-
-
-def test_numbers_with_an_exponent_and_merged_keys(path: Path) -> None:
-    first = one(position="[1e-3, 2.5E2 mm, 0.0]", rpy="[0, 0, 0]").replace("- {", "- &first {")
-    (_, two) = loaded(path, first + "  - {<<: *first, name: two}\n")
-    assert two.position == (1e-3, 0.25, 0.0)
 
 
 def test_conditions_of_the_file_hold_where_a_target_states_none(path: Path) -> None:
@@ -270,13 +200,6 @@ def test_conditions_of_the_file_hold_where_a_target_states_none(path: Path) -> N
     assert target.conditions == WorkingConditions(payload=1.0, temperature=23.0)
     assert target.partner is not None
     assert target.partner.conditions == WorkingConditions(dwell=1.0)
-
-
-def test_what_is_wrong_in_many_places_is_counted(path: Path) -> None:
-    lines = "".join(one(name=f"t{number}", position="[0, 0, 500]").removeprefix("targets:\n") for number in range(9))
-    message = refusal(path, "targets:\n" + lines).splitlines()
-    assert [line.split(":")[1] for line in message[:-1]] == ["4", "5", "6", "7", "8"]
-    assert message[-1] == "and 4 more"
 
 
 # -- written again ----------------------------------------------------------------------------------------------------
@@ -329,14 +252,6 @@ def test_every_list_is_written_and_read_bit_for_bit(path: Path, listed: tuple[Ta
     assert load_targets(path, PROFILE) == listed
 
 
-def test_conditions_that_all_targets_of_an_arm_share_are_written_once() -> None:
-    usual = WorkingConditions(payload=2.0)
-    listed = [Target(name=name, arm="left", position=(0, 0, 0), conditions=usual) for name in ("one", "two")]
-    assert targets_text(listed).count("payload") == 1
-    varied = [*listed, listed[0].model_copy(update={"name": "three", "conditions": WorkingConditions()})]
-    assert targets_text(varied).count("payload") == 2
-
-
 # -- typed ------------------------------------------------------------------------------------------------------------
 
 FULL = Target(
@@ -353,73 +268,6 @@ FULL = Target(
         arm="right", position=(0.0, 0.0, 0.1), rpy=(math.pi, 0.0, 1.0 / 3.0), conditions=WorkingConditions(dwell=1.0)
     ),
 )
-
-
-def typed(before: Target | None = FULL, **texts: str) -> TypedTarget:
-    shown = new_texts("left") if before is None else typed_texts(before)
-    return typed_target({**shown, **texts}, before, [FULL.model_copy(update={"name": "two"})], PROFILE)
-
-
-def test_what_is_not_touched_keeps_its_value() -> None:
-    assert set(typed_texts(FULL)) == {field.name for field in FIELDS} == set(new_texts("left"))
-    assert typed() == TypedTarget(FULL, {})
-
-
-def test_every_field_can_be_typed() -> None:
-    found = typed(partner="right: 0, 0, 200 mm", approach="", frame="tracker")
-    assert found.target == FULL.model_copy(
-        update={
-            "frame": "tracker",
-            "work_frame": None,
-            "approach": None,
-            "partner": FULL.partner and FULL.partner.model_copy(update={"position": (0.0, 0.0, 0.2), "rpy": None}),
-        }
-    )
-    assert typed(partner="", rpy="", approach="0, 0, 0, 0, 0, +1").target == FULL.model_copy(
-        update={"partner": None, "rpy": None, "approach": (0, 0, 0, 0, 0, 1)}
-    )
-    assert typed(partner="right: 0, 0, 100 mm; 180 deg, 0, 0").problems == {}
-    assert typed(frame="").target == FULL.model_copy(update={"frame": "base", "work_frame": None})
-
-
-def test_a_new_target_takes_work_frames_and_conditions_of_the_list() -> None:
-    found = typed(None, position="0, 0, 1", frame=TABLE.name, partner="right: 0, 0, 0.1")
-    assert found.target is not None
-    assert found.target.work_frame is TABLE
-    assert found.target.conditions == FULL.conditions
-    assert found.target.partner is not None
-    assert found.target.partner.conditions == WorkingConditions(dwell=1.0)
-    assert frame_choices([FULL], PROFILE) == ("base", "tracker", "left", "right", TABLE.name)
-
-
-@pytest.mark.parametrize(
-    ("field", "text", "says"),
-    [
-        ("frame", "tabel", "no frame 'tabel'; frames are base, tracker, left, right, Tisch: 'ä'"),
-        ("rpy", "", "a partner's place is given in the axes of the first arm's flange; give"),
-        ("approach", "1, 0", "expected 6 signs"),
-        ("approach", "1, 0, 0, 0, 0, 2", "value 6: expected -1, 0 or 1, got 2"),
-        ("partner", "right", "expected keys with values"),
-        ("partner", "left: 0, 0, 0", "arm left cannot be its own partner; the others are right"),
-        ("partner", "top: 0, 0, 0", "no arm 'top'; the others are right"),
-        ("partner", "right: 0, 100, 0", "y: 100 m is beyond 10 m"),
-        ("partner", "right: 0, 0", "z: missing"),
-        ("partner", "right:", "position: missing"),
-        ("partner", "right: 0, 0, 0; 0, 90, 0", "pitch: 90 rad is more than two turns"),
-        ("partner", ": 0, 0, 0", "no arm ''; the others are right"),
-    ],
-)
-def test_what_is_typed_wrongly(field: str, text: str, says: str) -> None:
-    found = typed(FULL, **{field: text})
-    assert found.target is None
-    assert list(found.problems) == [field]
-    assert found.problems[field].startswith(says)
-
-
-def test_a_far_position_in_a_base_frame_is_said_at_its_field() -> None:
-    assert typed(frame="left", position="20, 0, 0").problems == {
-        "position": "20 m is farther from the base than any arm reaches; is it 20 mm?"
-    }
 
 
 # -- results ----------------------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
 from cellapp.commands.doctor.result import DoctorResult
-from cellapp.commands.doctor.run import examine_run
+from cellapp.commands.doctor.run import _end_left_programs, examine_run
 from cellapp.commands.emulate import EmulatedArm, emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
@@ -28,12 +28,13 @@ from cellapp.ground.progress import CancelToken
 from drivers.arms.protocol import JointLimits, LinkLost
 from drivers.arms.ur_probe import UrKinematics, UrProbe, probe_ur
 from drivers.arms.ur_rtde_reader import UrSample
+from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import FREE_PORTS, ControllerConfig, UrControllerServer, personality
 from drivers.findings import Finding
 from drivers.plant import Plant
 from tests.approved import assert_approved
-from tests.cell.safety.test_obstacles import with_obstacles
-from tests.commands.emulated_cell import on_free_ports
+from tests.cell.safety.test_gate import with_obstacles
+from tests.commands.emulated_cell import on_free_ports, quiet_work
 from tests.twin import PROFILES, small_twin
 
 PATIENT_S = 10.0
@@ -254,6 +255,26 @@ def test_looking_at_a_twin_loads_neither_torch_nor_a_device_library() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("answer", ["no", "yes"])
+def test_a_program_that_a_cellapp_left_is_ended_after_one_question(
+    real: Profile, monkeypatch: pytest.MonkeyPatch, answer: str
+) -> None:
+    asked, ended = list[str](), list[UrSettings]()
+    monkeypatch.setattr(UrSettings, "left_program", lambda self: "another cellapp, on vm, run night")
+    monkeypatch.setattr(UrSettings, "end_program", lambda self: ended.append(self))
+
+    def choose(words: str, answers: object) -> str:
+        asked.append(words)
+        return answer
+
+    work = replace(quiet_work(), choose=choose)
+    found = DoctorResult(findings=(Finding(subject="arm left: program", status="failed", text="it runs"),))
+    assert _end_left_programs(real, found, work) is (answer == "yes")
+    (words,) = asked
+    assert words.startswith("arm left: a program of another cellapp, on vm, run night, runs on its controller.")
+    assert ended == ([real.arms["left"].driver] if answer == "yes" else [])
 
 
 # -- emulate ----------------------------------------------------------------------------------------------------------

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import import_csv
+from cellapp.cell.run.recorded_csv import nobody
 from cellapp.commands.init.answers import write_answers
-from cellapp.commands.init.own_data import OwnData, nobody, write_own_data
+from cellapp.commands.init.own_data import OwnData, write_own_data
 from cellapp.commands.init.run import InitResult, view
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose
@@ -21,6 +21,7 @@ from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_f
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 from tests.approved import assert_approved
 from tests.arms import UR5, UR10
+from tests.cell.run.csv_rows import import_csv
 from tests.twin import PROFILES
 
 APPROVED = Path(__file__).parent / "approved"
@@ -136,7 +137,8 @@ def simulated(rows: Array, n: int = 60, seed: int = 1) -> tuple[Array, Array]:
     rng = np.random.default_rng(seed)
     T_M_B = transform(rotation_from_vector(rng.normal(size=3)), rng.uniform(-2.0, 2.0, 3))
     q = rng.uniform(-2.5, 2.5, (n, len(rows)))
-    return q, smr_positions(nominal_geometry(rows, np.array([0.01, 0.02, 0.08]), T_M_B), q)
+    p_M = smr_positions(nominal_geometry(rows, np.array([0.01, 0.02, 0.08]), T_M_B), q)
+    return q, p_M + rng.normal(0.0, 1e-5, p_M.shape)
 
 
 def table(path: Path, q: Array, p: Array, names: str = "", separator: str = ",", comma: str = ".") -> Path:
@@ -238,7 +240,7 @@ def test_existing_files_stay(tmp_path: Path) -> None:
 
 def test_joint_positions_of_a_motion_give_a_profile_for_recordings(tmp_path: Path) -> None:
     file = tmp_path / "joints.csv"
-    file.write_text("time_s,q1,q2,q3,q4,q5,q6\n0.0,0,0,0,0,0,0\n")
+    file.write_text("time_s,q1,q2,q3,q4,q5,q6\n" + "0.0,0,0,0,0,0,0\n" * 3)
     with pytest.raises(InputError, match="which arm"):
         write_own_data(OwnData(file), tmp_path)
     written = write_own_data(OwnData(file, arm="ur5"), tmp_path)

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from drivers.arms.path_checks import driven
 from drivers.arms.protocol import (
     ArmError,
-    ArmTimeout,
     EmergencyStop,
     LimitExceeded,
     LinkLost,
@@ -20,8 +19,6 @@ from drivers.arms.protocol import (
 from drivers.arms.simulated import CYCLE_S, SimulatedArm
 from drivers.plant.motion import braked, travel
 from drivers.plant.servo import GAIN, LOOKAHEAD_S, ServoMotion, servo_rate
-from drivers.sensors.protocol import SensorLinkLost
-from drivers.sensors.simulated import SimulatedAirSensor
 
 SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 2.0)
 
@@ -126,15 +123,6 @@ def test_a_goal_outside_the_limits_moves_nothing(plant, arm, q, speed, accelerat
     assert not plant.moving("left")
 
 
-def test_waiting_too_short_is_a_timeout_after_just_that_time(plant, arm):
-    arm.start_move(np.ones(6), SPEED, ACCELERATION)
-    with pytest.raises(ArmTimeout, match=r"needs 1.70 s to come to rest, 0.5 s were allowed"):
-        arm.wait_settled(0.5)
-    assert plant.clock_s == 0.5
-    assert plant.moving("left")
-    assert np.array_equal(arm.wait_settled(5.0).q, np.ones(6))
-
-
 @pytest.mark.parametrize(
     ("cause", "error"),
     [(SimulatedArm.protective_stop, ProtectiveStop), (SimulatedArm.emergency_stop, EmergencyStop)],
@@ -155,20 +143,6 @@ def test_a_stopped_arm_rests_refuses_and_comes_back(arm, cause, error):
     arm.release()
     arm.start_move(np.ones(6), SPEED, ACCELERATION)
     assert np.array_equal(arm.wait_settled(10.0).q, np.ones(6))
-
-
-def test_without_a_link_nothing_is_answered_and_the_arm_goes_on(plant, arm):
-    arm.start_move(np.ones(6), SPEED, ACCELERATION)
-    arm.cut_link()
-    for call in (arm.state, arm.stop, arm.identify, arm.connect, lambda: arm.wait_settled(1.0)):
-        with pytest.raises(LinkLost, match="arm left: the simulated link is cut"):
-            call()
-    plant.advance(5.0)
-    arm.release()
-    with pytest.raises(LinkLost, match="connect first"):
-        arm.state()
-    arm.connect()
-    assert np.array_equal(arm.state().q, np.ones(6))
 
 
 def test_disconnecting_stops_the_arm_and_can_be_repeated(plant, arm):
@@ -193,21 +167,6 @@ def test_joints_warm_up_with_motion_and_cool_at_rest(plant, arm):
     assert np.abs(rise[[0, 2, 3, 4, 5]]).max() == 0.0
     plant.advance(4 * 3600.0)
     assert 0.0 < plant.joint_temperatures_c("left")[1] - plant.air_temperature_c < 0.01 * rise[1]
-
-
-def test_the_air_drifts_slowly_about_the_configured_value(make_plant):
-    plant = make_plant(temperature_c=21.0)
-    sensor = SimulatedAirSensor(plant)
-    with pytest.raises(SensorLinkLost):
-        sensor.read()
-    sensor.connect()
-    readings = []
-    for _ in range(600):
-        readings.append(sensor.read().temperature_c)
-        plant.advance(60.0)
-    assert np.abs(np.array(readings) - 21.0).max() <= 0.5
-    assert np.ptp(readings) > 0.2
-    assert np.abs(np.diff(readings)).max() < 0.03
 
 
 def test_each_stop_misses_its_goal_by_the_repeatability(make_arm, make_plant):
@@ -346,12 +305,3 @@ def test_nothing_moves_where_a_path_is_wrong(plant, arm):
         with pytest.raises(LimitExceeded, match=words):
             arm.start_path(wrong, period_s)
     assert not plant.moving("left")
-
-
-def test_memories_of_a_stream_are_those_of_its_turns(plant, arm):
-    there = path_of(plant)
-    arm.start_path(np.concatenate([there, there[::-1]]), CYCLE_S)
-    arm.wait_settled(10.0)
-    back = plant.targets()[0].p_M
-    wanted = plant.smr_positions("left", plant.q("left")[None], approach=-np.sign(WAY)[None])[0]
-    np.testing.assert_allclose(back, wanted, atol=2e-6)

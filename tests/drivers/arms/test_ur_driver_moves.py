@@ -27,17 +27,17 @@ from drivers.arms.protocol import (
     JointLimits,
     LimitExceeded,
     LinkLost,
-    NotInRemoteControl,
     ProtectiveStop,
     WrongRobot,
 )
+from drivers.arms.settings import ArmContext
 from drivers.arms.ur import UrArm
-from drivers.arms.ur_links import stop_program
+from drivers.arms.ur_links import RTDE_PORT, Connection, stop_program
 from drivers.arms.ur_motion import MAX_SPEED, Kicks, leading_rates
-from drivers.arms.ur_rtde_reader import wait_at_rest
+from drivers.arms.ur_rtde_reader import inputs_taken, wait_at_rest
 from drivers.arms.ur_settings import UrSettings
-from drivers.arms.ur_worker_process import HeartbeatGaps
 from drivers.emulators.ur_controller import EmulatorProcess, start_in_process
+from drivers.patience import Patience
 from tests.at_once import in_parallel
 from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
@@ -62,7 +62,7 @@ from tests.drivers.arms.emulated_ur_cell import (
 )
 from tests.latency import attempts
 from tests.loopback import own_address, own_arms
-from tests.waiting import until, within
+from tests.waiting import WAIT_S, until, within
 
 pytestmark = pytest.mark.waits
 
@@ -184,13 +184,6 @@ def test_all_reasons_are_given_at_once(unconnected: EmulatorProcess) -> None:
     assert_untouched(unconnected, "right")
 
 
-def test_local_control_is_refused(unconnected: EmulatorProcess) -> None:
-    unconnected.control("right", "remote", "off")
-    with driven("right") as arm, pytest.raises(NotInRemoteControl, match="from Local to Remote"):
-        arm.connect()
-    assert_untouched(unconnected, "right")
-
-
 def test_a_changed_calibration_only_warns(unconnected: EmulatorProcess) -> None:
     with driven("right", checksum="0000000a-0000000b") as arm:
         arm.connect()
@@ -224,6 +217,18 @@ def test_a_program_of_another_client_is_left_alone(unconnected: EmulatorProcess)
         assert unconnected.control("left", "status")["runtime_state"] == "PLAYING"
     stop_program(HOSTS["left"], 1.0)
     until(lambda: unconnected.control("left", "status")["runtime_state"] == "STOPPED", "it has stopped")
+
+
+def test_inputs_that_another_client_holds_are_told(unconnected: EmulatorProcess) -> None:
+    host, patience, found = HOSTS["left"], Patience(WAIT_S), {}
+    limits = JointLimits(np.tile([-6.0, 6.0], (6, 1)), np.full(6, 2.0), np.full(6, 2.0))
+    arm = ArmContext("left", "UR10", 6, limits, 0.35, np.zeros(3))
+    for holds in (True, False):
+        with Connection.to(host, RTDE_PORT, patience) as link:
+            assert not holds or not inputs_taken(link, patience)
+            findings = UrSettings(host=host).probe(arm, WAIT_S)
+        found[holds] = next(one.status for one in findings if one.subject == "RTDE inputs")
+    assert found == {True: "failed", False: "ok"}
 
 
 def test_of_two_that_begin_together_one_is_refused_and_stops_nothing(unconnected: EmulatorProcess) -> None:
@@ -359,23 +364,6 @@ def test_a_wrong_host_is_named() -> None:
 
 
 # -- the plain readers ------------------------------------------------------------------------------------------------
-
-
-def test_an_arm_is_watched_over_a_separate_connection(emulator: EmulatorProcess, connected: dict[str, UrArm]) -> None:
-    arm = connected["left"]
-    arm.start_move(AWAY, SPEED, ACCELERATION)
-    sample = wait_at_rest(HOSTS["left"], PATIENT_S)
-    arm.wait_settled(PATIENT_S)
-    np.testing.assert_allclose(sample.q, AWAY, atol=1e-6)
-    assert (sample.robot_mode, sample.safety_mode, sample.program) == ("RUNNING", "NORMAL", "PLAYING")
-    assert sample.payload_kg == pytest.approx(0.35)
-    arm.start_move(FAR, SPEED * 0.2, ACCELERATION)
-    until(lambda: arm.state().moving, "the arm moves")
-    with pytest.raises(LinkLost, match="still moves"):
-        wait_at_rest(HOSTS["left"], 0.3)
-    arm.stop()
-    arm.start_move(HOME, SPEED, ACCELERATION)
-    arm.wait_settled(PATIENT_S)
 
 
 @pytest.mark.parametrize("answer", [b"", b"\x00\x00\x00", b"\x00\x04V\x00", b"HTTP/1.1 400 Bad Request\r\n\r\n"])
@@ -535,22 +523,6 @@ def test_a_silence_longer_than_the_watchdogs_period_explains_a_stop_just_after_i
         kicks.kicked(0.34 + 0.04 * step)
     assert kicks.expired_before(1.12) is None  # much later: on the pendant
     assert kicks.expired_before(None) is None
-
-
-def test_a_stop_that_is_seen_before_the_next_kick_is_explained_too() -> None:
-    kicks = Kicks()
-    kicks.start(0.0, 0.2)
-    assert kicks.expired_before(0.5) == pytest.approx(0.5)
-    assert kicks.late == 1
-
-
-def test_silence_after_a_stop_on_purpose_is_not_counted() -> None:
-    kicks = Kicks()
-    kicks.start(0.0, 0.2)
-    kicks.end()
-    kicks.kicked(60.0)
-    assert (kicks.late, kicks.longest_s) == (0, 0.0)
-    assert HeartbeatGaps(0.1, 2).joined(HeartbeatGaps(0.3, 1)) == HeartbeatGaps(0.3, 3)
 
 
 def test_threads_and_processes_are_gone_afterwards(unconnected: EmulatorProcess) -> None:

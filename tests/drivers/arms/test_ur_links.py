@@ -232,6 +232,3 @@ ROUNDS: dict[str, dict[str, list[Episode]]] = {
 @pytest.mark.parametrize("episodes", ROUNDS.values(), ids=ROUNDS)
 def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm], episodes: dict[str, list[Episode]]) -> None:
     of_each_arm(emulator, drivers, episodes, make_ready)
-
-
-# -- refused, and interrupted -----------------------------------------------------------------------------------------

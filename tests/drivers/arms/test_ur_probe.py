@@ -230,22 +230,6 @@ def test_a_peer_that_is_not_a_dashboard_is_refused(data: bytes, expected: str) -
         assert expected in lost(port)
 
 
-def test_old_software_that_does_not_know_the_questions_is_still_probed() -> None:
-    unknown = b"could not understand\n"
-    lines = [b"Connected: Universal Robots Dashboard Server\n", b"3.0.15547, Jul 25 2014\n", unknown, unknown]
-    lines += [b"Robotmode: IDLE\n", b"Safetymode: NORMAL\n", unknown, b"Robot running: True\n", unknown]
-    with (
-        dashboard_that_says(b"".join(lines)) as port,
-        closed_port() as a,
-        closed_port() as b,
-        closed_port() as c,
-    ):
-        probe = probe_ur("127.0.0.1", PATIENT_S, dashboard_port=port, primary_port=a, script_port=b, rtde_port=c)
-    assert (probe.software, probe.series) == ("3.0.15547", "CB3")
-    assert (probe.model, probe.serial, probe.safety_status, probe.full_model) == (None, None, None, None)
-    assert (probe.robot_mode, probe.program_running) == ("IDLE", True)
-
-
 def test_a_host_that_does_not_exist_is_named() -> None:
     assert "no-such-host.invalid: no IPv4 host of that name" in lost(1, host="no-such-host.invalid")
     assert "host is empty" in lost(1, host=" ")

@@ -31,14 +31,13 @@ from drivers.arms.protocol import (
     ProtectiveStop,
 )
 from drivers.arms.ur import UrArm, checked_rows
-from drivers.arms.ur_checks import UrExpectation, checks, load_checks
+from drivers.arms.ur_checks import UrExpectation, checks
 from drivers.arms.ur_control import Refusal, _open_refusal
 from drivers.arms.ur_guarded_link import REFUSALS, FirstDoubt, StopLine, arm_error, arm_state
 from drivers.arms.ur_motion import Unrest
 from drivers.arms.ur_probe import UrProbe
 from drivers.arms.ur_rtde_reader import UrSample
 from drivers.arms.ur_settings import UrSettings
-from drivers.arms.ur_worker_process import last_words
 from drivers.patience import Patience
 from tests.drivers.arms.delayed_client import DelayedClient, Monitor
 from tests.drivers.arms.emulated_ur_cell import AWAY, HOME, PATIENT_S, expectation, pause
@@ -191,7 +190,7 @@ def test_what_ends_the_worker(delayed: Delayed, monkeypatch: pytest.MonkeyPatch,
     assert_well_said(said(doubt))
 
 
-@pytest.mark.parametrize("text", ["enable remote control", "before timeout of 5 seconds", "already in use", "boost: 7"])
+@pytest.mark.parametrize("text", ["enable remote control", "already in use", "boost: 7"])
 def test_a_client_that_does_not_start(text: str) -> None:
     refusal: Refusal = _open_refusal(text)
     assert_well_said(str(arm_error("left", refusal.kind, refusal.text)))
@@ -231,12 +230,6 @@ PROBE = UrProbe(
     tcp=(0.0, 0.0, 0.06, 0.0, 0.0, 0.0),
     sample=UrSample(1.0, (0.0,) * 6, (0.0,) * 6, "RUNNING", "NORMAL", "STOPPED", 1.0, 0.35, (0.0, 0.0, 0.03)),
 )
-ANSWER: dict[str, Any] = {
-    "payload_kg": 0.35,
-    "payload_center_m": [0.0, 0.0, 0.03],
-    "tcp": [0.0, 0.0, 0.06, 0.0, 0.0, 0.0],
-    "speed_fraction": 1.0,
-}
 
 
 @pytest.fixture
@@ -308,35 +301,6 @@ def test_what_keeps_an_arm_from_being_connected(lonely: UrArm, change: str) -> N
 
 
 # -- why a process ended ----------------------------------------------------------------------------------------------
-
-HUNG = b"""Timeout (0:00:05)!
-Thread 0x00007f1 (most recent call first):
-  File "/a/ur_worker.py", line 12 in read
-  File "/a/threading.py", line 3 in run
-
-Thread 0x00007f2 (most recent call first):
-  File "/a/ur_control.py", line 7 in tcp
-  File "/a/ur_supervisor.py", line 9 in begin
-"""
-
-
-MAIN_THREAD = 'File "/a/ur_control.py", line 7 in tcp File "/a/ur_supervisor.py", line 9 in begin'
-
-
-@pytest.mark.parametrize(
-    ("written", "words"),
-    [
-        (b"", ""),
-        (b"Traceback:\n  File x\nRuntimeError: getTCPOffset() failed\n\n", ": RuntimeError: getTCPOffset() failed"),
-        (b"\xff\x00\n", ": \ufffd?"),
-        (
-            HUNG,
-            ': Timeout (0:00:05)! File "/a/ur_control.py", line 7 in tcp File "/a/ur_supervisor.py", line 9 in begin',
-        ),
-    ],
-)
-def test_the_last_words_of_a_process(written: bytes, words: str) -> None:
-    assert last_words(written.splitlines(keepends=True)) == words
 
 
 def test_a_client_that_fails_ends_its_process_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -511,18 +475,6 @@ def test_a_peer_that_ends_every_connection_is_lost_and_not_asked_without_pause(a
         assert len(asked) < 25
 
 
-def test_after_its_end_it_is_not_opened_again() -> None:
-    with dashboard(well) as port:
-        with opened(port) as (line, lost):
-            pass
-        assert not [thread for thread in threading.enumerate() if thread.name == f"dashboard of {HOST}"]
-        assert lost == []
-    with pytest.raises(LinkLost):
-        line.stop()
-    with pytest.raises(LinkLost):
-        line.open()
-
-
 # -- Nobody who asks a UR arm gets "at rest" from it while it moves or has accepted a motion, even if its client lags --
 
 STATE = {"do": "state"}
@@ -625,23 +577,6 @@ def test_rest_counts_only_from_states_after_the_end_and_for_a_while() -> None:
 
 
 # -- Payload, TCP and speed slider, checked again once the control program runs; and requests that are refused unsent --
-
-
-@pytest.mark.parametrize(
-    ("change", "failed"),
-    [
-        ({}, []),
-        ({"payload_kg": 0.0}, ["payload"]),
-        ({"payload_center_m": [0.0, 0.0, 0.08]}, ["payload"]),
-        ({"tcp": [0.0] * 6}, ["TCP"]),
-        ({"tcp": None}, []),  # not reported by the program: the probe's is compared
-        ({"speed_fraction": 0.0}, ["speed slider"]),
-        ({"speed_fraction": 0.3}, []),
-    ],
-)
-def test_what_the_program_changes_is_found(change: dict[str, Any], failed: list[str]) -> None:
-    found = load_checks(EXPECTED, PROBE, ANSWER | change)
-    assert [check.subject for check in found if check.status == "failed"] == failed
 
 
 @pytest.mark.parametrize("rows", [np.zeros(6), np.zeros((2, 5)), np.array([[0.0] * 6, [np.nan] * 6])])

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +14,7 @@ from scipy.optimize import root
 from drivers.plant import ONLY_MOVING, OUTSIDE, REALISTIC, gravity_torques, suggest, suggest_other_law
 from drivers.plant.effect import Parameters
 from drivers.plant.effects import FACTORIES, build
-from drivers.plant.mechanism import STANDARD_GRAVITY, Posture, nominal
+from drivers.plant.mechanism import STANDARD_GRAVITY
 from drivers.plant.random_functions import RandomField, RandomPaths
 
 FAST = {"speed": np.full(6, 2.0), "acceleration": np.full(6, 3.0)}
@@ -130,38 +128,9 @@ def _positions(make_arm, make_plant, effects, q=Q, **situation):
     return make_plant(make_arm(effects=effects)).smr_positions("left", q, **situation)
 
 
-def _offset(name, values, q, **situation):
-    """Deflection by one effect at ``q`` (n, N)."""
-    effect = FACTORIES[name](Parameters("left", name, values, q.shape[1]))
-    inputs: Any = SimpleNamespace(q=q, **situation)
-    return effect.offset(inputs, None)
-
-
-def _sweep(joint, count=4096):
-    q = np.zeros((count, 6))
-    q[:, joint] = np.arange(count) / count * 2 * np.pi
-    return q
-
-
 # -- lost motion that saturates ----------------------------------------------------------------------------------------
 
 TEETH = {"play": [2e-4] * 6, "reach": [0.2] * 6}
-
-
-def test_lost_motion_grows_with_the_step_and_saturates(make_arm, make_plant):
-    effects = {"backlash": TEETH}
-    q, ideal = np.zeros((1, 6)), make_plant()
-    lags = []
-    for step in (1e-3, 2e-3, 0.2, 0.5, 5.0):
-        found = _positions(make_arm, make_plant, effects, q, last_step=np.array([[step, 0, 0, 0, 0, 0]]))
-        pose = ideal.true_T_M_B("left")
-        p, p0 = ((x - pose[:3, 3]) @ pose[:3, :3] for x in (found, ideal.smr_positions("left", q)))
-        lags.append(float((np.arctan2(p0[:, 1], p0[:, 0]) - np.arctan2(p[:, 1], p[:, 0]))[0]))
-    assert lags[1] == pytest.approx(2.0 * lags[0], rel=1e-6)  # nothing slips yet
-    # the mean of min(step / slip, 1) over slips spread exponentially about the step: 1 - 1/e + E1(1)
-    assert lags[2] == pytest.approx(1e-4 * (1.0 - np.exp(-1.0) + 0.21938), rel=0.01)
-    assert np.all(np.diff(lags) > 0.0)
-    assert lags[4] == pytest.approx(1e-4, rel=1e-6)
 
 
 def test_given_steps_agree_with_executed_steps(make_arm, make_plant):
@@ -183,16 +152,6 @@ def test_given_steps_agree_with_executed_steps(make_arm, make_plant):
 # -- creep -------------------------------------------------------------------------------------------------------------
 
 
-def test_the_rest_of_a_step_decays_at_rest(make_arm, make_plant):
-    values = {"fraction": [1e-4] * 6, "time_constant": [4.0] * 6}
-    step = np.random.default_rng(0).uniform(-2, 2, (8, 6))
-    for rest, left in ((0.0, 1.0), (4.0, np.exp(-1.0)), (4.0 * np.log(2.0), 0.5), (np.inf, 0.0)):
-        found = _positions(
-            make_arm, make_plant, {"unsettled_measurement": values}, last_step=step, since_rest_s=np.full(8, rest)
-        )
-        assert np.abs(found - make_plant().smr_positions("left", Q - 1e-4 * left * step)).max() < 1e-12
-
-
 # -- drives that turn unevenly -----------------------------------------------------------------------------------------
 
 GEAR = {
@@ -208,75 +167,10 @@ GEAR = {
 }
 
 
-def _lines(values):
-    """Amplitude of each cycle per revolution of joint 2 [rad], mean left out."""
-    error = _offset("transmission_error", values, _sweep(1)).joints
-    assert np.abs(np.delete(error, 1, axis=1)).max() == 0.0
-    amplitudes = 2.0 * np.abs(np.fft.rfft(error[:, 1])) / len(error)
-    amplitudes[0] = 0.0
-    return amplitudes
-
-
-@pytest.mark.parametrize(
-    ("cause", "size", "cycles", "height"),
-    [
-        ("output_slant", 0.0126, 2, 0.0126**2 / 4),
-        ("eccentric", 4e-3, 100, 4e-3 / 100),
-        ("coupling_slant", 0.11, 200, np.tan(0.055) ** 2 / 100),
-    ],
-)
-def test_each_cause_in_the_drive_has_its_line(cause, size, cycles, height):
-    amplitudes = _lines(GEAR | {cause: [size]})
-    assert amplitudes[cycles] == pytest.approx(height, rel=1e-3)
-    assert 20e-6 < amplitudes[cycles] < 50e-6
-    amplitudes[cycles] = 0.0
-    assert amplitudes.max() < 0.01 * height
-
-
 CURVE = {"mode": "curve", "joints": [2, 3], "rms": [5e-5, 2e-5], "seed": 5, "lowest": 5, "highest": 40}
 
 
-def test_the_curve_is_periodic_smooth_and_of_the_wanted_cycles():
-    error = _offset("transmission_error", CURVE, _sweep(1)).joints[:, 1]
-    assert np.sqrt((error**2).mean()) == pytest.approx(5e-5, rel=1e-3)
-    power = np.abs(np.fft.rfft(error)) ** 2
-    assert power[5:41].sum() > 0.9999 * power.sum()
-    assert (power[5:41] > 1e-6 * power.max()).sum() > 25
-    round_again = _offset("transmission_error", CURVE, _sweep(1) - 4 * np.pi).joints[:, 1]
-    assert np.abs(round_again - error).max() < 1e-12
-
-
 # -- bearings ----------------------------------------------------------------------------------------------------------
-
-BEARING = {
-    "joints": [1, 3],
-    "radius": [0.06] * 2,
-    "two_lobes": [2e-6] * 2,
-    "three_lobes": [0.0] * 2,
-    "phase": [0.5] * 2,
-}
-
-
-def test_two_lobes_tilt_the_axis_twice_a_turn_and_three_thrice():
-    q = np.random.default_rng(1).uniform(-3, 3, (20, 6))
-    for changes, turn in (({}, np.pi), ({"two_lobes": [0.0] * 2, "three_lobes": [2e-6] * 2}, 2 * np.pi / 3)):
-        one, again, between = (_offset("joint_axis_wobble", BEARING | changes, q + by) for by in (0.0, turn, turn / 2))
-        for part in ("base", "links"):
-            assert np.abs(getattr(one, part)).max() > 1e-7
-            assert np.abs(getattr(one, part) - getattr(again, part)).max() < 1e-18
-        assert np.abs(one.links + between.links).max() < 1e-18  # half a lobe on, the other way
-
-
-def test_the_axis_of_joint_1_tilts_about_the_base(make_arm, make_plant):
-    values = {"joints": [1], "radius": [0.06], "two_lobes": [2e-5], "three_lobes": [0.0], "phase": [0.0]}
-    twist = _offset("joint_axis_wobble", values, Q).base
-    ideal = make_plant()
-    pose = ideal.true_T_M_B("left")
-    p_B = (ideal.smr_positions("left", Q) - pose[:3, 3]) @ pose[:3, :3]
-    moved = p_B + twist[:, :3] + np.cross(twist[:, 3:], p_B)
-    found = _positions(make_arm, make_plant, {"joint_axis_wobble": values})
-    assert np.abs((found - pose[:3, 3]) @ pose[:3, :3] - moved).max() < 1e-7
-    assert np.linalg.norm(moved - p_B, axis=1).max() > 1e-5
 
 
 # -- laws outside the catalogue ----------------------------------------------------------------------------------------
@@ -302,173 +196,19 @@ def test_an_uncatalogued_effect_rotates_one_joint_by_others(make_arm, make_plant
     assert np.abs(found - make_plant().smr_positions("left", joints)).max() < 1e-13
 
 
-def test_the_tool_sags_by_how_square_joint_5_stands(make_arm, make_plant):
-    shift = [1e-4, -5e-5, 2e-5]
-    q = np.tile(Q[0], (3, 1))
-    q[:, 4] = 0.0, np.pi / 2, -np.pi / 6
-    found = _positions(make_arm, make_plant, {"tool_sag": {"shift": shift}}, q)
-    for k, share in enumerate((0.0, 1.0, 0.5)):
-        other = make_arm(smr_offset=make_arm().smr_offset + share * np.array(shift))
-        assert np.abs(found[k] - make_plant(other).smr_positions("left", q[[k]])[0]).max() < 1e-13
-
-
 # -- Under load: analytic springs, beams and columns -------------------------------------------------------------------
-
-
-DOWN = np.array([0.0, 0.0, -STANDARD_GRAVITY])
-
-
-def _effect(name, values, joints=6):
-    return FACTORIES[name](Parameters("left", name, values, joints))
 
 
 # -- springs in the joints ---------------------------------------------------------------------------------------------
 
 
-def test_under_the_load_each_drive_spring_balances_the_load_alone(make_arm, make_plant):
-    stiffness = np.array([3e4, 4e4, 2e4, 8e3, 8e3, 8e3])
-    center = np.array([0.05, -0.02, 0.1])
-    found = _positions(
-        make_arm,
-        make_plant,
-        {"payload_compliance": {"stiffness": stiffness.tolist()}},
-        payload=np.full(8, 6.0),
-        payload_center=center,
-    )
-    loaded, bare = make_arm(payload_mass=6.0, payload_center=center), make_arm()
-    joints = Q.copy()
-    for _ in range(30):
-        joints = Q + (gravity_torques(loaded, joints) - gravity_torques(bare, joints)) / stiffness
-    assert np.abs(joints - Q).max() > 1e-3
-    assert np.abs(found - make_plant().smr_positions("left", joints)).max() < 1e-11
-
-
-def test_a_drive_is_soft_up_to_the_knee_and_stiffer_beyond(make_arm, make_plant):
-    stiff, soft, knee = np.full(6, 5e4), np.full(6, 3e4), np.array([10.0, 30.0, 8.0, 1.0, 0.2, 0.1])
-    values = {"stiffness": stiff.tolist(), "soft_stiffness": soft.tolist(), "knee": knee.tolist()}
-    found = _positions(make_arm, make_plant, {"joint_compliance": values})
-    joints = Q.copy()
-    for _ in range(40):
-        torque = gravity_torques(make_arm(), joints)
-        beyond = np.maximum(np.abs(torque) - knee, 0.0)
-        joints = Q + np.sign(torque) * ((np.abs(torque) - beyond) / soft + beyond / stiff)
-    assert (np.abs(torque) > knee).any()
-    assert (np.abs(torque) < knee).any()
-    assert np.abs(found - make_plant().smr_positions("left", joints)).max() < 1e-11
-
-
-def test_friction_winds_the_drive_up_against_the_last_motion(make_arm, make_plant):
-    values = {"friction": [5.0] * 6, "load_friction": [0.0] * 6, "stiffness": [5e4] * 6}
-    side = np.random.default_rng(0).choice([-1.0, 1.0], (8, 6))
-    found = _positions(make_arm, make_plant, {"friction_windup": values}, approach=side)
-    assert np.abs(found - make_plant().smr_positions("left", Q - side * 1e-4)).max() < 1e-12
-    unmoved = _positions(make_arm, make_plant, {"friction_windup": values})
-    assert np.array_equal(unmoved, make_plant().smr_positions("left", Q))
-
-
-def test_friction_grows_with_the_load_on_the_joint(make_arm, make_plant):
-    values = {"friction": [0.0] * 6, "load_friction": [0.1] * 6, "stiffness": [5e4] * 6}
-    side = np.ones((8, 6))
-    found = _positions(make_arm, make_plant, {"friction_windup": values}, approach=side, payload=np.full(8, 7.0))
-    joints = Q.copy()
-    for _ in range(20):
-        joints = Q - 0.1 * np.abs(gravity_torques(make_arm(payload_mass=7.0), joints)) / 5e4
-    assert np.abs(found - make_plant().smr_positions("left", joints)).max() < 1e-12
-
-
 # -- beams -------------------------------------------------------------------------------------------------------------
-
-LENGTH, EI, GJ = 0.612, 8e4, 6e4  # of the UR10's upper arm
-LEVEL = np.zeros((1, 6))  # both beams lie level, along -x of B
-
-
-def _tip(arm, links=(2,), bending=EI, torsion=GJ, q=LEVEL):
-    """Twist of the first of ``links`` as it bends at ``q``, turned into B: shift and rotation vector."""
-    effect = _effect(
-        "link_bending",
-        {"links": list(links), "bending": [bending] * len(links), "torsion": [torsion] * len(links)},
-    )
-    posture = Posture(nominal(arm), q, DOWN)
-    twist = effect.bend(SimpleNamespace(), posture).links[0, links[0] - 1]
-    turn = (posture.placements[links[0] - 1] @ posture.mechanism.frames[links[0]])[0, :3, :3]
-    return turn @ twist[:3], turn @ twist[3:]
-
-
-def _only(make_arm, **bodies):
-    """An arm whose bodies weigh nothing but those named: ``_2=(mass, centre)``."""
-    masses, centers = np.zeros(6), np.zeros((6, 3))
-    for name, (mass, center) in bodies.items():
-        number = int(name[1:]) - 1
-        masses[number], centers[number] = mass, center
-    return make_arm(masses=masses, centers_of_mass=centers)
-
-
-def test_a_weight_at_the_tip_bends_the_beam_as_a_cantilever(make_arm):
-    arm = _only(make_arm, _3=(5.0, [0.5723, 0.0, 0.0]))  # a body that hangs at the tip of link 2
-    shift, turn = _tip(arm)
-    force = 5.0 * STANDARD_GRAVITY
-    # a beam of 12 segments is a little softer than a smooth one: 1 / (8 * 144) of it
-    assert shift[2] == pytest.approx(-force * LENGTH**3 / (3 * EI), rel=3e-3)
-    assert np.linalg.norm(turn) == pytest.approx(force * LENGTH**2 / (2 * EI), rel=3e-3)
-    assert turn[1] < 0.0  # the tip, at -x, sinks: a turn about -y
-    assert np.abs(turn[[0, 2]]).max() < 1e-12
-
-
-def test_a_weight_beside_the_beam_twists_it(make_arm):
-    aside = 0.15
-    arm = _only(make_arm, _3=(5.0, [0.5723, 0.0, aside]))  # z of the frame lies level, across the beam
-    _, turn = _tip(arm)
-    assert np.abs(turn[0]) == pytest.approx(5.0 * STANDARD_GRAVITY * aside * LENGTH / GJ, rel=1e-9)
-
-
-def test_own_weight_bends_the_beam_like_a_distributed_load(make_arm):
-    arm = _only(make_arm, _2=(12.0, [LENGTH / 2, 0.0, 0.0]))
-    shift, turn = _tip(arm)
-    load = 12.0 * STANDARD_GRAVITY / LENGTH
-    assert shift[2] == pytest.approx(-load * LENGTH**4 / (8 * EI), rel=1e-2)
-    assert -turn[1] == pytest.approx(load * LENGTH**3 / (6 * EI), rel=1e-2)
 
 
 # -- what the arm stands on --------------------------------------------------------------------------------------------
 
 
-def test_the_column_bends_as_a_cantilever_under_the_moment_of_the_arm(make_arm):
-    arm = _only(make_arm, _3=(10.0, [0.0, 0.0, 0.0]))
-    posture = Posture(nominal(arm), LEVEL, DOWN)
-    height, bending = 0.8, 2e6
-    values = {"height": height, "bending": [bending, bending], "torsion": 3e6}
-    base = _effect("pedestal_compliance", values).bend(SimpleNamespace(), posture).base[0]
-    moment = 10.0 * STANDARD_GRAVITY * (0.612 + 0.5723)
-    assert base[4] == pytest.approx(-moment / bending)  # the weight hangs at -x
-    assert base[0] == pytest.approx(-moment / bending * height / 2)
-    assert np.abs(base[[2, 3, 5]]).max() < 1e-15
-
-
 COUPLING = {"bending": 2e6, "torsion": 2e6, "depth": 0.0}
-
-
-def test_the_moment_of_the_other_arm_turns_this_base(make_arm, make_plant):
-    right = make_arm("ur5", "right", 1.2)
-    plant = make_plant(make_arm(effects={"pedestal_coupling": COUPLING}), right)
-    other = np.random.default_rng(2).uniform(-2, 2, (8, 6))
-    moment = Posture(nominal(right), other, DOWN).base_moment
-    found = plant.smr_positions("left", Q, others={"right": other})
-    T_M_B = plant.true_T_M_B("left")
-    p_B = (plant_free(make_plant, make_arm, right).smr_positions("left", Q) - T_M_B[:3, 3]) @ T_M_B[:3, :3]
-    turned = p_B + np.cross(moment / 2e6, p_B)
-    assert np.abs(found - (turned @ T_M_B[:3, :3].T + T_M_B[:3, 3])).max() < 5e-9
-    # it depends on nothing else of the other arm, and a weightless one turns nothing
-    light = make_arm("ur5", "right", 1.2, masses=np.zeros(6))
-    still = make_plant(make_arm(effects={"pedestal_coupling": COUPLING}), light)
-    assert np.array_equal(
-        still.smr_positions("left", Q, others={"right": other}),
-        plant_free(make_plant, make_arm, light).smr_positions("left", Q),
-    )
-
-
-def plant_free(make_plant, make_arm, right):
-    """The same two arms without the effect."""
-    return make_plant(make_arm(), right)
 
 
 def test_a_stiffness_without_equilibrium_is_refused(make_arm, make_plant):
@@ -477,38 +217,6 @@ def test_a_stiffness_without_equilibrium_is_refused(make_arm, make_plant):
 
 
 # -- Gravity torques and elastic joints --------------------------------------------------------------------------------
-
-
-def _largest(arm, joint):
-    """The largest torque on a joint over all postures: coordinate search, exact enough as the torque is sinusoidal."""
-    turn = np.linspace(-np.pi, np.pi, 361)
-    best = 0.0
-    for start in np.random.default_rng(0).uniform(-np.pi, np.pi, (4, 6)):
-        q = start.copy()
-        for _ in range(6):
-            for k in range(1, 6):
-                trial = np.tile(q, (len(turn), 1))
-                trial[:, k] = turn
-                torque = np.abs(gravity_torques(arm, trial)[:, joint])
-                q[k] = turn[np.argmax(torque)]
-        best = max(best, float(torque.max()))
-    return best
-
-
-@pytest.mark.parametrize(
-    ("kind", "payload", "published", "within"),
-    [
-        ("ur10", 0.0, (122, 41, 3), 0.5),
-        ("ur5", 0.0, (55, 17, 1.5), 0.5),
-        # the published loads hang in front of the flange; one distance for both arms fits all six figures
-        ("ur10", 10.0, (257, 117, 23), 1.0),
-        ("ur5", 5.0, (104, 45, 10), 1.0),
-    ],
-)
-def test_the_largest_gravity_torques_are_the_published_ones(make_arm, kind, payload, published, within):
-    arm = make_arm(kind, payload_mass=payload, payload_center=np.array([0.0, 0.0, 0.08]))
-    found = [_largest(arm, joint) for joint in (1, 2, 3)]
-    assert found == pytest.approx(published, abs=within)
 
 
 @pytest.mark.parametrize("payload", [0.0, 4.0])
@@ -555,96 +263,11 @@ def test_springs_balance_gravity_at_the_deflected_posture(make_arm, make_config,
 # -- The tracker and its target: scale, zero, circles, axes, glass -----------------------------------------------------
 
 
-P = np.random.default_rng(0).uniform(-1.0, 1.0, (30, 3)) * [2.0, 2.0, 1.0] + [0.0, 3.0, 0.2]
-NO_CIRCLE = [0.0, 0.0, 0.0, 0.0]
-
-
-SITUATION: Any = SimpleNamespace()
-"""These effects do not depend on the situation."""
-
-
-def _apparent(name, values, p_M=P, normal_M=None):
-    effect = FACTORIES[name](Parameters("left", name, values, 6))
-    normal_M = -p_M / np.linalg.norm(p_M, axis=1, keepdims=True) if normal_M is None else normal_M
-    return effect.apparent_position(p_M, normal_M, SITUATION)
-
-
-def _angles(p_M):
-    return np.stack([np.arctan2(p_M[:, 1], p_M[:, 0]), np.arctan2(p_M[:, 2], np.hypot(p_M[:, 0], p_M[:, 1]))])
-
-
 def _distance(p_M):
     return np.linalg.norm(p_M, axis=1)
 
 
-def test_wrong_air_makes_all_distances_longer_by_the_same_share():
-    assert _distance(_apparent("tracker_scale", {"ppm": 5.0})) == pytest.approx(_distance(P) * (1 + 5e-6), rel=1e-14)
-    assert _angles(_apparent("tracker_scale", {"ppm": -5.0})) == pytest.approx(_angles(P), abs=1e-14)
-
-
-def test_a_wrong_zero_makes_all_distances_longer_by_the_same_length():
-    seen = _apparent("tracker_distance_offset", {"offset": -2e-5})
-    assert _distance(seen) - _distance(P) == pytest.approx(np.full(30, -2e-5), abs=1e-14)
-    assert _angles(seen) == pytest.approx(_angles(P), abs=1e-14)
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_an_eccentric_circle_is_read_once_a_turn_and_a_slanted_one_twice(axis):
-    key = ("azimuth", "elevation")[axis]
-    clean = {"azimuth": NO_CIRCLE, "elevation": NO_CIRCLE, "transit": 0.0}
-    angle = _angles(P)[axis]
-    for circle, expected in (
-        ([1e-5, 0.3, 0.0, 0.0], 1e-5 * np.sin(angle + 0.3)),
-        ([0.0, 0.0, 8e-3, 0.7], 8e-3**2 / 4 * np.sin(2 * (angle + 0.7))),
-    ):
-        seen = _apparent("tracker_angle_error", clean | {key: circle})
-        assert _angles(seen)[axis] - angle == pytest.approx(expected, abs=2e-9)
-        assert _angles(seen)[1 - axis] == pytest.approx(_angles(P)[1 - axis], abs=1e-14)
-        assert _distance(seen) == pytest.approx(_distance(P), rel=1e-14)
-
-
-def test_a_slanted_transit_axis_points_where_its_readings_turn_it():
-    slant = 0.05
-    seen = _apparent("tracker_angle_error", {"azimuth": NO_CIRCLE, "elevation": NO_CIRCLE, "transit": slant})
-    azimuth, elevation = _angles(seen)
-    # turn the beam up about the level axis, slant that axis about the beam's level direction, turn to the azimuth
-    beam = np.stack([np.cos(elevation), np.zeros(30), np.sin(elevation)])
-    c, s = np.cos(slant), np.sin(slant)
-    beam = np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ beam
-    x, y = np.cos(azimuth) * beam[0] - np.sin(azimuth) * beam[1], np.sin(azimuth) * beam[0] + np.cos(azimuth) * beam[1]
-    assert np.abs(np.stack([x, y, beam[2]], axis=1) * _distance(P)[:, None] - P).max() < 1e-14
-
-
 GLASS = {"thickness": 3e-4, "index": 1.51, "dihedral": 0.0}
-
-
-def _turned(angle, about):
-    """Normals that look to the tracker and are then turned away by ``angle`` (n,) towards ``about`` (n, 3)."""
-    back = -P / _distance(P)[:, None]
-    side = np.cross(back, about)
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    return np.cos(angle)[:, None] * back + np.sin(angle)[:, None] * side
-
-
-def test_the_path_through_the_glass_follows_snells_law():
-    angle = np.linspace(0.0, 1.0, 30)
-    seen = _apparent("target_incidence", GLASS, normal_M=_turned(angle, np.array([0.0, 0.0, 1.0])))
-    inside = np.arcsin(np.sin(angle) / 1.51)
-    # path in the glass, its part along the beam's way in air taken off (optical), against the square one
-    path = 3e-4 * (1.51 / np.cos(inside) - np.cos(angle - inside) / np.cos(inside))
-    assert _distance(seen) - _distance(P) == pytest.approx(path - 3e-4 * 0.51, abs=1e-12)
-    assert (np.diff(_distance(seen) - _distance(P)) > 0.0).all()
-    assert _angles(seen) == pytest.approx(_angles(P), abs=1e-14)
-    other_side = _apparent("target_incidence", GLASS, normal_M=_turned(angle, np.array([0.0, 1.0, 0.3])))
-    assert _distance(other_side) == pytest.approx(_distance(seen), abs=1e-14)
-
-
-def test_a_dihedral_error_deflects_the_beam_in_proportion_to_distance():
-    angle = np.linspace(0.0, 0.6, 30)
-    normal = _turned(angle, np.array([0.0, 0.0, 1.0]))
-    moved = _apparent("target_incidence", GLASS | {"thickness": 0.0, "dihedral": 2e-6}, normal_M=normal) - P
-    assert np.linalg.norm(moved, axis=1) == pytest.approx(2e-6 * _distance(P) * np.sin(angle), abs=1e-14)
-    assert np.abs((moved * P).sum(axis=1)).max() < 1e-14
 
 
 def test_in_the_cell_the_tracker_sees_the_arm_through_them(make_arm, make_plant):
@@ -663,15 +286,8 @@ def test_in_the_cell_the_tracker_sees_the_arm_through_them(make_arm, make_plant)
 
 
 STOPS_OF_OTHER_LAWS = 30
-STIFF = [5e4, 4e4, 3e4, 1e4, 1e4, 1e4]
-WOUND = {"friction": [4.0] * 6, "load_friction": [0.0] * 6, "stiffness": STIFF}
 GROWTH = {"expansion": 2.3e-5, "share": 0.8, "lag": 900.0, "motor": 1e-6}
-WALK = {"shift": [5e-5, 2e-5, -3e-5], "turn": [1e-5, -2e-5, 3e-5]}
-SETTLING = {"fraction": [1e-4] * 6, "time_constant": [4.0] * 6}
 CIRCLES = {"azimuth": [1e-5, 0.2, 6e-3, 1.0], "elevation": [8e-6, 2.0, 5e-3, 0.3], "transit": 1e-5}
-COLUMN = {"height": 0.0, "bending": [1e6, 1e6], "torsion": 2e6}
-GENERATOR = {"ratio": [80.0], "line": [5e-5], "line_phase": [0.3], "depth_phase": [1.0], "second_cycles": [11.5],
-             "second_phase": [0.7]}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -701,73 +317,6 @@ def positions(make_arm, make_plant, situation):
         return make_plant(make_arm(effects=effects), right).smr_positions("left", told.pop("q"), **told)
 
     return measured
-
-
-LIMITS = [
-    ("joint_compliance", {"law": "hardening", "stiffness": STIFF, "cubic": [1.0] * 6}, {"stiffness": STIFF}),
-    ("joint_compliance", {"law": "stiffening", "stiffness": STIFF, "soft_stiffness": STIFF, "knee": [9.0] * 6},
-     {"stiffness": STIFF}),
-    ("joint_compliance", {"law": "three_stage", "first": STIFF, "second": STIFF, "third": STIFF,
-                          "first_knee": [5.0] * 6, "second_knee": [20.0] * 6}, {"stiffness": STIFF}),
-    ("payload_compliance", {"law": "off_centre", "stiffness": STIFF, "shift": [0.0] * 3}, {"stiffness": STIFF}),
-    ("payload_compliance", {"law": "softening", "stiffness": STIFF, "soft_stiffness": STIFF, "knee": [5.0] * 6},
-     {"stiffness": STIFF}),
-    ("link_bending", {"law": "shear", "links": [2], "bending": [1e5], "torsion": [8e4], "shear": [np.inf]},
-     {"links": [2], "bending": [1e5], "torsion": [8e4]}),
-    ("encoder_eccentricity",
-     {"law": "tilted", "joints": [2], "eccentricity": [2e-6], "radius": [0.025], "phase": [0.4], "tilt": [0.0],
-      "tilt_phase": [1.0]},
-     {"joints": [2], "eccentricity": [2e-6], "radius": [0.025], "phase": [0.4]}),
-    ("transmission_error", {"mode": "meshing", "joints": [1], **GENERATOR, "depth": [0.0], "second": [0.0]},
-     {"mode": "meshing", "joints": [1], **GENERATOR, "depth": [0.0], "second": [0.0], "second_cycles": [3.0]}),
-    ("friction_windup", {"law": "stribeck", **WOUND, "rise": 0.0, "short": 0.5}, WOUND),
-    ("friction_windup", {"law": "root_load", **WOUND, "typical_load": [10.0] * 6}, WOUND),
-    ("unsettled_measurement", {"law": "two_rates", **SETTLING, "slow_time_constant": [30.0] * 6, "slow_share": 0.0},
-     SETTLING),
-    ("thermal_growth", {"law": "two_lags", **GROWTH, "slow_lag": 5000.0, "slow_share": 0.0}, GROWTH),
-    ("thermal_growth", {"law": "saturating", **GROWTH, "limit": 1e6}, GROWTH),
-    ("base_step", {"law": "creeping", **WALK, "time": 4000.0, "creeping": 0.0, "time_constant": 100.0},
-     {**WALK, "time": 4000.0}),
-    ("target_slip", {"law": "creeping", "shift": [1e-4, 0.0, 5e-5], "time": 4000.0, "creeping": 0.0,
-                     "time_constant": 100.0}, {"shift": [1e-4, 0.0, 5e-5], "time": 4000.0}),
-    ("pedestal_compliance", {"law": "frame", "pivot": [0.0] * 3, "direct": [1e-6, 1e-6, 5e-7], "cross": [0.0] * 3},
-     COLUMN),
-    ("pedestal_coupling", {"law": "hardening", "bending": 2e6, "torsion": 1e6, "depth": 0.4, "limit": 1e12},
-     {"bending": 2e6, "torsion": 1e6, "depth": 0.4}),
-    ("tracker_scale", {"law": "air", "ppm": 5.0, "per_kelvin": 0.0}, {"ppm": 5.0}),
-    ("tracker_distance_offset", {"law": "growing", "offset": 2e-5, "length": 1e-3}, {"offset": 2e-5}),
-    ("tracker_angle_error", {"law": "higher", **CIRCLES, "azimuth_higher": [0.0] * 4, "elevation_higher": [0.0] * 4},
-     CIRCLES),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("effect", "other", "usual"), LIMITS, ids=lambda value: value if isinstance(value, str) else ""
-)
-def test_the_usual_law_is_a_limit_of_the_other(positions, effect, other, usual):
-    moved = positions({effect: usual}) - positions({})
-    assert np.abs(positions({effect: other}) - positions({effect: usual})).max() < 1e-5 * np.abs(moved).max() + 1e-12
-
-
-def test_a_warm_gear_has_more_play(positions):
-    values = {"law": "warm", "play": [1e-4] * 6, "reach": [0.1] * 6, "per_kelvin": 0.05}
-    cold, warm = (
-        positions({"backlash": values}, joints_c=np.full(6, t)) - positions({}, joints_c=np.full(6, t))
-        for t in (20.0, 30.0)
-    )
-    assert np.linalg.norm(warm) == pytest.approx(1.5 * np.linalg.norm(cold), rel=1e-3)
-
-
-def test_the_hardening_spring_balances_the_load(make_arm, positions, situation):
-    stiffness, cubic = np.array(STIFF), 0.3 * np.array(STIFF) ** 3 / 50.0**2
-    values = {"law": "hardening", "stiffness": STIFF, "cubic": cubic.tolist()}
-    alone = {"payload": np.zeros(STOPS_OF_OTHER_LAWS)}
-    found = positions({"joint_compliance": values}, **alone)
-    turned = np.zeros((STOPS_OF_OTHER_LAWS, 6))
-    for _ in range(60):  # Newton's method on the spring, beside the equilibrium of the posture
-        torque = gravity_torques(make_arm(), situation["q"] + turned)
-        turned -= (stiffness * turned + cubic * turned**3 - torque) / (stiffness + 3.0 * cubic * turned**2)
-    assert np.abs(found - positions({}, q=situation["q"] + turned, **alone)).max() < 1e-10
 
 
 def test_many_plays_follow_their_history_in_a_batch_as_in_motion(make_arm, make_plant):
@@ -863,10 +412,3 @@ WRONG: list[tuple[str, object, str]] = [
 def test_a_wrong_effect_is_one_clear_error(make_arm, make_plant, effect, parameters, message):
     with pytest.raises(ValueError, match=f"arm left.*{message}"):
         make_plant(make_arm(effects={effect: parameters}))
-
-
-@pytest.mark.parametrize(("name", "joints"), [("crosstalk", 4), ("wrist_cable", 5)])
-def test_a_law_of_the_wrist_needs_a_wrist(name, joints):
-    values = {"amplitude": 1e-4, "phase": 0.0}
-    with pytest.raises(ValueError, match=f"effect {name}: .* at least {joints + 1} joints, not {joints}"):
-        FACTORIES[name](Parameters("left", name, values, joints))

@@ -37,27 +37,6 @@ def speed(moved: Motion, time_s: float) -> np.ndarray:
     return moved.velocity(np.array([time_s]))[0]
 
 
-def test_a_scaled_motion_follows_the_same_path_more_slowly() -> None:
-    full = motion()
-    slow = full.scaled(11.0, 0.25)
-    assert np.array_equal(at(slow, 11.0), at(full, 11.0))
-    assert np.allclose(speed(slow, 11.2), 0.25 * speed(full, 11.05))
-    assert slow.end_s == pytest.approx(11.0 + (full.end_s - 11.0) / 0.25)
-    assert np.array_equal(at(slow, slow.end_s), END)
-    assert np.allclose(slow.mean_speed, 0.25 * full.mean_speed)
-
-
-def test_a_motion_scaled_to_zero_stands_and_goes_on() -> None:
-    full = motion()
-    stands = full.scaled(11.0, 0.0)
-    assert stands.end_s == np.inf
-    assert np.array_equal(at(stands, 500.0), at(full, 11.0))
-    assert not speed(stands, 12.0).any()
-    again = stands.scaled(20.0, 1.0)
-    assert again.end_s == pytest.approx(full.end_s + 9.0)
-    assert np.allclose(at(again, 20.3), at(full, 11.3))
-
-
 # -- Scheduled actions happen at their time, in the middle of what a device does ---------------------------------------
 
 SLOW = np.full(6, 0.5)
@@ -130,15 +109,6 @@ def test_a_uniformly_warmer_arm_is_larger(make_arm, make_plant):
     assert np.abs(found - make_plant(make_arm(rows=rows)).smr_positions("left", Q)).max() < 1e-13
 
 
-def test_a_link_takes_its_share_of_the_rise_of_its_two_joints(make_arm, make_plant):
-    joints_c = np.full((5, 6), 20.0)
-    joints_c[:, 2] += 12.0  # the elbow warms both beams by half
-    found = _positions(make_arm, make_plant, {"thermal_growth": GROWTH}, joints_c=joints_c, air_c=np.full(5, 20.0))
-    rows = make_arm().rows.copy()
-    rows[1:3, 2] *= 1.0 + 0.8 * 6.0 * 23e-6
-    assert np.abs(found - make_plant(make_arm(rows=rows)).smr_positions("left", Q)).max() < 1e-13
-
-
 def test_links_follow_a_jump_of_temperature_with_their_lag(make_arm, make_plant):
     time_s = np.array([0.0, 1.0, 901.0, 1801.0, 1e5])
     air_c = np.array([20.0, 30.0, 30.0, 30.0, 30.0])
@@ -185,15 +155,6 @@ def test_the_zeros_of_joints_drift_as_they_warm_up(make_arm, make_plant):
     assert np.abs(found - make_plant().smr_positions("left", joints)).max() < 1e-13
 
 
-def test_or_by_the_temperature_of_each_joint(make_arm, make_plant):
-    joints_c = 20.0 + np.random.default_rng(0).uniform(0, 15, (5, 6))
-    values = {"per_kelvin": [4e-6] * 6}
-    found = _positions(make_arm, make_plant, {"joint_drift": values}, joints_c=joints_c)
-    assert np.abs(found - make_plant().smr_positions("left", Q + 4e-6 * (joints_c - 20.0))).max() < 1e-13
-    moved = _positions(make_arm, make_plant, {"joint_drift": values | {"reference": 30.0}}, joints_c=joints_c)
-    assert np.abs(moved - make_plant().smr_positions("left", Q + 4e-6 * (joints_c - 30.0))).max() < 1e-13
-
-
 # -- what walks and slips ----------------------------------------------------------------------------------------------
 
 TIMES = np.array([0.0, 500.0, 1000.0, 2000.0, 4000.0])
@@ -213,15 +174,6 @@ def test_the_base_drifts_by_its_law(make_arm, make_plant, law, shares):
     assert np.abs(found - _moved_base(make_plant, shares)).max() < 1e-13
 
 
-def test_a_drifting_tracker_sees_the_arm_drift_the_opposite_way(make_arm, make_plant):
-    values = {"shift": SHIFT, "turn": TURN, "law": "exponential", "time": 1000.0}
-    found = _positions(make_arm, make_plant, {"tracker_drift": values}, time_s=TIMES)
-    p_M, share = make_plant().smr_positions("left", Q), (1.0 - np.exp(-TIMES / 1000.0))[:, None]
-    first_order = p_M - share * (np.array(SHIFT) + np.cross(TURN, p_M))
-    assert np.abs(found - first_order).max() < 1e-6
-    assert np.array_equal(found[0], p_M[0])
-
-
 def test_a_bolt_slips_once(make_arm, make_plant):
     values = {"shift": SHIFT, "turn": TURN, "time": 1000.0}
     found = _positions(make_arm, make_plant, {"base_step": values}, time_s=TIMES)
@@ -232,24 +184,6 @@ def test_a_bolt_slips_once(make_arm, make_plant):
     assert np.array_equal(plant.targets()[0].p_M, before)
     plant.advance(2.0)
     assert np.linalg.norm(plant.targets()[0].p_M - before) > 1e-4
-
-
-def test_the_seat_slips_with_the_flange(make_arm, make_plant):
-    found = _positions(make_arm, make_plant, {"target_slip": {"shift": SHIFT, "time": 1000.0}}, time_s=TIMES)
-    slipped = make_plant(make_arm(smr_offset=make_arm().smr_offset + SHIFT)).smr_positions("left", Q)
-    expected = np.where((TIMES >= 1000.0)[:, None], slipped, make_plant().smr_positions("left", Q))
-    assert np.abs(found - expected).max() < 1e-13
-
-
-def test_the_floor_sways_with_its_period(make_arm, make_plant):
-    values = {"shift": SHIFT, "period": 2820.0, "phase": 0.4}
-    found = _positions(make_arm, make_plant, {"base_sway": values}, time_s=TIMES)
-    swing = np.sin(2 * np.pi * TIMES / 2820.0 + 0.4)
-    pose = make_plant().true_T_M_B("left")
-    expected = make_plant().smr_positions("left", Q) + np.outer(swing, pose[:3, :3] @ SHIFT)
-    assert np.abs(found - expected).max() < 1e-13
-    later = _positions(make_arm, make_plant, {"base_sway": values}, time_s=TIMES + 2820.0)
-    assert np.abs(found - later).max() < 1e-13
 
 
 # -- A sweep on record: lag of the joints, play along the path, two clocks, samples and beams that are lost ------------
@@ -290,13 +224,6 @@ def test_joints_lag_behind_their_commands_and_rest_at_both_ends() -> None:
     misses = [np.abs(np.interp(time_s - d, at, commanded[:, 0]) - record.q[:, 0]).max() for d in delays]
     assert delays[int(np.argmin(misses))] == pytest.approx(LOOKAHEAD_S, abs=0.005)
     np.testing.assert_allclose(np.gradient(record.q[:, 0], time_s), record.qd[:, 0], atol=2e-3)
-
-
-def test_points_are_those_of_the_arm_at_the_same_joints() -> None:
-    plant = plant_with({"joint_compliance": {"stiffness": [9e4, 6e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]}})
-    record = record_sweep(plant, EXACT, "left", swing(plant, seconds=24.0), CYCLE_S)  # slow: next to no inertia
-    expected = plant.smr_positions("left", at_points(record, EXACT))
-    np.testing.assert_allclose(record.p_M, expected, atol=5e-6)
 
 
 def test_inertia_is_that_of_virtual_work():
@@ -388,22 +315,3 @@ def test_a_sweep_that_begins_elsewhere_or_meets_a_motion_is_refused() -> None:
     plant.start_move("right", plant.q("right") + 0.1, np.ones(6), np.ones(6))
     with pytest.raises(ValueError, match="no other motion"):
         record_sweep(plant, EXACT, "left", swing(plant), CYCLE_S)
-
-
-def test_an_arm_that_swings_beside_moves_the_base_and_remembers_its_way() -> None:
-    effects = {"pedestal_coupling": {"bending": 5e5, "torsion": 5e5, "depth": 0.3}}
-    records, play = [], {"play": [2e-4] * 6}
-    for beside in (False, True):
-        quiet = {"effects": {"left": effects, "right": {"backlash": play}}, "noise": False, "repeatability": 0.0}
-        plant = build_plant(small_twin(plant=quiet))
-        commanded, other = swing(plant), np.repeat(plant.q("right")[None], 1000, axis=0)
-        other[:, 1] += 0.5 * np.sin(np.pi * np.arange(1000) / 999.0) ** 2
-        records.append(record_sweep(plant, EXACT, "left", commanded, CYCLE_S, {"right": other} if beside else {}))
-        assert not plant.moving("right")
-    alone, both = records
-    away = np.linalg.norm(both.p_M - alone.p_M, axis=1)
-    assert away[[0, -1]].max() < 1e-6 < 50e-6 < away.max() < 500e-6, "the other arm's weight tilts the base meanwhile"
-    assert not alone.beside_q
-    assert np.ptp(both.beside_q["right"][:, 1]) == pytest.approx(0.5, abs=0.01)
-    with pytest.raises(ValueError, match="arm right is not where its sweep begins"):
-        record_sweep(plant, EXACT, "left", commanded, CYCLE_S, {"right": other + 0.1})

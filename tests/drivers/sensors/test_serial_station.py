@@ -6,15 +6,12 @@ import contextlib
 import os
 import select
 import socket
-import threading
 import tty
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
 import pytest
-import serial
-import serial.rfc2217
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -282,52 +279,6 @@ def reads(station: SerialStation, connection: socket.socket, figure: bytes) -> b
     """Send again and again, as stations do: what comes while pyserial opens is lost."""
     connection.sendall(b"\n" + LINE.replace(b"21.4", figure))
     return station.read().temperature_c == float(figure)
-
-
-def serve_rfc2217(server: socket.socket, said: list[int], done: threading.Event) -> None:
-    """A serial server with a station behind it that sends a line whenever it is asked, and notes its line settings."""
-    connection, _ = server.accept()
-    device = serial.serial_for_url("loop://", timeout=0.0)
-
-    class Writer:
-        @staticmethod
-        def write(data: bytes) -> None:
-            connection.sendall(data)
-
-    manager = serial.rfc2217.PortManager(device, Writer())
-    with connection:
-        connection.settimeout(0.02)
-        while not done.is_set():
-            try:
-                came = connection.recv(1024)
-            except TimeoutError:
-                continue
-            except OSError:
-                return
-            if not came:
-                return
-            asked = b"".join(manager.filter(came))
-            said[:] = [device.baudrate, device.bytesize]
-            if b"send" in asked:
-                connection.sendall(b"".join(manager.escape(b"\r\n" + LINE)))
-
-
-@pytest.mark.filterwarnings("ignore:set(Daemon|Name):DeprecationWarning")  # pyserial 3.5's own
-def test_a_station_behind_a_serial_server(listen: Callable[..., SerialStation]) -> None:
-    done, said = threading.Event(), [0, 0]
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        server.settimeout(LONG_S)
-        thread = threading.Thread(target=serve_rfc2217, args=(server, said, done))
-        thread.start()
-        try:
-            station = listen(f"rfc2217://127.0.0.1:{server.getsockname()[1]}", PTU, poll_every_s=0.05)
-            assert station.read().pressure_hpa == 1013.2
-            assert said == [4800, 7]  # the preset's line settings reach the far end
-            station.disconnect()
-        finally:
-            done.set()
-            thread.join(LONG_S)
-    assert not thread.is_alive()
 
 
 @pytest.mark.parametrize(

@@ -256,27 +256,6 @@ def a_bridge_that_goes_for_good_ends_the_measurement_in_time(make_plant):
     tracker.disconnect()
 
 
-def a_serial_port_that_is_silent_or_babbles():
-    with serial_cable() as (theirs, ours):
-        with pytest.raises(TrackerLinkLost, match=f"no answer within {QUICK_S:g} s"):
-            BridgeTracker(ours, timeout_s=QUICK_S).connect()
-        stop = threading.Event()
-
-        def babble():
-            with open(theirs, "wb", buffering=0) as port:
-                while not stop.wait(0.001):
-                    port.write(b"\xff\x00#:1 ok nonce=1*00000000\n" * 20)
-
-        thread = threading.Thread(target=babble)
-        thread.start()
-        try:
-            with pytest.raises(TrackerLinkLost, match="see that the tracker's computer runs"):
-                BridgeTracker(ours, timeout_s=QUICK_S).connect()
-        finally:
-            stop.set()
-            thread.join(10.0)
-
-
 # -- a slow tracker ---------------------------------------------------------------------------------------------------
 
 
@@ -438,80 +417,6 @@ def test_a_leica_tracker_is_served():
 # -- a plant with a shared clock ---------------------------------------------------------------------------------------
 
 
-class AdvancedPlant:
-    """Advances a plant like the controllers' emulator: in a thread, under a lock, faster than real time."""
-
-    def __init__(self, plant, pace):
-        self.plant, self.pace = plant, pace
-        self.lock = threading.RLock()
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-
-    def _run(self):
-        while not self._stop.wait(0.002):
-            with self.lock:
-                self.plant.advance(0.002 * self.pace)
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_):
-        self._stop.set()
-        self._thread.join(10.0)
-
-
-def the_tracker_of_a_shared_plant_waits_for_the_plants_clock(make_plant):
-    plant = make_plant(noise=True)
-    alone = make_plant(noise=True)
-    direct = SimulatedTracker(alone, nests={"n": NEST})
-    direct.connect()
-    with AdvancedPlant(plant, 20.0) as cell:
-        clock = threading.Condition(cell.lock)
-        with TrackerBridgeEmulator(plant, clock=clock, nests={"n": NEST}) as bridge, client(bridge.url) as tracker:
-            with cell.lock:
-                before = plant.clock_s
-            points = [tracker.measure(NEST, 1.0) for _ in range(3)]
-            with cell.lock:
-                assert plant.clock_s >= before + 4.5
-    # the same order of measurements gives the same readings, independent of wall time
-    assert np.array_equal([p.p_M for p in points], [direct.measure(NEST, 1.0).p_M for _ in range(3)])
-
-
-def an_arm_that_moves_or_blocks_the_beam_on_a_shared_clock(make_plant):
-    plant = make_plant()
-    here = plant.targets()[0].p_M
-    with AdvancedPlant(plant, 5.0) as cell:
-        clock = threading.Condition(cell.lock)
-        with TrackerBridgeEmulator(plant, clock=clock) as bridge, client(bridge.url, timeout_s=2.0) as tracker:
-            began = threading.Event()
-
-            def move():
-                began.wait(5.0)
-                with cell.lock:
-                    plant.start_move("left", np.array([0, 0, 0, 0, 0, 3.0]), np.full(6, 1.0), np.full(6, 2.0))
-
-            mover = threading.Thread(target=move)
-            mover.start()
-            outcome = in_thread(lambda: tracker.measure(here, 5.0))
-            began.set()
-            result = outcome()
-            mover.join(5.0)
-            assert isinstance(result, Unstable | TargetLost)
-            ended = threading.Event()
-
-            def measure():
-                try:
-                    return tracker.measure(plant.targets()[0].p_M, 500.0)
-                finally:
-                    ended.set()
-
-            halting = in_thread(measure)
-            while not ended.wait(0.2):  # a halt before the measurement has begun does not affect it
-                tracker.halt()
-            assert isinstance(halting(), Halted | Unstable)
-
-
 def test_what_waits_for_the_other_side(make_plant):
     """Each has a bridge of its own; they wait at the same time."""
     all_at_once(
@@ -521,11 +426,8 @@ def test_what_waits_for_the_other_side(make_plant):
             a_client_that_reconnects_gets_the_running_measurement,
             a_tracker_that_never_ends_is_halted_and_the_client_gets_a_timeout,
             a_tracker_that_cannot_be_reached_is_reported,
-            a_serial_port_that_is_silent_or_babbles,
             partial(a_silent_client_loses_the_tracker_to_another, make_plant),
             partial(a_bridge_that_goes_for_good_ends_the_measurement_in_time, make_plant),
-            partial(the_tracker_of_a_shared_plant_waits_for_the_plants_clock, make_plant),
-            partial(an_arm_that_moves_or_blocks_the_beam_on_a_shared_clock, make_plant),
         ]
     )
 
@@ -690,17 +592,6 @@ def test_a_tracker_without_a_link_is_reported_at_once_and_connected_again_at_the
         assert behind.connected == 2
 
 
-def test_a_refused_connection_is_reported_at_once_and_repeated_commands_still_recover() -> None:
-    with bridged() as (behind, service, tracker):
-        tracker.confirm(PATIENT_S)
-        service.close()
-        assert_at_once(tracker, "see that the tracker's computer runs 'cellapp tracker-bridge'")
-        assert_at_once(tracker, "[Rr]efused")
-        with Service(cast(Tracker, behind), port=service.port):
-            tracker.confirm(PATIENT_S)
-            assert tracker.unmet() == ["its laser is off"]
-
-
 @pytest.mark.parametrize(
     ("kind", "spoil"),
     [("tcp", garbled), ("tcp", dropped), ("tcp", restarted), ("serial", garbled)],
@@ -711,48 +602,3 @@ def test_a_link_that_is_back_at_once_is_no_death(kind: str, spoil: Callable[[Ser
             service.spoil = spoil
             tracker.confirm(PATIENT_S)
             assert behind.asked == 2 * n
-
-
-def test_a_link_that_ends_again_and_again_is_one() -> None:
-    class Closing(Service):
-        def _dispatch(self, link: Link, line: Line) -> None:
-            dropped(self, link, line.sequence)
-
-    with bridged() as (behind, service, tracker):
-        service.close()
-        with Closing(cast(Tracker, behind), port=service.port):
-            assert_at_once(tracker, "the link broke")
-
-
-def test_a_bridge_of_before_is_asked_what_measuring_lacks() -> None:
-    with bridged() as (behind, service, tracker):
-        service.old = True
-        for n in range(1, 4):
-            tracker.confirm(PATIENT_S)
-            assert behind.asked == n
-        behind.goes_on.clear()
-        assert WITHIN_S <= lost(tracker, "no answer from the tracker") < 0.5 * PATIENT_S
-
-
-def test_while_it_measures_the_age_is_the_trackers_and_not_the_bridges() -> None:
-    with bridged() as (behind, _, tracker):
-        for took in attempts(age=LATEST_S, end=LATEST_S):
-            behind.measures.clear()
-            behind.may_end.clear()
-            behind.sign_s = time.monotonic()
-            tracker.prepare(Preparation())
-            measuring = threading.Thread(target=lambda: tracker.measure(NEST, 1.0), daemon=True)
-            measuring.start()
-            assert behind.measures.wait(PATIENT_S)
-            alive_until_s = time.monotonic() + LATEST_S
-            took["age"] = 0.0
-            while time.monotonic() < alive_until_s:
-                behind.sign_s = time.monotonic()
-                took["age"] = max(took["age"], tracker.data_age_s())
-                threading.Event().wait(0.01)
-            began_s = time.monotonic()  # from now on it hangs, and the bridge goes on to send its lines
-            threading.Event().wait(0.8)
-            assert tracker.data_age_s() > 0.75 * (time.monotonic() - began_s)
-            behind.may_end.set()
-            measuring.join(PATIENT_S)
-            took["end"] = tracker.data_age_s()

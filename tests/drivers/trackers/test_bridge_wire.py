@@ -22,11 +22,10 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from drivers.emulators.tracker_bridge import FAULTS, TrackerBridgeEmulator
 from drivers.plant import Plant, PlantConfig, TrackerConfig
-from drivers.trackers import bridge_wire
 from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge import BridgeTracker, StreamingBridgeTracker
 from drivers.trackers.bridge_server import TrackerService
-from drivers.trackers.bridge_wire import BadField, Garbled, TrackBuffer, read_limits, read_packet
+from drivers.trackers.bridge_wire import BadField, Garbled, read_limits, read_packet
 from drivers.trackers.imperfections import Imperfections
 from drivers.trackers.protocol import (
     Halted,
@@ -36,7 +35,6 @@ from drivers.trackers.protocol import (
     Preparation,
     TargetLost,
     TrackerError,
-    TrackerIdentity,
     TrackerLinkLost,
     TrackerRefused,
     stream_of,
@@ -102,14 +100,6 @@ def test_any_text_fits_a_field(sequence, fields):
     assert (found.sequence, found.word, found.fields) == (sequence, "ok", fields)
 
 
-@given(texts, st.integers(4, 300))
-def test_a_text_is_cut_to_the_allowed_length(words, most):
-    cut = wire.text(words, most)
-    line = wire.encode(1, "ok", {"t": cut})
-    assert len(line) <= len(wire.encode(1, "ok", {"t": ""})) + most
-    assert cut == words or cut.endswith("...")
-
-
 GOOD = wire.encode(42, "measure", {"id": "0123456789abcdef", "x": "1.5", "y": "-2.25", "z": "0.1", "averaging": "1.0"})
 
 
@@ -125,12 +115,6 @@ def test_a_damaged_line_is_no_line(place, change, cut, insert):
     assume(bytes(damaged).rstrip(b"\r\n").upper() != GOOD.rstrip(b"\n").upper())  # CRC digits may be of either case
     with pytest.raises(Garbled):
         wire.decode(bytes(damaged))
-
-
-@given(st.binary(max_size=3000))
-def test_noise_is_no_line(raw):
-    with pytest.raises(Garbled):
-        wire.decode(raw)
 
 
 @pytest.mark.parametrize(
@@ -183,22 +167,6 @@ def test_fields_that_are_missing_or_out_of_range_are_named():
         wire.point_fields(Point(np.array([1.0, np.nan, 0.0]), np.eye(3), 1.0, 1.0, None))
     with pytest.raises(BadField, match="8 to 64 letters and digits"):
         wire.read_id({"id": "a b"})
-
-
-def test_other_answers_are_transmitted():
-    identity = TrackerIdentity("AT960 MR", "750 123", "LMF 1.10")
-    assert wire.read_identity(over_the_wire(wire.identity_fields(identity))) == identity
-    for prepared in (Preparation(), Preparation("RRR 1.5 in", "precise", 21.25, 990.5, 40.0)):
-        assert wire.read_preparation(over_the_wire(wire.preparation_fields(prepared))) == prepared
-    assert wire.read_unmet(over_the_wire(wire.unmet_fields([]))) == []
-    many = [f"reason {k}, ö " * 30 for k in range(12)]
-    read = wire.read_unmet(over_the_wire(wire.unmet_fields(many)))
-    assert read[0].startswith("reason 0, ö reason 0")
-    assert read[-1] == "and 7 more"
-    with pytest.raises(ValueError, match="accuracy is 'sloppy'"):
-        wire.read_preparation({"accuracy": "sloppy"})
-    with pytest.raises(ValueError, match="air pressure must lie between"):
-        wire.read_preparation({"pressure": "1.01325"})  # bar
 
 
 def test_errors_keep_their_kind():
@@ -384,21 +352,6 @@ def test_a_tracker_without_a_stream_says_so_and_an_old_bridge_too() -> None:
         patch.setattr("drivers.trackers.bridge_server._COMMANDS", ("prepare",))
         with old, client(old.url) as tracker:
             assert stream_of(tracker) is None
-
-
-def test_a_client_that_is_too_slow_loses_points_and_the_stamps_tell(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bridge_wire, "MOST_WAITING", 50)
-    buffer = TrackBuffer("track-0001")
-    for k in range(10):
-        stamps = k + 0.1 * np.arange(10.0)
-        buffer.received(Packet(stamps, np.zeros((10, 3)), np.full(10, np.nan), 0.0))
-    found, number = [], 0
-    while (packet := read_packet(buffer.fields(number), 0.0)[0]).device_time_s.size:
-        found.append(packet.device_time_s)
-        number += 1
-    assert len(np.concatenate(found)) == 50
-    with pytest.raises(BadField, match="the next line is 5"):
-        buffer.fields(3)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.trackers.lmf import MEASURING_S, FoundTracker, LmfTracker, find_trackers
+from drivers.trackers.lmf import MEASURING_S, LmfTracker, find_trackers
 from drivers.trackers.lmf_objects import ErrorLaw, LmfMissing, load_lmf
 from drivers.trackers.lmf_settings import LmfSettings
 from drivers.trackers.lmf_stream import LmfStreamTracker
@@ -103,19 +103,6 @@ def test_simulators_of_lmf(tracker: Make, scene: Scene, address: str) -> None:
     driver = tracker(address=address)
     assert driver.identify().model == "AT960-LR (simulated by LMF)"
     assert driver.measure(LEFT, 1.0).p_M == pytest.approx(LEFT)
-
-
-@pytest.mark.parametrize("address", ["simulator", "AT961Simulator", "AT960Simulator#", "my-simulator-pc"])
-def test_invalid_names_of_simulators(address: str) -> None:
-    with pytest.raises(ValueError, match="names are like AT960LRSimulator"):
-        LmfSettings(address=address)
-
-
-def test_trackers_are_found(scene: Scene) -> None:
-    scene.network = (("192.168.0.1", "AT960", "750123"),)
-    found = find_trackers(load=lambda library: scene.lmf())
-    assert found == [FoundTracker("192.168.0.1", "AT960", "750123")]
-    assert scene.calls == ["Refresh"]
 
 
 # -- connecting and settings ------------------------------------------------------------------------------------------
@@ -306,11 +293,6 @@ def test_averaging_time_set_by_the_caller(tracker: Make, scene: Scene) -> None:
         driver.measure(LEFT, 0.01)
 
 
-def test_search_radius_in_its_own_unit(tracker: Make, scene: Scene) -> None:
-    tracker(search_radius=0.03)
-    assert tree(scene).TargetSearch.Radius.Value == 0.03
-
-
 @settings(deadline=None)
 @given(
     p=st.tuples(*[st.floats(-8.0, 8.0)] * 3).filter(lambda p: math.hypot(*p) > 0.5),
@@ -325,12 +307,6 @@ def test_the_law_is_turned_into_cartesian(p: tuple[float, float, float]) -> None
     assert covariance == pytest.approx(covariance.T)
     assert math.sqrt(beam @ covariance @ beam) == pytest.approx(along)
     assert np.sqrt(np.linalg.eigvalsh(covariance)) == pytest.approx([along, across, across])
-
-
-def test_the_law_of_a_point_across_and_along() -> None:
-    """4 m along y: 39 um MPE across, 11.2 um along; half of each."""
-    sigma = np.sqrt(np.diag(ErrorLaw().covariance(np.array([0.0, 4.0, 0.0]))))
-    assert sigma == pytest.approx([19.5e-6, 5.6e-6, 19.5e-6])
 
 
 def test_a_shaking_target(tracker: Make, scene: Scene) -> None:
@@ -439,14 +415,6 @@ def test_warnings_of_lmf_come_with_the_point(tracker: Make, scene: Scene) -> Non
     point = driver.measure(LEFT, 1.0)
     assert point.temperature_c is None
     assert "temperature applied to the point reads 200, which is not plausible" in point.quality
-
-
-def test_other_units_than_configured(tracker: Make, scene: Scene) -> None:
-    driver = tracker()
-    settings = tree(scene).Settings
-    settings.Units.LengthUnit = E["ELengthUnit"].Millimeter  # another program on the same LMF
-    with pytest.raises(TrackerError, match="No target found"):
-        driver.measure(LEFT, 1.0)
 
 
 # -- waiting ----------------------------------------------------------------------------------------------------------

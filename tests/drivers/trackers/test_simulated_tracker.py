@@ -19,7 +19,6 @@ from drivers.trackers.protocol import (
     TrackerError,
     TrackerLinkLost,
     Unstable,
-    WrongTarget,
     stream_of,
 )
 from drivers.trackers.simulated import (
@@ -59,15 +58,6 @@ def test_the_noise_is_half_the_permissible_error_along_and_across_the_beam(make_
     assert np.abs(errors.mean(axis=0)).max() < 5 * across / np.sqrt(20_000)
     expected = across**2 * (np.eye(3) - np.outer(beam, beam)) + along**2 * np.outer(beam, beam)
     assert covariance[7] == pytest.approx(expected, rel=1e-12, abs=1e-24)
-
-
-def test_longer_averaging_reduces_noise_and_covariance(make_plant):
-    plant = make_plant(noise=True)
-    p = np.tile([0.5, 3.0, 0.2], (5000, 1))
-    short, wide = plant.measure_positions(p, np.random.default_rng(0))
-    long, narrow = plant.measure_positions(p, np.random.default_rng(0), averaging_s=4.0)
-    assert (long - p) == pytest.approx(0.5 * (short - p), abs=1e-15)
-    assert narrow == pytest.approx(0.25 * wide, rel=1e-12)
 
 
 def test_without_noise_the_point_is_the_truth_and_the_covariance_stays(make_config, make_plant, dh_smr):
@@ -158,32 +148,6 @@ def test_a_moving_target_is_unstable_a_moving_neighbour_is_not(make_arm, make_pl
     assert tracker.measure(here, 1.0).p_M == pytest.approx(_smr(plant, "left"))
 
 
-def test_unmet_preconditions_are_reported(make_plant):
-    plant = make_plant()
-    tracker = SimulatedTracker(plant)
-    with pytest.raises(TrackerLinkLost, match="connect first"):
-        tracker.measure(np.ones(3), 1.0)
-    tracker.connect()
-    assert tracker.unmet() == []
-    tracker.obstacles += ["it is warming up", "it is not level"]
-    assert tracker.unmet() == ["it is warming up", "it is not level"]
-    with pytest.raises(NotReady, match="it is warming up; it is not level"):
-        tracker.measure(np.ones(3), 1.0)
-    tracker.obstacles.clear()
-    with pytest.raises(ValueError, match="averaging must last longer than 0 s"):
-        tracker.measure(_smr(plant), 0.0)
-    tracker.cut_link()
-    with pytest.raises(TrackerLinkLost, match="cut"):
-        tracker.connect()
-    tracker.release()
-    tracker.connect()
-    assert tracker.identify().serial == "SIM-tracker"
-    tracker.disconnect()
-    tracker.disconnect()
-    with pytest.raises(TrackerLinkLost):
-        tracker.unmet()
-
-
 # -- line of sight -----------------------------------------------------------------------------------------------------
 
 NEST = np.array([0.8, 2.0, -0.4])
@@ -219,19 +183,6 @@ def test_a_body_in_the_beam_hides_what_is_behind_it(make_arm, make_plant, off):
             tracker.measure(behind, 1.0)
     else:
         assert tracker.measure(behind, 1.0).p_M == pytest.approx(behind)
-
-
-def test_an_arm_hides_its_own_smr(make_plant):
-    plant = make_plant()
-    tracker = _ready(plant)
-    tracker.measure(_smr(plant), 1.0)
-    plant.start_move("left", np.array([-2.3, -1.0, 0.7, 0.0, 0.0, 0.0]), SPEED, ACCELERATION)  # wrist behind the elbow
-    plant.advance(10.0)
-    with pytest.raises(TargetLost, match="that of arm left is there, but its own arm blocks the beam"):
-        tracker.measure(_smr(plant), 1.0)
-    plant.start_move("left", np.array([-2.3, -1.0, 1.7, 0.0, 0.0, 0.0]), SPEED, ACCELERATION)
-    plant.advance(10.0)
-    tracker.measure(_smr(plant), 1.0)
 
 
 def test_an_arm_that_crosses_the_beam_breaks_it(make_arm, make_plant):
@@ -368,16 +319,6 @@ def test_settings_it_does_not_have_are_refused(make_plant):
             Preparation(**bad)
 
 
-def test_an_smr_too_far_from_its_prediction_is_refused_if_configured(make_arm, make_plant):
-    plant = make_plant(make_arm(), make_arm("ur10", "right", 0.06))
-    tracker = _ready(plant, wrong_target_m=0.03)
-    left = _smr(plant, "left")
-    tracker.measure(left, 1.0)
-    tracker.covered.add("left")
-    with pytest.raises(WrongTarget, match="it locked an SMR 60 mm from where one was expected"):
-        tracker.measure(left, 1.0)
-
-
 # -- The stream: packets, its own clock, late arrivals, saturation and triggers ----------------------------------------
 
 
@@ -442,15 +383,3 @@ def test_a_slow_receiver_loses_points_and_they_are_counted(plant):
     whole = round(np.ptp(track.device_time_s) / INTERVAL_S) + 1
     assert track.missing(INTERVAL_S) == whole - len(track.p_M)
     assert 0.05 * whole < track.missing(INTERVAL_S) < 0.4 * whole
-
-
-def test_another_measurement_ends_a_track_and_intervals_are_checked(plant):
-    tracker = SimulatedTracker(plant)
-    tracker.connect()
-    p_M = plant.targets()[0].p_M
-    for wrong in (1e-4, 2.0, np.nan):
-        with pytest.raises(ValueError, match=r"measures one each 0\.001 to 1 s"):
-            tracker.start_track(p_M, wrong, lambda error: None)
-    tracker.start_track(p_M, INTERVAL_S, lambda error: None)
-    tracker.measure(p_M, 0.1)
-    assert len(tracker.end_track().p_M) == 0

@@ -8,36 +8,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import arm_type_files
-from cellapp.estimation.calibration import normal_equations
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.identification import (
-    Eliminated,
-    Estimate,
     TooFewReadings,
     identify,
     identify_with_excess,
     start_from_nominal,
 )
-from cellapp.estimation.calibration.least_squares import LeastSquares, Linearised, Minimum, minimise, shortened
-from cellapp.estimation.calibration.normal_equations import EffectColumns, NormalEquations, Observations, with_gradient
-from cellapp.estimation.calibration.parameters import ParameterSet, auto_set, candidate_columns, full_set, paper_set
-from cellapp.estimation.calibration.quantities import measurement_conditions
+from cellapp.estimation.calibration.least_squares import LeastSquares, Linearised, Minimum, minimise
+from cellapp.estimation.calibration.normal_equations import EffectColumns
+from cellapp.estimation.calibration.parameters import auto_set, candidate_columns, full_set, paper_set
 from cellapp.estimation.calibration.registration import better_reading, explained
-from cellapp.estimation.calibration.weights import whitener
-from cellapp.estimation.discovery import joint_fit
-from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.joint_fit import fit_terms
-from cellapp.estimation.discovery.terms import ModelTerm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import CheckFailed, InputError, NotConverged, tried, with_not_fitted
-from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import (
     JointAngles,
     jacobian,
@@ -48,8 +36,7 @@ from cellapp.robot.kinematics.chain import (
     smr_positions,
 )
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, transform
-from cellapp.robot.model import ArmModel
-from cellapp.robot.model.nominal import bodies_of, nominal_arm, up_in_tracker
+from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import GeometryErrors
 from tests.arms import HALF_TURN, OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plant_of, true_geometry
 from tests.series import series
@@ -96,13 +83,6 @@ def test_a_dropped_parameter_has_the_effect_of_its_shares():
     assert chosen.merged["theta6"] == pytest.approx({"tx": -OFF_AXIS[1], "ty": OFF_AXIS[0]})
 
 
-def test_shares_of_readings_that_determine_less_than_the_columns_are_those_of_least_norm():
-    # six readings give 18 coordinates; whether elimination meets an exact zero depends on the linear algebra library
-    rows = np.array([[1.0, 1.0, 1.0], [2.0, 2.0, 2.0]])
-    chosen = ParameterSet("given", 6, (0, 1), (2,), scaled_information=rows.T @ rows, unit=np.ones(3))
-    np.testing.assert_allclose(chosen.shares, [[0.5], [0.5]])
-
-
 def test_the_papers_sets_have_34_and_26_parameters():
     geometry = at_station(UR10, OFF_AXIS)
     assert len(full_set(geometry).columns) == 34
@@ -124,23 +104,6 @@ def test_an_arm_is_recovered_to_the_noise_in_three_iterations(rows):
     off = np.linalg.norm(smr_positions(found.geometry, new) - smr_positions(truth, new), axis=1)
     k = len(found.names)
     assert np.sqrt(np.mean(off**2)) < 1.5 * SIGMA * np.sqrt(k / 400)  # the error that k parameters of noise leave
-
-
-def test_the_full_set_predicts_as_well_as_the_identifiable_one():
-    nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=3, n=100)
-    start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
-    full, auto = (identify(start, q, p_M, parameter_set=name) for name in ("full", "auto"))
-    assert full.converged
-    assert auto.converged
-    new = np.random.default_rng(4).uniform(-3, 3, (300, 6))
-    gap = np.linalg.norm(smr_positions(full.geometry, new) - smr_positions(auto.geometry, new), axis=1)
-    assert gap.max() < 2e-6
-
-
-def test_a_parameter_set_without_alpha5_cannot_reach_the_noise():
-    nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=3, n=400)
-    start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
-    assert identify(start, q, p_M, parameter_set="paper").scale > 1.3 * identify(start, q, p_M).scale
 
 
 def test_anisotropic_covariances_are_used_as_weights():
@@ -183,21 +146,6 @@ def test_robust_weights_reject_outliers(robust):
     assert np.median(kept.weights[bad]) < 0.2 < np.median(np.delete(kept.weights, bad))
 
 
-def test_priors_determine_what_the_data_do_not():
-    # nine readings, 27 parameters, 27 coordinates: without priors any noise is fitted
-    nominal, truth, q, p_M = measured(UR10, OFF_AXIS, seed=7, n=9)
-    start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
-    names = identify(start, *measured(UR10, OFF_AXIS, 7, 60)[2:]).names
-    priors = {name: 0.3e-3 if name[0] in "ad" and not name.startswith("alpha") else 1e-3 for name in names}
-    for free in ("x0", "y0", "z0", "alpha0", "beta0", "theta0", "tx", "ty", "tz"):
-        del priors[free]
-    found = identify(start, q, p_M, sigma=np.full(9, SIGMA), prior_sigma=priors, prior_mean=start)
-    new = np.random.default_rng(8).uniform(-3, 3, (300, 6))
-    error = np.linalg.norm(smr_positions(found.geometry, new) - smr_positions(truth, new), axis=1)
-    assert found.converged
-    assert error.mean() < 2e-3
-
-
 def test_the_tool_and_base_are_found_without_a_guess():
     rng = np.random.default_rng(9)
     truth = at_station(UR10, np.array([0.12, -0.07, 0.15]))
@@ -206,18 +154,6 @@ def test_the_tool_and_base_are_found_without_a_guess():
     start = start_from_nominal(unknown, q, smr_positions(truth, q), tool_unknown=True)
     np.testing.assert_allclose(start.tool, truth.tool, atol=1e-7)
     np.testing.assert_allclose(start.T_M_B(), truth.T_M_B(), atol=1e-7)
-
-
-def test_rows_in_chunks_give_the_same_result(monkeypatch):
-    nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=10, n=700)
-    start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
-    sigma = np.random.default_rng(0).uniform(10e-6, 20e-6, 700)
-    whole = identify(start, q, p_M, sigma=sigma)
-    monkeypatch.setattr(normal_equations, "_CHUNK", 64)
-    chunked = identify(start, q, p_M, sigma=sigma)
-    np.testing.assert_allclose(chunked.values, whole.values, atol=1e-10)
-    np.testing.assert_allclose(chunked.standard_errors, whole.standard_errors, rtol=1e-6)
-    np.testing.assert_allclose(chunked.residuals, whole.residuals, atol=1e-9)
 
 
 def test_effects_are_identified_with_the_geometry():
@@ -241,31 +177,6 @@ def test_effects_are_identified_with_the_geometry():
     assert found.scale == pytest.approx(SIGMA, rel=0.1)
 
 
-@pytest.mark.parametrize("weights", ["none", "alike", "different", "covariances"])
-def test_a_gradient_is_that_of_the_normal_equations(weights):
-    rng = np.random.default_rng(14)
-    geometry, q, p_M = measured(UR10, OFF_AXIS, seed=14, n=50)[1:]
-    sigma = rng.uniform(1e-5, 3e-5, 50) * (weights == "different") + 2e-5
-    if weights == "covariances":
-        spread = rng.normal(size=(50, 3, 3)) * 1e-5
-        sigma = spread @ spread.transpose(0, 2, 1) + 1e-10 * np.eye(3)
-    effects = EffectColumns(
-        ("one", "two", "step"), ("rad", "rad", "m"), np.array([1, 0]), np.sin(q[:, 1:3].T), rng.normal(size=(1, 3, 50))
-    )
-    white = None if weights == "none" else whitener(sigma)
-    observations = Observations(JointAngles.of(q), q, p_M.T, white, effects)
-    parameters = paper_set(geometry)
-    near = np.concatenate([geometry.vector()[list(parameters.columns)], np.zeros(3)])
-    values = near + 1e-4 * rng.normal(size=len(near))
-    at_start = normal_equations.normal_equations(geometry, observations, parameters, near, None)
-    wanted = normal_equations.normal_equations(geometry, observations, parameters, values, None)
-    found = with_gradient(at_start, geometry, observations, parameters, values)
-    np.testing.assert_allclose(found.b, wanted.b, rtol=1e-9, atol=1e-12 * np.abs(wanted.b).max())
-    np.testing.assert_allclose(found.residuals, wanted.residuals, atol=1e-15)
-    assert found.cost == pytest.approx(wanted.cost)
-    assert found.A is at_start.A
-
-
 def test_too_few_readings_are_refused_with_the_number_needed():
     nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=12, n=8)
     start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
@@ -279,17 +190,6 @@ def test_failure_to_converge_is_reported():
     found = identify(start, q, p_M, max_iterations=1)
     assert not found.converged
     assert found.message.startswith("1 steps were not enough; the next step, ")
-
-
-def test_observability_falls_when_a_joint_hardly_moves():
-    nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=14, n=200)
-    still = q.copy()
-    still[:, 3] = 0.3 + 0.05 * q[:, 3]
-    wide, narrow = identify(nominal, q, p_M), identify(nominal, still, smr_positions(nominal, still))
-    assert narrow.condition > 3.0 * wide.condition
-    for index in ("O1", "O2", "O3", "O4", "O5"):
-        assert narrow.observability[index] < wide.observability[index]
-    assert 1.0 / wide.observability["O2"] == pytest.approx(wide.condition)
 
 
 def test_the_scatter_is_that_of_the_noise_for_a_scara_with_two_parallel_axes():
@@ -347,37 +247,6 @@ def test_scatter_beyond_the_stated_uncertainty_enters_the_weights():
     assert identify_with_excess(start, q, p_M, sigma=np.full(300, SIGMA))[1] == 0.0
 
 
-def weighted_square(geometry, nominal, q, p_M, prior):
-    """The objective of an identification with stated priors and uncertainty."""
-    off = (geometry.vector() - nominal.vector()) / prior
-    return float(np.sum((p_M - smr_positions(geometry, q)) ** 2) / SIGMA**2 + off @ off)
-
-
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("steps", [1, 3, 50])
-def test_from_a_start_that_is_far_off_it_never_ends_above_it(seed, steps):
-    # 0.3 m and 1 rad beside the base, the tool and every length: with steps of any size no end is worse than the start
-    nominal, _, q, p_M = measured(UR10, OFF_AXIS, seed=seed, n=60)
-    rng = np.random.default_rng(seed)
-    chosen = paper_set(nominal)
-    prior = np.full(len(nominal.vector()), 0.5)
-    vector = nominal.vector()
-    vector[list(chosen.columns)] += [rng.normal(0.0, 0.3 if unit == "m" else 1.0) for unit in chosen.units]
-    start = nominal.with_vector(vector)
-    sigmas = dict.fromkeys(chosen.names, 0.5)
-    found = identify(
-        start, q, p_M, sigma=np.full(60, SIGMA), parameter_set=chosen, prior_sigma=sigmas, prior_mean=nominal,
-        max_iterations=steps,
-    )  # fmt: skip
-    before, after = (weighted_square(one, nominal, q, p_M, prior) for one in (start, found.geometry))
-    assert after <= before
-    if found.converged:
-        assert found.scale < 3.0
-    else:
-        with pytest.raises(NotConverged, match=r"the fit did not converge: .*calibration\.max_iterations"):
-            found.settled("fit")
-
-
 def test_a_profile_that_allows_too_few_steps_ends_with_an_error_that_names_the_arm():
     profile = load_profile(PROFILES / "twin-small.yaml")
     one = series(1, 60)["left"]
@@ -388,24 +257,6 @@ def test_a_profile_that_allows_too_few_steps_ends_with_an_error_that_names_the_a
     few = profile.model_copy(update={"calibration": profile.calibration.model_copy(update={"max_iterations": 1})})
     with pytest.raises(NotConverged, match="arm 'left': the identification did not converge: 1 steps were not enough"):
         calibrate_arm(few, "left", readings)
-
-
-def test_a_joint_fit_that_did_not_converge_is_no_model(monkeypatch):
-    monkeypatch.setattr(joint_fit, "_LEAST_STEPS", 1)
-    profile = load_profile(PROFILES / "twin-small.yaml")
-    arm = profile.arms["left"]
-    one = series(1, 60)["left"]
-    readings = Readings(
-        configuration=np.arange(60), time_s=np.arange(60.0), q=one.q, approach=np.zeros((60, 6), np.int8), p_M=one.p_M
-    )
-    geometry = start_from_nominal(nominal_arm(arm), one.q, one.p_M, tool_unknown=False)
-    model = ArmModel(geometry, geometry, bodies_of(arm), up_in_tracker(profile))
-    data = ArmData.of(profile, model, readings, measurement_conditions(readings))
-    few = profile.model_copy(update={"calibration": profile.calibration.model_copy(update={"max_iterations": 1})})
-    law = EFFECTS["joint_compliance"].laws(data.context)[0]
-    terms = (ModelTerm("joint_compliance", law, tuple(one.name for one in data.columns("joint_compliance", law))),)
-    with pytest.raises(NotConverged, match="the fit of geometry and effects did not converge: 1 steps"):
-        fit_terms(replace(data, profile=few), terms)
 
 
 # -- The geometry uses all parameters with priors, as good as a plain reference; the table states what is determined ---
@@ -474,15 +325,6 @@ def test_on_narrow_ranges_it_is_as_good_as_a_reference_that_knows_noise_and_prio
     assert np.exp(np.mean(np.log(ratios))) < 1.05
 
 
-@settings(max_examples=15, deadline=None, derandomize=True)
-@given(seed=st.integers(0, 10_000), make=st.sampled_from(sorted(ARMS)))
-def test_all_parameters_predict_no_worse_than_the_determined_ones(seed, make):
-    data = Narrow(ARMS[make], seed, 100, 20e-6)
-    found = identify(data.start, data.q, data.p_M)
-    fewer = identify(data.start, data.q, data.p_M, parameter_set=found.parameter_set)
-    assert data.error(found.geometry) < 1.05 * data.error(fewer.geometry)
-
-
 def test_anti_parallel_axes_have_a_hayati_angle_and_their_rank():
     geometry = at_station(ELBOW, OFF_AXIS)
     assert parallel_rows(geometry) == (1,)
@@ -537,29 +379,6 @@ def test_stated_priors_are_used_as_stated_and_others_take_the_spread_of_the_arm(
     np.testing.assert_allclose(again.geometry.vector(), free.geometry.vector(), atol=1e-6)
 
 
-def test_the_uncertainty_of_predictions_covers_what_the_table_does_not_state():
-    squares = []
-    for seed in range(12):
-        data = Narrow(UR5, seed, 60, 20e-6)
-        found = identify(data.start, data.q, data.p_M)
-        from_all = _prediction_covariance(found, data.new)
-        off = data.true_M - smr_positions(found.geometry, data.new)
-        squares.append(np.mean(np.einsum("na,nab,nb->n", off, np.linalg.inv(from_all), off)) / 3.0)
-    assert 0.6 < np.mean(squares) < 1.6
-
-
-def _prediction_covariance(found, q):
-    """Covariance (n, 3, 3) of computed positions by differences."""
-    vector, columns = found.geometry.vector(), found.estimated.columns
-    J = []
-    for column in columns:
-        step = np.zeros(len(vector))
-        step[column] = 1e-6
-        ahead, behind = (smr_positions(found.geometry.with_vector(vector + sign * step), q) for sign in (1, -1))
-        J.append((ahead - behind) / 2e-6)
-    return np.einsum("kna,kl,lnb->nab", J, found.estimated_covariance, J, optimize=True)
-
-
 def test_of_two_minima_on_either_side_of_the_wrist_the_better_one_is_returned():
     # the last axis keeps its direction, and curves of the joints stand for unmodelled physics
     rng = np.random.default_rng(2)
@@ -574,14 +393,6 @@ def test_of_two_minima_on_either_side_of_the_wrist_the_better_one_is_returned():
     assert abs(both.geometry.tool[2] - plain[0].geometry.tool[2]) > 0.05
     rms = [np.sqrt(np.mean(found.residuals**2)) for found in (both, *plain)]
     assert rms[0] <= min(rms[1:]) * 1.001
-
-
-def test_a_set_by_name_has_no_priors_of_its_own():
-    data = Narrow(UR10, 4, 60, 20e-6)
-    full = identify(data.start, data.q, data.p_M, parameter_set="full")
-    same = identify(data.start, data.q, data.p_M, parameter_set=full_set(data.start))
-    np.testing.assert_array_equal(full.values, same.values)
-    assert full.names == full.estimated.names
 
 
 # -- Whether an arm explains recorded readings, and which signs or units do: on simulated arms and on real readings ----
@@ -694,51 +505,6 @@ def test_a_step_that_is_short_by_damping_is_no_convergence() -> None:
     assert "no step lowers the objective" in found.message
 
 
-def test_a_value_that_is_no_number_is_no_progress() -> None:
-    def root(x: Array) -> tuple[Array, Array]:
-        inside = 1.0 - x[0]
-        value = np.sqrt(inside) if inside >= 0.0 else np.nan
-        return np.array([value + 0.1 * x[0] - 1.0]), np.array([[0.5 / max(value, 1e-3) - 0.1]])
-
-    problem = LeastSquares(root, np.add)
-    found = end(problem, [0.999], 50)
-    assert np.isfinite(found.point.state).all()
-    assert problem.objective(found.point) <= problem.objective(linearised(problem, [0.999]))
-
-
-def test_directions_that_are_hardly_determined_are_followed_to_their_end() -> None:
-    rng = np.random.default_rng(0)
-    weak = np.array([1.0, 1e-2, 1e-4])
-    rows = rng.normal(size=(40, 3)) * weak
-
-    def bent(x: Array) -> tuple[Array, Array]:
-        return rows @ (np.array([1.0, 2.0, 3.0]) - x - 0.2 * x**2), rows * (1.0 + 0.4 * x)
-
-    found = end(LeastSquares(bent, np.add), [0.0, 0.0, 0.0], 200)
-    assert found.converged
-    np.testing.assert_allclose(found.point.state + 0.2 * found.point.state**2, [1.0, 2.0, 3.0], rtol=1e-5)
-
-
-def test_a_covariance_that_depends_on_the_state_weighs_the_step_from_there() -> None:
-    problem = LeastSquares(
-        lambda x: (np.array([2.0 - x[0], 4.0 - x[0]]), np.ones((2, 1))),
-        lambda x, step: x + step,
-        lambda x: np.diag([1.0, 1.0 + x[0] ** 2]),
-    )
-    found = problem.best("mean", np.array([0.0])).point
-    weight = (1.0 + found.state[0] ** 2) ** -2.0
-    assert found.state[0] == pytest.approx((2.0 + 4.0 * weight) / (1.0 + weight), abs=1e-8)
-
-
-def test_a_step_is_halved_until_it_does_not_make_the_fit_worse() -> None:
-    step = shortened("fit", np.array([8.0]), lambda x: float((x[0] - 1.0) ** 2))
-    assert step == pytest.approx([2.0])
-    with pytest.raises(NotConverged, match="no step lowers"):
-        shortened("fit", np.array([1.0]), lambda x: float(abs(x[0])))
-    with pytest.raises(NotConverged):
-        shortened("fit", np.array([1.0]), lambda x: float("nan") if x.any() else 0.0)
-
-
 def test_a_candidate_whose_fit_fails_is_named_and_no_evidence() -> None:
     def fails() -> int:
         raise NotConverged.of("fit", "no reason")
@@ -748,39 +514,3 @@ def test_a_candidate_whose_fit_fails_is_named_and_no_evidence() -> None:
     assert tried("second", lambda: 2, missed) == 2
     assert with_not_fitted("found nothing", missed) == "found nothing; not judged, as no fit of it converged: first"
     assert with_not_fitted("found nothing", []) == "found nothing"
-
-
-# -- A geometry beside many effects: elimination of the effects solves the whole normal equations ----------------------
-
-SIZE, EFFECTS_OF_ESTIMATE = 5, 40
-
-
-def estimate(*, repeated: bool = False) -> Estimate:
-    """From random rows; a column of the effects that is ``repeated``, without priors, cannot be told apart."""
-    rng = np.random.default_rng(4)
-    J = rng.normal(size=(200, SIZE + EFFECTS_OF_ESTIMATE)) * rng.uniform(0.1, 10.0, SIZE + EFFECTS_OF_ESTIMATE)
-    if repeated:
-        J[:, -1] = J[:, -2]
-    normal = NormalEquations(J.T @ J, J.T @ rng.normal(size=200), np.eye(SIZE), 1.0, np.abs(J).mean(axis=0), np.eye(3))
-    precision = np.zeros(SIZE + EFFECTS_OF_ESTIMATE) if repeated else rng.uniform(0.0, 50.0, SIZE + EFFECTS_OF_ESTIMATE)
-    return Estimate(np.zeros(SIZE + EFFECTS_OF_ESTIMATE), normal, None, precision)
-
-
-def test_steps_and_variances_are_those_of_all_parameters_together_whatever_the_geometrys_priors_become() -> None:
-    point = estimate()
-    found = Eliminated.of(point.normal, point.precision, SIZE)
-    assert found is not None
-    rhs = point.normal.unit * point.normal.b
-    for factor in (1.0, 30.0):  # effects keep theirs
-        precision = np.concatenate([point.precision[:SIZE] * factor, point.precision[SIZE:]])
-        now = Estimate(point.values, point.normal, None, precision)
-        H = now.posterior_precision(1.0)
-        priors = now.geometric_priors(SIZE)
-        np.testing.assert_allclose(found.solve(rhs, priors), np.linalg.solve(H, rhs), rtol=1e-9)
-        np.testing.assert_allclose(found.variances(priors), np.diag(np.linalg.inv(H))[:SIZE], rtol=1e-9)
-        np.testing.assert_allclose(priors * found.variances(priors), now.by_priors[:SIZE], rtol=1e-9)
-
-
-def test_effects_that_nothing_tells_apart_are_not_eliminated() -> None:
-    point = estimate(repeated=True)
-    assert Eliminated.of(point.normal, point.precision, SIZE) is None

@@ -7,14 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from cellapp.estimation.calibration import normal_equations
 from cellapp.estimation.calibration.identification import identify_with_excess, start_from_nominal
 from cellapp.estimation.calibration.online import OnlineFit, online_fit
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import StopReport
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, smr_positions
 from cellapp.robot.model.nominal import nominal_arm
-from tests.arms import OFF_AXIS, SEVEN, UR10, at_station, true_geometry
+from tests.arms import OFF_AXIS, SEVEN, UR10, at_station
 from tests.evidence.shared.estimates import merged_values
 from tests.series import Array, Series, series, twin
 
@@ -59,16 +58,6 @@ def test_after_all_stops_it_agrees_with_the_identification_of_the_same_readings(
     assert report.standard_error_mm == pytest.approx(rms * 1e3, rel=0.05)
 
 
-def test_readings_of_several_chunks_give_the_same_fit(readings, monkeypatch):
-    one = readings["left"]
-    whole, _ = fitted("left", one)
-    monkeypatch.setattr(normal_equations, "_CHUNK", 64)
-    chunked, _ = fitted("left", one)
-    assert whole.geometry is not None
-    assert chunked.geometry is not None
-    np.testing.assert_allclose(chunked.geometry.vector(), whole.geometry.vector(), rtol=0.0, atol=1e-9)
-
-
 def test_it_converges_from_centimetres_within_a_few_stops(readings):
     one = readings["right"]
     fit = online_fit(twin(), "right", one.q)
@@ -93,27 +82,6 @@ def test_the_stated_uncertainty_of_predictions_covers_the_next_readings(readings
             squares.append(fit.innovation.off_M @ np.linalg.solve(fit.innovation.covariance_M, fit.innovation.off_M))
             assert np.linalg.norm(fit.innovation.off_M) < 8.0 * math.sqrt(np.trace(fit.innovation.covariance_M))
     assert np.mean(squares) / 3.0 == pytest.approx(1.0, abs=0.35)
-
-
-def test_gravity_is_known_to_predictions(readings):
-    one = readings["left"]
-    fit, _ = fitted("left", one)
-    assert fit.innovation is not None
-    assert error_m(fit, one.q, one.p_M) > 0.5e-3  # what compliance leaves to the geometry alone
-    assert fit.innovation.scatter_m < 0.05e-3
-
-
-def test_a_fit_from_stored_readings_is_the_same(readings):
-    one = readings["right"]
-    by_stop, _ = fitted("right", one)
-    stored = online_fit(twin(), "right", one.q)
-    report = stored.add_all(range(STOPS), one.q, one.p_M, one.covariance_M)
-    assert report is not None
-    assert stored.count == STOPS
-    assert stored.geometry is not None
-    assert by_stop.geometry is not None
-    np.testing.assert_allclose(stored.geometry.vector(), by_stop.geometry.vector(), atol=2e-6)
-    assert report.stop == STOPS - 1
 
 
 def test_residuals_of_all_readings_are_those_of_the_geometry_and_name_gross_errors(readings):
@@ -153,31 +121,6 @@ def test_points_on_one_line_and_the_same_stop_again_give_no_model():
     assert all(fit.add(stop, q[0], smr_positions(nominal, q[:1])[0]) is None for stop in range(8))
     assert not fit.ready
     assert fit.geometry is None
-
-
-@pytest.mark.parametrize("rows", [UR10, SEVEN], ids=["six joints", "seven joints"])
-def test_an_unknown_offset_and_points_without_noise_are_found(rows):
-    rng = np.random.default_rng(3)
-    nominal = at_station(rows, OFF_AXIS)
-    truth = true_geometry(nominal, rng)
-    q = rng.uniform(-2.5, 2.5, (60, len(rows)))
-    fit = OnlineFit("arm", at_station(rows, np.zeros(3)), q, tool_unknown=True)
-    p_M = smr_positions(truth, q)
-    for stop in range(60):
-        report = fit.add(stop, q[stop], p_M[stop])
-    assert report is not None
-    assert report.residual_mm < 0.01
-    assert error_m(fit, q, p_M) < 5e-6
-
-
-def test_robust_weights_and_the_full_set_are_those_of_the_profile(readings):
-    one = readings["right"]
-    arm = nominal_arm(twin().arms["right"])
-    fit = OnlineFit("right", arm, one.q, parameter_set="full", robust="huber")
-    for stop in range(60):
-        report = fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop])
-    assert report is not None
-    assert report.standard_error_mm < 0.1
 
 
 def test_a_parameter_set_of_another_arm_is_refused_before_anything_moves():

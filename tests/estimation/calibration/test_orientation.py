@@ -26,10 +26,8 @@ from tests.arms import true_geometry
 from tests.evidence.shared.estimates import merged_values
 from tests.evidence.shared.series import draw_rows, load_entrant
 from tests.series import twin
-from tests.twin import PROFILES
 
 SIGMA_M, SIGMA_RAD = 3e-5, 8e-5
-FIXTURES = PROFILES.parent / "tests" / "fixtures"
 PROBE = np.array([0.4, -1.2, 2.0])
 
 
@@ -95,16 +93,6 @@ def test_derivatives_of_positions_and_orientations_are_those_of_the_chain():
         np.testing.assert_allclose(J[:, column], slope, atol=1e-8)
 
 
-def test_without_noise_the_probe_is_found_exactly():
-    nominal, geometry = truth()
-    readings = measured(geometry, 60, 0, noise=0.0)
-    found, _ = identified(readings, nominal, sigma=None)
-    held_out = measured(geometry, 40, 1, noise=0.0)
-    its = measured_quantities(held_out)
-    left = its.readings.p_M - smr_positions(found.geometry, its.readings.q, its.R_M_S)
-    assert np.abs(left).max() < 2e-6  # the weak priors hold what the data do not determine
-
-
 def test_orientation_parameters_lie_within_their_stated_intervals():
     """Nothing is stated of the angles: their noise is estimated beside the stated one of positions."""
     beyond, scatter = [], []
@@ -121,15 +109,6 @@ def test_orientation_parameters_lie_within_their_stated_intervals():
     assert inside[:, rotations].mean() > 0.85  # of 36
     assert np.mean([one for one, _ in scatter]) == pytest.approx(SIGMA_RAD, rel=0.05)
     assert max(excess for _, excess in scatter) < 0.7 * SIGMA_M
-
-
-def test_positions_alone_are_the_readings_as_they_are():
-    _, geometry = truth()
-    readings = replace(measured(geometry, 12, 0), quaternion_M=None)
-    its = measured_quantities(readings)
-    assert its.readings is readings
-    assert its.R_M_S is None
-    assert its.stated is readings.sigma_m
 
 
 WRONG = {
@@ -170,20 +149,6 @@ def test_a_single_wrong_orientation_is_left_out_by_configuration():
     arm, notes = calibrate_arm(twin(), "left", replace(readings, quaternion_M=quaternion))
     assert arm.left_out == (17,)
     assert any("configuration 17" in note for note in notes)
-
-
-def test_held_out_errors_and_an_offset_that_is_not_determined():
-    _, geometry = truth()
-    readings = measured(geometry, 80, 0)
-    arm, notes = calibrate_arm(twin(), "left", readings)
-    errors = arm.validate["geometry"]
-    assert errors.orientation_mrad is not None
-    assert errors.orientation_mrad.mean == pytest.approx(1.6e3 * SIGMA_RAD, rel=0.3)
-    assert errors.orientation_mrad.n == errors.position_mm.n == 16
-    assert not any("offset" in note for note in notes)
-    upright = measured(geometry, 80, 0, wrist_down=True)
-    _, notes = calibrate_arm(twin(), "left", upright)
-    assert any("offset along (0.00, 0.00, 1.00) of the flange is not determined" in note for note in notes)
 
 
 def test_a_real_arm_in_six_dimensions():

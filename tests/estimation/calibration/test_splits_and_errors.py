@@ -11,11 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import import_csv
 from cellapp.commands.calibrate.result import arm_result
-from cellapp.commands.calibrate.run import calibrate_run, draw_missing_splits
-from cellapp.commands.report.data import read_report_data
-from cellapp.commands.report.headlines import warnings
+from cellapp.commands.calibrate.run import draw_missing_splits
 from cellapp.estimation.calibration.calibrate import (
     ArmCalibration,
     calibrate_arm,
@@ -25,10 +22,8 @@ from cellapp.estimation.calibration.calibrate import (
     split_sizes,
     train_arm,
 )
-from cellapp.estimation.calibration.least_squares import cholesky, inverse_psd, orthonormal_basis, solve_psd
 from cellapp.estimation.calibration.quantities import (
     distance_errors,
-    distance_summary,
     evaluate,
     position_errors,
     repeatability,
@@ -39,6 +34,7 @@ from cellapp.estimation.readings.readings import FIRST_SAMPLE
 from cellapp.ground.grouping import grouped
 from cellapp.ground.results import ErrorSummary
 from cellapp.robot.kinematics.chain import smr_positions
+from tests.cell.run.csv_rows import import_csv
 from tests.evidence import coverage, parameter_sets
 from tests.evidence.gross_errors import disturbed
 from tests.evidence.shared.series import Entrant, load_entrant
@@ -90,14 +86,6 @@ def test_errors_on_a_worked_example():
     assert evaluate(measured[:1], computed[:1], measured[:1]).distance_mm is None
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_a_rigid_motion_changes_no_distance(seed):
-    rng = np.random.default_rng(seed)
-    p = rng.normal(size=(6, 3))
-    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    assert distance_errors(p, p @ rotation.T + rng.normal(size=3)).max() < 1e-12
-
-
 def test_the_bootstrap_interval_of_the_mean_has_its_stated_coverage():
     held = 0
     for seed in range(300):
@@ -105,21 +93,6 @@ def test_the_bootstrap_interval_of_the_mean_has_its_stated_coverage():
         low, high = interval_of_mean(summarise(errors))
         held += low <= 1.0 <= high
     assert 0.90 < held / 300 < 0.98
-
-
-def test_the_interval_of_distance_errors_accounts_for_shared_points():
-    rng = np.random.default_rng(0)
-    measured = rng.normal(size=(60, 3))
-    computed = measured + rng.normal(0.0, 1e-3, (60, 3))
-    summary = distance_summary(measured, computed)
-    assert summary.n == 60 * 59 // 2
-    low, high = interval_of_mean(summary)
-    assert low < summary.mean < high
-    as_if_independent = interval_of_mean(summarise(distance_errors(measured, computed)))
-    assert high - low > 1.5 * (as_if_independent[1] - as_if_independent[0])
-    assert summary.p50 is not None
-    assert summary.p95 is not None
-    assert summary.p50 < summary.p95 < summary.max
 
 
 def test_repeatability_is_that_of_the_repeats_alone():
@@ -136,33 +109,6 @@ def test_repeatability_is_that_of_the_repeats_alone():
 
 
 # -- Solving with positive semi-definite matrices: agreement with numpy, well conditioned and singular -----------------
-
-
-@pytest.fixture
-def design() -> np.ndarray:
-    return np.random.default_rng(0).normal(size=(60, 5))
-
-
-def test_well_conditioned_systems_are_solved_by_cholesky(design: np.ndarray) -> None:
-    gram, rhs = design.T @ design, np.arange(5.0)
-    assert cholesky(gram) is not None
-    np.testing.assert_allclose(solve_psd(gram, rhs), np.linalg.solve(gram, rhs), rtol=1e-12)
-    np.testing.assert_allclose(inverse_psd(gram), np.linalg.inv(gram), rtol=1e-10, atol=1e-14)
-    both = solve_psd(gram, np.stack([rhs, -rhs], axis=1))
-    np.testing.assert_allclose(both[:, 1], -both[:, 0])
-
-
-def test_a_redundant_column_gives_the_solution_of_least_norm(design: np.ndarray) -> None:
-    redundant = np.column_stack([design, design[:, 0] + design[:, 1]])
-    gram, y = redundant.T @ redundant, np.random.default_rng(1).normal(size=60)
-    assert cholesky(gram) is None
-    wanted = np.linalg.lstsq(redundant, y, rcond=None)[0]
-    np.testing.assert_allclose(solve_psd(gram, redundant.T @ y), wanted, atol=1e-9)
-    np.testing.assert_allclose(inverse_psd(gram), np.linalg.pinv(gram, rcond=1e-10, hermitian=True), atol=1e-9)
-    Q = orthonormal_basis(redundant.T)
-    assert Q.shape == (60, 5)
-    np.testing.assert_allclose(Q.T @ Q, np.eye(5), atol=1e-10)
-    np.testing.assert_allclose(Q @ (Q.T @ redundant), redundant, atol=1e-9)
 
 
 # -- Figures that the project promises, each with its limit ------------------------------------------------------------
@@ -190,16 +136,19 @@ def test_a_real_ur10_ends_at_or_below_0_455_mm(tmp_path, seed):
     assert np.linalg.norm(calibration.model.geometry.tool - [0.0, 0.0, 0.093]) < 2e-3
 
 
-@pytest.mark.parametrize("arm", ["right", pytest.param("left", marks=pytest.mark.slow)])
-def test_stated_95_percent_intervals_hold_the_truth_93_to_97_percent_of_the_time(arm):
-    results = [coverage.one({"arm": arm, "seed": seed, "stops": 100}) for seed in range(200)]
+@pytest.mark.parametrize(
+    ("arm", "draws"), [("right", 60), *(pytest.param(arm, 200, marks=pytest.mark.slow) for arm in ("left", "right"))]
+)
+def test_stated_95_percent_intervals_hold_the_truth_93_to_97_percent_of_the_time(arm, draws):
+    results = [coverage.one({"arm": arm, "seed": seed, "stops": 100}) for seed in range(draws)]
     held = np.array([found["held"] for found in results])
-    assert held.shape == (200, 27)
+    assert held.shape == (draws, 27)
     assert coverage.LEAST <= held.mean() <= coverage.MOST
-    assert np.mean([found["scatter"] for found in results]) == pytest.approx(1.0, abs=0.02)
-    assert held.mean(axis=0).min() > 0.88  # 4.5 standard deviations of 200 draws
+    assert np.mean([found["scatter"] for found in results]) == pytest.approx(1.0, abs=0.28 / draws**0.5)
+    assert held.mean(axis=0).min() > 0.95 - 4.5 * (0.95 * 0.05 / draws) ** 0.5  # 4.5 standard deviations
 
 
+@pytest.mark.slow
 def test_the_redundant_model_does_not_converge_and_the_reduced_one_does():
     # of six, one or two converge all the same: which ones depends on the linear algebra library
     found = [parameter_sets.one({"arm": "left", "seed": seed})["solutions"] for seed in range(3)]
@@ -262,19 +211,6 @@ def test_gross_errors_hardly_change_the_geometry(
     assert f"held-out errors are those of {held_out} readings, without {75 - held_out} of these" in note
 
 
-def test_one_joint_position_in_degrees_does_not_ruin_the_geometry(ur5: Entrant, plain: ArmCalibration) -> None:
-    q = ur5.readings.q.copy()
-    q[101, 1] = np.degrees(q[101, 1])
-    arm, notes = calibrate_arm(ur5.profile, ur5.arm, replace(ur5.readings, q=q))
-    number = int(ur5.readings.configuration[101])
-    assert arm.left_out == (number,)
-    assert f"1 reading with a gross error was left out (configuration {number})" in notes[0]
-    rows = ur5.readings.in_split("validate")
-    assert error_mm(arm, ur5.readings, rows) < 1.03 * error_mm(plain, ur5.readings, rows)
-    again, _ = calibrate_arm(ur5.profile, ur5.arm, replace(ur5.readings, q=q))
-    assert np.array_equal(again.identification.values, arm.identification.values)
-
-
 def test_no_network_is_trained_or_judged_on_rows_left_out(ur5: Entrant) -> None:
     """A calibration of the readings without them is the same to the bit."""
     spoilt, rows = disturbed(ur5.readings, 0.03, 0.5, np.random.default_rng(5))
@@ -298,45 +234,6 @@ def test_a_geometry_that_is_hardly_better_than_the_nominal_one_is_said(ur5: Entr
     arm, notes = calibrate_arm(ur5.profile, ur5.arm, spoilt)
     assert arm.left_out == ()
     assert any("the identified geometry is hardly better than the nominal one (mean held-out error" in n for n in notes)
-
-
-@pytest.fixture
-def spoilt_csv(tmp_path: Path) -> tuple[Path, list[int]]:
-    lines = (ROOT / "tests" / "fixtures" / "ur5-real" / "readings.csv").read_text(encoding="utf-8").splitlines()[:301]
-    header = lines[0].split(",")
-    place, wrong = header.index("z_m"), [40, 150, 222]
-    for row in wrong:
-        cells = lines[row + 1].split(",")
-        cells[place] = str(float(cells[place]) + 0.02)
-        lines[row + 1] = ",".join(cells)
-    path = tmp_path / "in.csv"
-    path.write_text("\n".join(lines), encoding="utf-8")
-    return path, wrong
-
-
-def test_a_run_names_them_in_json_and_on_the_page(tmp_path: Path, spoilt_csv: tuple[Path, list[int]]) -> None:
-    path, wrong = spoilt_csv
-    profile = load_profile(ROOT / "profiles" / "ur5-real.yaml")
-    profile = profile.model_copy(
-        update={
-            "network": profile.network.model_copy(update={"kind": "none"}),
-            "splits": profile.splits.model_copy(update={"identify": 150}),
-        }
-    )
-    text = path.read_text(encoding="utf-8").splitlines()
-    path.write_text("\n".join(line.rsplit(",", 1)[0] for line in text), encoding="utf-8")  # the program draws splits
-    with import_csv(profile, path, tmp_path / "run") as run:
-        result = calibrate_run(run)
-        data = read_report_data(run)
-    (arm,) = result.arms.values()
-    assert list(arm.left_out_configurations) == wrong
-    assert '"left_out_configurations"' in result.to_json()
-    ((name, held_out),) = data.held_out.items()
-    assert len(held_out.readings) == arm.validate_["geometry"].position_mm.n
-    assert not np.isin(held_out.readings.configuration, wrong).any()
-    assert any("left out (configurations 40, 150, 222)" in line for line in warnings(data))
-    assert any("left out (configurations 40, 150, 222)" in note for note in result.notes)
-    assert name in data.readings
 
 
 def test_the_whole_cell_leaves_them_out_of_the_pair(twin_readings: tuple) -> None:

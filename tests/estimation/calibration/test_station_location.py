@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from functools import partialmethod
 
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from cellapp.estimation.calibration import pair_calibration
 from cellapp.estimation.calibration.calibrate import station_change
@@ -19,13 +19,14 @@ from cellapp.estimation.calibration.pair_calibration import distances, identify_
 from cellapp.estimation.calibration.registration import base_from_points
 from cellapp.estimation.calibration.station_location import (
     ArmPoints,
-    RoughStation,
+    NestPoint,
+    TooFewNests,
     fit_station,
-    predicted_points,
+    tie_stations,
 )
 from cellapp.ground.errors import InputError, NotConverged
-from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
-from cellapp.robot.kinematics.chain import BASE_NAMES, JointAngles, base_twists, jacobian, smr_positions
+from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import (
     apply,
@@ -43,9 +44,6 @@ SIGMA_M = 20e-6
 MOVED = transform(rotation_from_vector([0.02, -0.01, 0.3]), [0.4, -0.2, 0.05])
 SECOND = transform(rotation_from_vector([0.0, 0.0, -1.2]), [3.1, -0.9, -0.7])
 EXCESS = {"left": 0.0, "right": 0.0}
-SCALE = EffectTerm(
-    "tracker_scale", ("scale",), np.array([5e-5]), np.array([1e-6]), ("m/m",), EFFECTS["tracker_scale"].law()
-)
 
 
 def arm_model(geometry, nominal, posterior=None, effects=()):
@@ -144,81 +142,6 @@ def test_the_stated_uncertainty_of_station_and_of_predictions_holds():
     assert np.mean(without) < np.mean(within) - 0.05, "the station's own uncertainty is no small part"
 
 
-def test_the_draws_hold_the_covariance_of_the_station():
-    rng = np.random.default_rng(3)
-    nominals, truth = truths(rng)
-    model = CellModel({name: identified(nominals[name], truth[name], rng, 3) for name in truth})
-    points = {name: measured(truth[name], rng.uniform(-2.0, 2.0, (3, truth[name].joints)), MOVED) for name in truth}
-    fit = fit_station(model, points, MOVED, excess_m=EXCESS)
-    drawn = fit.twists.T @ fit.twists / len(fit.twists)
-    scale = np.sqrt(np.diag(fit.covariance))
-    assert np.abs((drawn - fit.covariance) / np.outer(scale, scale)).max() < 5.0 * np.sqrt(2.0 / len(fit.twists))
-
-
-def test_a_moved_model_predicts_the_moved_points_with_the_same_spread():
-    rng = np.random.default_rng(4)
-    nominals, truth = truths(rng)
-    model = CellModel({name: identified(nominals[name], truth[name], rng, 4) for name in truth})
-    new = relocated(model, MOVED)
-    assert new.T_M_M0 is not None
-    back = relocated(new, invert(MOVED)).T_M_M0
-    assert back is not None
-    np.testing.assert_allclose(back, np.eye(4), atol=1e-12)
-    for name, arm in new.arms.items():
-        q = rng.uniform(-2.0, 2.0, (20, arm.geometry.joints))
-        old = model.arms[name]
-        np.testing.assert_allclose(arm.predict(q), apply(MOVED, old.predict(q)), atol=1e-12)
-        np.testing.assert_allclose(arm.uncertainty(q), old.uncertainty(q), rtol=1e-6)
-        assert arm.posterior is not None
-        assert old.posterior is not None
-        before = old.posterior.displacements(old.geometry, (), old.context(q))
-        after = arm.posterior.displacements(arm.geometry, (), arm.context(q))
-        np.testing.assert_allclose(after, before @ MOVED[:3, :3].T, atol=1e-12)
-        np.testing.assert_allclose(arm.in_base().predict(q), old.in_base().predict(q), atol=1e-12)
-
-
-@pytest.mark.parametrize("reference_axis", [0, 1, 2], ids=["x", "y", "z"])
-def test_the_twist_of_each_base_parameter_is_what_it_does_to_points(reference_axis):
-    rng = np.random.default_rng(reference_axis)
-    geometry = replace(at_station(UR10, OFF_AXIS), reference_axis=reference_axis)
-    q = rng.uniform(-2.0, 2.0, (5, 6))
-    P, J = jacobian(geometry, JointAngles.of(q), tuple(range(len(BASE_NAMES))))
-    twists = base_twists(geometry)
-    moved = twists[:3, :, None] + np.cross(twists[3:].T[:, None], P.T[None], axis=2).transpose(2, 0, 1)
-    np.testing.assert_allclose(J, moved, atol=1e-12)
-
-
-def test_effects_of_the_tracker_act_in_its_new_frame():
-    """A scale error lengthens what is far from the new station: the station comes out, not a mixture of both."""
-    rng = np.random.default_rng(6)
-    model = certain_cell(effects=(SCALE,))
-    there = relocated(model, MOVED)
-    points = {}
-    for name, arm in there.arms.items():
-        q = rng.uniform(-2.0, 2.0, (2, arm.geometry.joints))
-        points[name] = ArmPoints(q, arm.predict(q), np.tile(1e-10 * np.eye(3), (2, 1, 1)), MeasurementConditions())
-    fit = fit_station(model, points, near(MOVED, rng), excess_m=EXCESS)
-    np.testing.assert_allclose(fit.T_new_old, MOVED, atol=1e-8)
-
-
-def test_a_rough_station_lets_one_point_improve_the_next_prediction():
-    rng = np.random.default_rng(7)
-    model = certain_cell()
-    guess = near(MOVED, rng, 0.05, 0.017)
-    rough = RoughStation(guess, np.diag([0.05**2] * 3 + [0.017**2] * 3))
-    points = drawn_points(model, {"left": 2}, MOVED, rng)
-    one = {"left": ArmPoints(points["left"].q[:1], points["left"].measured_M[:1], *_rest(points["left"], 1))}
-    fit = fit_station(model, one, guess, excess_m=EXCESS, rough=rough)
-    expected = smr_positions(model.arms["left"].geometry, points["left"].q)
-    off = [np.linalg.norm(apply(T, expected) - points["left"].measured_M, axis=1) for T in (guess, fit.T_new_old)]
-    assert off[1][0] < 1e-4
-    assert off[1][1] < off[0][1]
-
-
-def _rest(points, count):
-    return points.covariance_M[:count], points.conditions
-
-
 def base_moved(model, name, motion):
     arm = model.arms[name]
     geometry = arm.geometry.with_T_M_B(motion @ arm.geometry.T_M_B())
@@ -276,23 +199,6 @@ def test_points_that_fix_no_station_are_refused(points, says):
         fit_station(model, points(model), MOVED, excess_m=EXCESS)
 
 
-def test_the_other_arm_is_where_it_was_while_a_point_was_measured():
-    model = certain_cell()
-    points = drawn_points(model, {"left": 2, "right": 2}, MOVED, np.random.default_rng(1))
-    at_home = {name: replace(own, other=("right", np.zeros((2, 7)))) for name, own in points.items() if name == "left"}
-    expected = predicted_points(relocated(model, MOVED), {**points, **at_home})
-    np.testing.assert_allclose(expected["left"], apply(MOVED, model.predict("left", points["left"].q)), atol=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_a_start_that_is_far_off_leads_to_the_same_station(seed):
-    model, rng = certain_cell(), np.random.default_rng(seed)
-    points = drawn_points(model, {"left": 4, "right": 4}, MOVED, rng)
-    one, other = (fit_station(model, points, near(MOVED, rng, *size), excess_m=EXCESS) for size in ((0, 0), (0.3, 1.0)))
-    np.testing.assert_allclose(other.T_new_old, one.T_new_old, atol=1e-8)
-    assert other.chi_squared <= one.chi_squared * (1.0 + 1e-6)
-
-
 def test_a_station_that_did_not_converge_is_an_error(monkeypatch):
     model, rng = certain_cell(), np.random.default_rng(0)
     points = drawn_points(model, {"left": 4, "right": 4}, MOVED, rng)
@@ -318,11 +224,6 @@ def test_a_moved_station_is_found_where_it_moved(seed, at):
     assert station_change(smr_positions(nominal, q), p_M) == pytest.approx(at, abs=2)
 
 
-def test_few_points_are_not_judged():
-    p = np.random.default_rng(0).normal(size=(8, 3))
-    assert station_change(p, p) is None
-
-
 # -- The inter-base transform from distances alone ---------------------------------------------------------------------
 
 
@@ -342,18 +243,6 @@ def test_exact_distances_give_the_exact_transform(seed):
     np.testing.assert_allclose(found.T_R_L, T_R_L, atol=1e-9)
     x, y, z, theta, beta, alpha = found.values
     np.testing.assert_allclose(transform(rotation_zyx(theta, beta, alpha), [x, y, z]), T_R_L, atol=1e-8)
-
-
-def test_standard_errors_are_those_of_repetition():
-    errors, stated = [], []
-    for k in range(300):
-        _, T_R_L, p_L, p_R, _ = cell(0)
-        measured = distances(T_R_L, p_L, p_R) + np.random.default_rng(k).normal(0.0, 20e-6, 100)
-        found = identify_pair(T_R_L, p_L, p_R, measured)
-        errors.append(found.T_R_L[:3, 3] - T_R_L[:3, 3])
-        stated.append(found.standard_errors[:3])
-        assert found.scale == pytest.approx(20e-6, rel=0.35)
-    np.testing.assert_allclose(np.std(errors, axis=0), np.mean(stated, axis=0), rtol=0.15)
 
 
 def test_six_stops_are_refused():
@@ -398,19 +287,6 @@ def test_exact_points_give_the_true_pose(position, vector, count) -> None:
     assert fit.sentence.endswith("; good")
 
 
-@settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_the_base_does_not_depend_on_the_order_of_the_points(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    p_M = apply(transform(rotation_from_vector(rng.normal(size=3)), rng.normal(size=3)), CORNERS)
-    p_M += rng.normal(scale=1e-3, size=p_M.shape)
-    order = rng.permutation(4)
-    fit, other = base_from_points(CORNERS, p_M), base_from_points(CORNERS[order], p_M[order])
-    assert np.allclose(fit.T_M_B, other.T_M_B, atol=1e-9)
-    assert math.isclose(fit.position_error, other.position_error, rel_tol=1e-6)
-    assert order[other.worst] == fit.worst
-
-
 @pytest.mark.parametrize("noise_m", [20e-6, 1e-3, 5e-3])
 def test_errors_are_as_large_as_stated(noise_m: float) -> None:
     """Over many surveys the mean square of the true error is that of the stated one, for position and angle."""
@@ -450,3 +326,40 @@ def test_a_poor_point_is_named() -> None:
 def test_useless_points_are_refused(p_B, p_M, words: str) -> None:
     with pytest.raises(InputError, match=words):
         base_from_points(p_B, p_M)
+
+
+# -- Stations tied by reference nests ----------------------------------------------------------------------------------
+
+
+SIGMA = 2e-5
+TRUE = {
+    "north": np.eye(4),
+    "south": transform(Rotation.from_euler("z", 2.0).as_matrix(), [3.0, 1.0, 0.1]),
+    "west": transform(Rotation.from_euler("zx", [-1.0, 0.02]).as_matrix(), [-2.0, 2.0, 0.0]),
+}
+
+
+def points(seed: int, seen: dict[str, range], sigma: float = SIGMA) -> list[NestPoint]:
+    rng = np.random.default_rng(seed)
+    nests = np.random.default_rng(0).uniform(-2.5, 2.5, (8, 3))
+    return [
+        NestPoint(name, f"F{k}", apply(invert(TRUE[name]), nests[k : k + 1])[0] + sigma * rng.standard_normal(3), SIGMA)
+        for name, numbers in seen.items()
+        for k in numbers
+    ]
+
+
+def test_exact_points_give_the_true_poses() -> None:
+    seen = {"north": range(5), "south": range(2, 7), "west": range(4, 8)}
+    ties = tie_stations("north", points(0, seen, sigma=0.0))
+    assert list(ties) == ["south", "west"]
+    for name, tie in ties.items():
+        np.testing.assert_allclose(tie.T, TRUE[name], atol=1e-9)
+        assert tie.residual_m.max() < 1e-9
+    assert ties["west"].nests == ("F4", "F5", "F6")
+
+
+@pytest.mark.parametrize("seen", [{"north": range(2), "south": range(4)}, {"north": range(3), "south": range(4, 8)}])
+def test_a_station_that_is_not_tied_is_named(seen: dict[str, range]) -> None:
+    with pytest.raises(TooFewNests, match="station south shares fewer than 3 nests"):
+        tie_stations("north", points(0, seen))

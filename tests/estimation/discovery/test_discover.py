@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,23 +13,23 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.cell import build_plant, plant_arm
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import RunFile, import_csv
+from cellapp.cell.run import RunFile
 from cellapp.cell.targets.invert import invert
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.discover.run import discover_result, discover_run
+from cellapp.commands.discover.run import discover_result
 from cellapp.commands.report.result import read_results
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.commands.trials.blind import Noise, blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.quantities import conditions_of_arms, measured_quantities, measurement_conditions
-from cellapp.estimation.discovery import discover
-from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.discover import discover_arm, discover_cell
-from cellapp.estimation.discovery.joint_fit import fit_terms
+from cellapp.estimation.discovery import all_readings, discover
+from cellapp.estimation.discovery.all_readings import fit_to_all
+from cellapp.estimation.discovery.discover import Searched, discover_arm, search_rows
+from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import with_effects
-from cellapp.estimation.discovery.search.state import scatter
+from cellapp.estimation.discovery.terms import has_smooth_terms
 from cellapp.estimation.readings import Readings
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import Cancelled, CancelToken
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
@@ -37,7 +38,9 @@ from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import suggest
 from tests.arms import true_geometry
-from tests.estimation.discovery.searched import calibrated_and_searched
+from tests.cell.run.csv_rows import import_csv
+from tests.estimation.discovery.problems import calibrated_and_searched
+from tests.evidence.shared.series import draw_rows, load_entrant
 from tests.series import twin
 
 ROOT = Path(__file__).parents[3]
@@ -113,28 +116,6 @@ def test_an_effect_that_makes_held_out_errors_larger_is_left_out_and_said(tmp_pa
     assert "backlash" in found.result.sentence
     assert "made held-out errors larger" in found.result.sentence
     assert any("dropped in review: backlash" in step.what for step in found.result.steps)
-
-
-@pytest.mark.slow
-def test_readings_that_were_computed_without_noise_are_searched(tmp_path, plan):
-    """Rounding alone is left: weights by it would make every normal matrix singular."""
-    with measured_run(tmp_path / "run", {name: q[:60] for name, q in plan.items()}, {}) as run:
-        profile, measured = (
-            run.profile.model_copy(update={"arms": {"left": run.profile.arms["left"]}}),
-            run.readings("left"),
-        )
-        exact = build_plant(run.profile).smr_positions(
-            "left", measured.q, approach=measured.approach.astype(np.float64)
-        )
-
-    def fill(run):
-        run.add_readings("left", replace(measured, p_M=exact, covariance_M=None))
-
-    with RunFile.create(tmp_path / "exact", profile, fill) as run:
-        found = calibrated_and_searched(run)
-    result = found.arms["left"].result
-    assert not [one for one in result.accepted if one.effect != "unknown"]
-    assert result.heldout_mm.after < 1e-3
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
@@ -344,24 +325,6 @@ def test_a_search_ends_on_request_before_the_rivals_of_the_next_effect(plan):
     assert said[-1] == "review and rivals"
 
 
-def test_an_uncalibrated_run_is_refused(tmp_path, plan):
-    with measured_run(tmp_path / "run", plan, {}) as run, pytest.raises(InputError, match="cellapp calibrate"):
-        discover_run(run)
-
-
-def test_the_pure_computation_needs_no_run_file(plan):
-    profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": {}}, 2)
-    profile = without_network(profile)
-    readings = blind_readings(profile, plan, 2)
-    models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
-    found = discover_cell(profile, CellModel(arms=models), readings).arms
-    conditions = conditions_of_arms(models, readings)
-    alone = discover_arm(profile, "left", models["left"], readings["left"], conditions=conditions["left"])
-    assert set(found) == {"left", "right"}
-    together, single = (one.result.model_copy(update={"seconds": None}) for one in (found["left"], alone))
-    assert together == single
-
-
 # -- Discovery in positions and orientations: the last joint shows, bounds hold, commands put the flange right ---------
 
 SIGMA_M, SIGMA_RAD = 3e-5, 6e-5
@@ -445,22 +408,6 @@ def test_stated_intervals_of_orientations_hold(both):
     assert model.posterior.noise_rad == pytest.approx(SIGMA_RAD, rel=0.15)
 
 
-def test_the_same_uncertainty_as_covariances_leaves_the_same_scatter(both):
-    """Variances of positions, some 1e-9 m^2, are not taken for standard uncertainties that state nothing."""
-    readings, found = both
-    blocks = np.tile(np.eye(3), (len(readings), 1, 1))
-    as_blocks = replace(
-        readings, sigma_m=None, covariance_M=SIGMA_M**2 * blocks, turning_covariance_M=SIGMA_RAD**2 * blocks
-    )
-    left = []
-    for its in (readings, as_blocks):
-        data = ArmData.of(twin(), found["both"].model, its, measurement_conditions(its))
-        left.append(scatter(data, fit_terms(data, ())))
-    assert left[0] is not None
-    assert left[1] is not None
-    assert left[1].ratio == pytest.approx(left[0].ratio, rel=1e-6)
-
-
 def test_commands_put_the_flange_where_base_and_links_turn_it(both):
     """A model with a soft pedestal is inverted: position and orientation are then both as wanted."""
     law, nothing = EFFECTS["pedestal_compliance"].law("isotropic"), np.zeros(1)
@@ -478,16 +425,76 @@ def test_commands_put_the_flange_where_base_and_links_turn_it(both):
     assert np.abs(off).max() < 1e-6
 
 
-def test_the_model_is_stored_with_its_probe(both):
-    readings, found = both
-    model = found["both"].model
-    stored = CellModel.from_json(CellModel({"left": model}).to_json()).arms["left"]
-    its = measured_quantities(readings, measurement_conditions(readings))
-    computed, again = (one.predict(its.readings.q, conditions=its.conditions) for one in (model, stored))
-    np.testing.assert_array_equal(computed, again)
-    assert stored.posterior is not None
-    assert model.posterior is not None
-    assert stored.posterior.noise_rad == model.posterior.noise_rad
-    alone = stored.of_positions()
-    assert set(stored.identified) - set(alone.identified) == {"rx", "ry", "rz"}
-    np.testing.assert_array_equal(alone.predict(readings.q), model.predict(readings.q))
+# -- More readings than are searched never make it worse, and a numerical failure is no finding ------------------------
+
+
+SEARCHED, ROWS = 200, 320
+
+
+@cache
+def drawn_beyond():
+    """A draw of a real UR10: its profile, calibrated model, readings with splits, and their conditions."""
+    series = load_entrant("D")
+    readings = draw_rows(series, ROWS, 3).split(series.readings)
+    arm, _ = calibrate_arm(series.profile, series.arm, readings)
+    return series.profile, series.arm, arm.model, readings, measurement_conditions(readings)
+
+
+@cache
+def searched() -> Searched:
+    profile, _, model, readings, conditions = drawn_beyond()
+    rows = readings.in_split("identify")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(discover, "_MOST_SEARCHED", SEARCHED)
+        return search_rows(profile, model, readings.take(rows), conditions.take(rows), CancelToken())
+
+
+def held_out() -> HeldOut:
+    _, _, _, readings, conditions = drawn_beyond()
+    return HeldOut.of(readings, conditions)
+
+
+def test_rows_beyond_those_that_are_searched_lower_the_error():
+    result = searched()
+    assert has_smooth_terms(result.found.fit.terms)
+    assert (result.only_some, len(result.search.data), result.fitted) == ("", SEARCHED, ROWS)
+    of_search = Searched.of_search(result.search, result.data).model
+    assert held_out().rms_mm(result.model) < held_out().rms_mm(of_search) < held_out().rms_mm(drawn_beyond()[2])
+
+
+@pytest.mark.slow
+def test_where_the_fit_to_all_fails_the_model_of_the_search_is_in_force_and_said(monkeypatch):
+    profile, name, model, readings, conditions = drawn_beyond()
+    found = searched().search
+    monkeypatch.setattr(discover, "_MOST_SEARCHED", SEARCHED)
+    monkeypatch.setattr(discover, "search", lambda *_: found)
+    monkeypatch.setattr(all_readings, "_MOST_STEPS", 1)
+    result = discover_arm(profile, name, model, readings, conditions=conditions).result
+    assert [one.effect for one in result.accepted] == [term.slug for term in found.fit.terms]
+    assert result.heldout_mm.after < 0.5 * result.heldout_mm.before
+    assert f"the model rests on {SEARCHED} of {ROWS} readings" in result.sentence
+    assert "no finding" in result.sentence
+    assert "measure more" not in result.sentence
+    assert not any("fitted to all" in step.what for step in result.steps)
+
+
+def test_a_fit_that_does_not_converge_is_an_error(monkeypatch):
+    monkeypatch.setattr(all_readings, "_MOST_STEPS", 1)
+    result = searched()
+    with pytest.raises(NotConverged, match="effects to all readings"):
+        fit_to_all(result.search, result.data, result.search.threshold)
+
+
+def test_only_terms_that_predict_worse_are_removed():
+    """The last term of the model is spoilt: it goes, and no other one does."""
+    result, judge = searched(), held_out()
+    terms = result.found.fit.terms
+    spoilt = replace(
+        result.model,
+        effects=(*result.model.effects[:-1], replace(result.model.effects[-1], values=np.full(terms[-1].size, 5e-3))),
+    )
+    left = discover._judged_by_held_out(replace(result, model=spoilt, only_some="spoilt here"), judge)
+    assert left.harmful == (terms[-1].slug,)
+    assert len(left.found.fit.terms) == len(terms) - 1
+    assert len(left.found.reviews) == len(terms) - 1
+    assert judge.rms_mm(left.model) < 0.6 * judge.rms_mm(left.found.geometry_only.model)

@@ -6,9 +6,7 @@ import json
 import math
 import shutil
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,7 @@ from typer.testing import CliRunner
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.plan import plan_stops
-from cellapp.cell.planning.planned_stops import STOP_CONDITIONS_RESULT, StopConditions, read_stop_conditions
+from cellapp.cell.planning.planned_stops import STOP_CONDITIONS_RESULT, read_stop_conditions
 from cellapp.cell.planning.proposal import propose as proposing
 from cellapp.cell.planning.proposal.arm_candidates import DWELLS_S, STEPS_RAD, Effort
 from cellapp.cell.planning.proposal.propose import Proposal, append_proposed_stops
@@ -27,7 +25,6 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_motion
 from cellapp.commands.discover.run import proposal_result, propose_after
 from cellapp.commands.discover.view import proposal_lines
-from cellapp.estimation.discovery import posterior
 from cellapp.estimation.discovery.joint_fit import ProjectedResidual
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.posterior import posteriors
@@ -37,17 +34,14 @@ from cellapp.estimation.discovery.terms import UNKNOWN, CandidateLaw, LawScore, 
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import Channel, EffectColumn
-from cellapp.robot.effects.periodic import LINES
 from drivers.no_driver import NoDriver
-from tests.estimation.discovery.linear_problem import PLAIN, problem
-from tests.estimation.discovery.searched import calibrated_and_searched, proposed
+from tests.estimation.discovery.problems import PLAIN, calibrated_and_searched, problem, proposed
 from tests.program import app
 from tests.twin import small_twin, with_arms
 
 STOPS = 90
 PROPOSED = 20
 PLAY = {"backlash": {"play": [8e-5, 8e-5, 5e-5, 0.0, 0.0, 0.0]}}
-SOFT = {"joint_compliance": {"stiffness": [2e6] * 6}}
 DWELL_S = 1.2
 EFFORT = Effort(drawn=70, kept=50, candidates=3000)
 """Fewer candidates than by default: enough for these claims."""
@@ -132,28 +126,6 @@ def test_proposed_stops_decide_what_a_poor_plan_leaves_open_and_better_than_rand
             assert answer.proposed > 1.0
         hardest = min(answers.values(), key=lambda answer: answer.proposed / answer.needed)
         assert hardest.gain_over_random > 1.5
-
-
-@pytest.mark.slow
-def test_compliance_and_bending(plan: dict[str, np.ndarray], tmp_path: Path) -> None:
-    with measured_run(tmp_path / "run", {"left": SOFT}, plan, tied=False) as run:
-        found = calibrated_and_searched(run)
-        assert {"joint_compliance", "link_bending"} <= set(found.arms["left"].result.accepted[0].answer_set)
-        proposal = proposed(run, found, 2 * PROPOSED, Effort(drawn=200, kept=140, candidates=3000))
-        elastic = {"joint_compliance", "link_bending"}
-        answers = [a for a in proposal.predictions if a.arm == "left" and {a.effect, a.against} == elastic]
-        assert len(answers) == 2
-        for answer in answers:
-            assert answer.now < answer.random < answer.proposed
-            assert answer.gain_over_random > 1.2, "random stops of one draw differ by some per cent from another"
-        # neither depends on the last step: there are no detours, and the advice is another load
-        assert all(
-            one == StopConditions() or one.via is None for stop in proposal.stops for one in stop.conditions.values()
-        )
-        assert any("another load would distinguish" in advice for advice in proposal.advice)
-        seen = [answer for answer in proposal.predictions if answer.arm == "right"]
-        assert seen, "where nothing was found the stops make the faintest effects more visible"
-        assert all(answer.against == "" and answer.proposed > answer.random for answer in seen)
 
 
 def test_every_leg_is_inside_the_limits_and_free(tied: Tied) -> None:
@@ -308,13 +280,6 @@ def test_a_score_at_the_threshold_leaves_it_open():
     assert posteriors([], {"backlash": THRESHOLD}, THRESHOLD, COORDINATES).effects["backlash"] == pytest.approx(0.5)
 
 
-def test_evidence_far_from_the_threshold_decides():
-    found = posteriors([review("backlash", 5000.0)], {"base_step": -6.0}, THRESHOLD, COORDINATES)
-    assert found.terms[0] == pytest.approx(1.0, abs=1e-3)
-    assert found.effects["base_step"] < 0.001
-    assert sum(found.effects.values()) < 1.01
-
-
 def test_rivals_that_tie_share_the_probability():
     tied = review("backlash", 900.0, unsettled_measurement=900.0, friction_windup=300.0, base_step=-math.inf)
     found = posteriors([tied, review("joint_compliance", 400.0)], {}, THRESHOLD, COORDINATES)
@@ -326,89 +291,12 @@ def test_rivals_that_tie_share_the_probability():
     assert posteriors([three], {}, THRESHOLD, COORDINATES).terms[0] == pytest.approx(1.0 / 3.0, abs=1e-3)
 
 
-def beside_rival_that_leaves(rival, share, score, **law):
-    """Probability of a drift of joint zeros of which a rival leaves a share."""
-    squares = math.exp(-score / COORDINATES)
-    its = -COORDINATES * math.log(squares + share**2 * (1.0 - squares))
-    named = review("joint_drift", score, **{rival: its})
-    named = replace(named, term=replace(named.term, **law))
-    return posteriors([named], {}, THRESHOLD, COORDINATES).terms[0]
-
-
-def test_errors_of_a_law_look_like_its_look_alikes_where_the_readings_would_not_show_them():
-    alike = [beside_rival_that_leaves("base_drift", 0.3, score) for score in (40.0, 600.0)]
-    assert 0.6 < alike[0] < beside_rival_that_leaves("target_slip", 0.3, 40.0) - 0.1
-    assert alike[1] > 0.99
-    assert beside_rival_that_leaves("base_drift", 0.0, 100.0) == pytest.approx(0.5, abs=1e-3)
-    off = beside_rival_that_leaves("base_drift", 0.1, 600.0, modulations=("a free part",))
-    assert off < 0.8 < beside_rival_that_leaves("base_drift", 0.1, 600.0), "of a law that is off"
-
-
-@pytest.mark.parametrize("score", [100.0, 600.0, 6000.0])
-def test_a_rival_that_leaves_what_a_law_may_leave_is_possible(score):
-    """The share m of the effect that a rival leaves decides where noise is small; not noise alone."""
-
-    assert 0.49 < beside_rival_that_leaves("target_slip", 0.01, score) < 0.7
-    assert beside_rival_that_leaves("target_slip", 0.4, score) > 0.99
-    assert beside_rival_that_leaves("target_slip", 0.0, score) == pytest.approx(0.5, abs=1e-3)
-    better = review("joint_drift", score, target_slip=score + 1.0)
-    assert posteriors([better], {}, THRESHOLD, COORDINATES).terms[0] < 0.5
-
-
 def test_two_terms_of_one_effect_count_as_one():
     found = posteriors(
         [review("transmission_error", 3.0), review("transmission_error", 20.0)], {}, THRESHOLD, COORDINATES
     )
     wanted = 1.0 / (1.0 + math.exp(-(23.0 - THRESHOLD) / 2.0))
     np.testing.assert_allclose(found.terms, wanted)
-
-
-def test_a_cause_outside_the_library_may_be_in_the_place_of_a_name():
-    sure = [review("backlash", 900.0), review("joint_compliance", 900.0)]
-    outside = {"backlash": math.log(1.5), "joint_compliance": math.log(0.02)}
-    found = posteriors(sure, {}, THRESHOLD, COORDINATES, outside)
-    np.testing.assert_allclose(found.terms, (1.02 / 2.52, 2.5 / 2.52))
-    tied = posteriors([review("backlash", 900.0, base_step=900.0)], {}, THRESHOLD, COORDINATES, {"backlash": 0.0})
-    np.testing.assert_allclose((tied.terms[0], tied.effects["base_step"]), 1.0 / 3.0, rtol=1e-6)
-
-
-def found_by(reviews) -> Any:
-    return SimpleNamespace(fit=SimpleNamespace(terms=[None]), data=None, reviews=reviews, threshold=THRESHOLD)
-
-
-def test_a_name_just_above_the_threshold_is_less_likely_than_not(monkeypatch):
-    """Effects so small are rarer than noise of that score."""
-    monkeypatch.setattr(posterior, "possible_free_parts", lambda *_: [])
-    monkeypatch.setattr(posterior, "_share_of_a_larger", lambda fit, number: math.inf)
-
-    def accepted(score):
-        reviews = posterior.cautious_reviews(found_by([review("backlash", score, base_step=score - 6.0)]))
-        return posteriors(reviews, {}, THRESHOLD, COORDINATES).terms[0]
-
-    assert accepted(THRESHOLD + 6.0) < 0.2
-    assert accepted(THRESHOLD + 30.0) > 0.9
-
-
-def cycles_of(*counts: int) -> Any:
-    """A fit with one term of lines at some cycle counts of joint 1."""
-    columns = [SimpleNamespace(joint=0, cycles=count) for count in counts for _ in range(2)]
-    term = ModelTerm("transmission_error", LINES.law(), ())
-    return SimpleNamespace(terms=[term], term_columns=lambda number: columns)
-
-
-def test_a_row_of_the_lowest_cycles_of_a_joint_is_a_free_function():
-    assert posterior.is_free_function(cycles_of(2, 3, 4, 5), 0)
-    assert not posterior.is_free_function(cycles_of(2, 4, 50, 100, 150), 0)
-
-
-def test_a_rival_loses_what_the_effect_loses_beside_a_larger_one(monkeypatch):
-    """Else a worse rival would take the place of what other laws may have left over."""
-    monkeypatch.setattr(posterior, "possible_free_parts", lambda *_: [])
-    monkeypatch.setattr(posterior, "_share_of_a_larger", lambda fit, number: 0.01)
-    reviews = [review("backlash", 637.0, friction_windup=580.0)]
-    (cautious,) = posterior.cautious_reviews(found_by(reviews))
-    assert THRESHOLD < cautious.score < 637.0
-    assert cautious.alternatives["friction_windup"] == pytest.approx(cautious.score - 57.0)
 
 
 def test_data_driven_terms_are_effects_of_their_own_and_not_among_the_names():

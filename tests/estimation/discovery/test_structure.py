@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import pearson3
+from scipy.stats import multivariate_normal, pearson3
 
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
@@ -26,24 +27,38 @@ from cellapp.estimation.discovery.joint_fit import (
     ProjectedResidual,
     cross_validated_gain,
     fit_terms,
+    refit,
 )
 from cellapp.estimation.discovery.plan_forecast import (
     ArmDesign,
     PlannedReadings,
     arm_designs,
     planned_effects,
-    tracker_covariance,
+)
+from cellapp.estimation.discovery.process import (
+    CURVE_LENGTHS,
+    Component,
+    Hyperparameters,
+    ProcessData,
+    evidence,
+    first_guess,
+    fit_process,
+    log_evidence,
+    most_evident,
+    process_terms,
 )
 from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.estimation.discovery.terms import has_smooth_terms
 from cellapp.estimation.discovery.verdict import CHANCE, has_structure, pearson3_tail, structure_left
 from cellapp.estimation.readings import Readings
 from cellapp.ground.progress import CancelToken
+from cellapp.robot.effects import Channel, EffectColumn, LawForm
+from cellapp.robot.effects.context import Wave
+from cellapp.robot.effects.law import circle_variances
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.model import network_to_json
 from cellapp.robot.model.nominal import bodies_of, nominal_arm
-from drivers.plant.config import TrackerConfig
-from drivers.plant.optics import covariances
 from tests.arms import STATION
 from tests.evidence.shared.series import load_entrant
 from tests.twin import PROFILES, small_twin
@@ -197,20 +212,6 @@ def design() -> ArmDesign:
     return arm_designs(profile, plan_stops(profile), expected)["left"]
 
 
-def test_the_expected_noise_is_that_of_the_simulated_tracker() -> None:
-    tracker = small_twin().tracker
-    p_M = np.random.default_rng(2).uniform(-3.0, 3.0, (50, 3))
-    config = TrackerConfig(
-        T_C_M=np.eye(4),
-        transverse=(tracker.transverse.constant, tracker.transverse.proportional),
-        range=(tracker.range.constant, tracker.range.proportional),
-        averaging_s=tracker.averaging,
-    )
-    np.testing.assert_allclose(
-        tracker_covariance(tracker, p_M), covariances(config, p_M, tracker.averaging), rtol=1e-12
-    )
-
-
 @pytest.mark.parametrize("slug", ["backlash", "encoder_eccentricity", "joint_compliance"])
 def test_an_effect_of_twice_the_promised_size_scores_and_of_a_fifth_does_not(slug: str, design: ArmDesign) -> None:
     promised = next(one for one in planned_effects(design) if one.effect == slug)
@@ -332,3 +333,170 @@ def test_held_out_readings_do_not_choose_the_network(searched):
     ]
     texts = [json.dumps(network_to_json(one.model.network)) for one in found]
     assert texts[0] == texts[1]
+
+
+# -- Evidence of a structured process: the marginal likelihood of the readings, with right derivatives -----------------
+
+
+N = 300
+CYCLES = 20
+FORM = LawForm("smooth", "smooth")
+
+
+def columns(cycles):
+    return tuple(EffectColumn(f"c{k}", "rad", "", -1.0, 1.0, Channel.BASE, wave=Wave(int(k), False)) for k in cycles)
+
+
+def curve(rng):
+    """A free function of one angle: cosines and sines of 1 ... ``CYCLES`` cycles, one amplitude, one length scale."""
+    z = rng.uniform(-np.pi, np.pi, N)
+    k = np.arange(1, CYCLES + 1)
+    rows = np.concatenate([np.cos(np.outer(k, z)), np.sin(np.outer(k, z))])
+    return Component(
+        slug="transmission_error",
+        columns=columns(np.tile(k, 2)),
+        rows=rows,
+        form=FORM,
+        constants={},
+        groups=np.zeros(2 * CYCLES, dtype=np.intp),
+        amplitude_keys=("amplitude",),
+        start=1.0,
+        weights=np.ones(2 * CYCLES),
+        lengths=CURVE_LENGTHS,
+        length_keys=("length",),
+    )
+
+
+def plain(rng):
+    """Four random columns with two amplitudes."""
+    return Component(
+        slug="backlash",
+        columns=columns(range(1, 5)),
+        rows=rng.normal(size=(4, N)),
+        form=FORM,
+        constants={},
+        groups=np.array([0, 0, 1, 1]),
+        amplitude_keys=("amplitude1", "amplitude2"),
+        start=1.0,
+        weights=np.array([1.0, 0.5, 1.0, 2.0]),
+    )
+
+
+def gathered(components, y):
+    rows = np.concatenate([one.rows for one in components])
+    return ProcessData(rows @ rows.T, rows @ y, float(y @ y), float(N))
+
+
+def simulated(rng, components, values):
+    """Readings (N,) of the components' prior."""
+    rows = np.concatenate([one.rows for one in components])
+    weights = rng.normal(size=len(rows)) * np.sqrt(values.variances(components))
+    return weights @ rows + rng.normal(0.0, math.sqrt(values.noise), N)
+
+
+TRUE = Hyperparameters((np.array([0.8]), np.array([0.5, 0.3])), (0.4, 1.0), 0.1)
+
+
+def test_it_is_the_marginal_likelihood_of_the_readings():
+    rng = np.random.default_rng(1)
+    parts = (curve(rng), plain(rng))
+    y = simulated(rng, parts, TRUE)
+    X = np.concatenate([one.rows for one in parts]).T
+    variance = TRUE.variances(parts)
+    dense = multivariate_normal(np.zeros(N), (X * variance) @ X.T + TRUE.noise * np.eye(N))
+    wanted = dense.logpdf(y) + 0.5 * N * math.log(2.0 * math.pi)
+    # columns whose prior is below a thousandth of the noise are left out
+    assert log_evidence(gathered(parts, y), variance, TRUE.noise) == pytest.approx(wanted, abs=0.02)
+    assert evidence(gathered(parts, y), variance, TRUE.noise).value == pytest.approx(wanted, abs=0.02)
+
+
+def test_hyperparameters_of_a_simulated_curve_are_recovered():
+    rng = np.random.default_rng(4)
+    errors = []
+    for _ in range(12):
+        one = curve(rng)
+        data = gathered([one], simulated(rng, [one], Hyperparameters((np.array([0.8]),), (0.4,), 0.1)))
+        values, _ = most_evident([one], data, first_guess([one], data), 60)
+        found = np.array([values.amplitudes[0][0] / 0.8, values.lengths[0] / 0.4, values.noise / 0.1])
+        errors.append(np.log(found))
+    # a turn holds some 2 pi / 0.8 independent values of the curve: 25 % for its amplitude, 8 % for the noise
+    np.testing.assert_allclose(np.mean(errors, axis=0), 0.0, atol=0.2)
+    assert (np.std(errors, axis=0) < (0.4, 0.4, 0.16)).all()
+
+
+# -- The structured process on a simulated arm: what is there stays, what is not is removed, with any weights ----------
+
+SIGMA_M_OF_PROCESS = 12e-6
+NEEDED = 30.0
+LENGTH, AMPLITUDE = np.radians(12.0), 1.5e-4
+CURVED = (0, 2)
+
+
+def curves(rng):
+    """Joint offsets that are draws of a smooth function of the joint's own angle, at two joints.
+
+    One cycle per revolution is left out: that is an eccentric encoder, another effect.
+    """
+    k = np.arange(2, 81)
+    sd = AMPLITUDE * np.sqrt(circle_variances(LENGTH, 80)[1:])
+    weights = {joint: rng.normal(size=(2, len(k))) * sd for joint in CURVED}
+
+    def bend(q):
+        bent = np.zeros_like(q)
+        for joint, (a, b) in weights.items():
+            waves = np.outer(q[:, joint], k)
+            bent[:, joint] = np.cos(waves) @ a + np.sin(waves) @ b
+        return bent
+
+    return bend
+
+
+def data_of(bend, *, N=300, stated=True, seed=7):
+    """Readings of an arm whose joints are off by ``bend(q)``, with white noise."""
+    profile = load_profile(PROFILES / "twin.yaml")
+    geometry = nominal_arm(profile.arms["left"]).with_T_M_B(STATION)
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(-2.5, 2.5, (N, 6))
+    readings = Readings(
+        configuration=np.arange(N, dtype=np.int64),
+        time_s=60.0 * np.arange(N, dtype=np.float64),
+        q=q,
+        approach=np.sign(rng.uniform(-1.0, 1.0, (N, 6))).astype(np.int8),
+        p_M=smr_positions(geometry, q + bend(q)) + rng.normal(0.0, SIGMA_M_OF_PROCESS, (N, 3)),
+        sigma_m=np.full(N, SIGMA_M_OF_PROCESS if stated else np.nan),
+    )
+    up = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
+    model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(profile.arms["left"]), up_M=up)
+    return ArmData.of(profile, model, readings, measurement_conditions(readings))
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_curve_of_two_joints_is_found_with_its_hyperparameters(stated):
+    data = data_of(curves(np.random.default_rng(3)), stated=stated)
+    assert (data.stated is not None) == stated
+    found = fit_process(data, fit_terms(data, ()), NEEDED)
+    assert found is not None
+    process, scatter = found
+    (one,) = process.components
+    assert one.slug == "transmission_error"
+    amplitudes = dict(zip(one.amplitude_keys, process.values.amplitudes[0], strict=True))
+    curved = [amplitudes.pop(f"amplitude{joint + 1}") for joint in CURVED]
+    np.testing.assert_allclose(curved, AMPLITUDE, rtol=0.5)
+    assert max(amplitudes.values(), default=0.0) < 0.05 * AMPLITUDE
+    assert process.values.lengths[0] == pytest.approx(LENGTH, rel=0.4)
+    # all of the scatter where no uncertainty is stated, nearly nothing beyond it where it is
+    assert scatter.m < 0.5 * SIGMA_M_OF_PROCESS if stated else scatter.m == pytest.approx(SIGMA_M_OF_PROCESS, rel=0.1)
+    (term,) = process_terms(process, scatter)
+    assert term.smooth is not None
+    assert term.smooth.evidence > NEEDED
+    assert term.smooth.hyperparameters == len(one.amplitude_keys) + 1
+    _, after = refit(data, (term,))
+    assert has_smooth_terms(after.terms)
+    # geometry and curves take some 150 of the 900 coordinates
+    assert np.std(after.identification.residuals) == pytest.approx(SIGMA_M_OF_PROCESS * np.sqrt(750.0 / 900.0), rel=0.1)
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_noise_needs_no_process(stated):
+    data = data_of(np.zeros_like, N=150, stated=stated)
+    assert fit_process(data, fit_terms(data, ()), NEEDED) is None

@@ -16,10 +16,7 @@ from cellapp.estimation.iso9283 import characteristics as iso
 from cellapp.estimation.iso9283.characteristics import (
     Cycles,
     accuracy_value,
-    directional_value,
     distance_values,
-    drift_values,
-    path_values,
     repeatability_value,
 )
 from cellapp.estimation.iso9283.coverage import NOT_ASKED, NOT_OFFERED, ONE_SMR, coverage, not_done
@@ -28,15 +25,12 @@ from cellapp.estimation.iso9283.cube import (
     CYCLE,
     PLANES,
     POSES,
-    circle_positions,
     lattice_cube,
     pose_positions,
 )
-from cellapp.estimation.iso9283.norm import IsoTest
 from cellapp.estimation.iso9283.records import (
     ArmIso9283,
     CommandedTests,
-    DriftCharacteristics,
     IsoConditions,
     IsoLine,
     IsoValue,
@@ -126,24 +120,6 @@ def test_no_characteristic_depends_on_the_frame(points: Array, motion: Array) ->
     )
 
 
-@given(CLOUDS, st.floats(0.0, 5.0))
-def test_repeatability_is_not_negative_and_scales(points: Array, scale: float) -> None:
-    value = float(iso.pose_repeatability(points))
-    assert value >= 0.0
-    assert iso.pose_repeatability(scale * points) == pytest.approx(scale * value, abs=1e-9)
-    lengths = np.linalg.norm(points - points.mean(axis=0), axis=1)
-    assert value >= lengths.mean() - 1e-12
-
-
-@given(CLOUDS)
-def test_formulas_are_the_same_for_many_draws_at_once(points: Array) -> None:
-    both = np.stack([points, 2.0 * points])
-    np.testing.assert_allclose(iso.pose_repeatability(both)[1], iso.pose_repeatability(2.0 * points), atol=1e-12)
-    np.testing.assert_allclose(
-        iso.pose_accuracy(both, np.ones(3))[0], iso.pose_accuracy(points, np.ones(3)), atol=1e-12
-    )
-
-
 def test_velocity_of_two_cycles_worked_by_hand() -> None:
     """Places 10 mm apart; 0.04, 0.05 s in the first cycle (250, 200 mm/s), 0.05, 0.05 s in the second."""
     times = np.array([[0.0, 0.04, 0.09], [1.0, 1.05, 1.10]])
@@ -152,11 +128,6 @@ def test_velocity_of_two_cycles_worked_by_hand() -> None:
     assert iso.velocity_accuracy(found, 0.25) == pytest.approx((0.225 + 0.2) / 2.0 / 0.25 - 1.0)
     assert iso.velocity_repeatability(found, 0.25) == pytest.approx(3.0 * 0.025 / math.sqrt(2.0) / 0.25)
     assert iso.velocity_fluctuation(found) == pytest.approx(0.05)
-
-
-def test_a_repeatability_of_the_velocity_of_one_cycle_is_refused() -> None:
-    with pytest.raises(ValueError, match="at least 2 cycles, not 1"):
-        iso.velocity_repeatability(np.array([[0.2, 0.2]]), 0.2)
 
 
 # -- The norm's cube: planes, poses, and the largest cube of a lattice -------------------------------------------------
@@ -188,16 +159,6 @@ def test_planes_are_the_four_that_hold_an_upper_edge_and_the_opposite_lower_one(
         np.testing.assert_array_equal(first, -third)
         np.testing.assert_array_equal(second, -fourth)
         assert first[2] == second[2] == 1
-
-
-def test_the_circle_is_in_the_plane_and_inside_the_cube() -> None:
-    poses = pose_positions(CENTRE, EDGE, PLANES[0])
-    points = circle_positions(poses, EDGE) - CENTRE
-    np.testing.assert_allclose(np.linalg.norm(points, axis=1), 0.4 * EDGE)
-    np.testing.assert_allclose(points[0], points[-1], atol=1e-12)
-    normal = np.cross(poses["P2"] - CENTRE, poses["P3"] - CENTRE)
-    np.testing.assert_allclose(points @ normal, 0.0, atol=1e-12)
-    assert np.abs(points).max() <= 0.5 * EDGE
 
 
 @given(arrays(np.bool_, (4, 5, 4)))
@@ -264,45 +225,10 @@ def test_every_characteristic_of_the_norm_has_a_line_and_a_reason() -> None:
     assert "distance accuracy AD, repeatability RD" in not_done(lines)[NOT_ASKED]
 
 
-@pytest.mark.parametrize(
-    ("n", "stopped", "status", "words"),
-    [(5, "", "in part", "5 of 30 cycles"), (30, "", "done", "30 cycles")],
-)
-def test_fewer_cycles_than_the_norms_are_a_part(n: int, stopped: str, status: str, words: str) -> None:
-    found = line(coverage(["pose"], {"left": posed(n)}, CONDITIONS, stopped), "pose accuracy")
-    assert found.status == status
-    assert found.words.startswith(words)
-
-
-def test_arms_that_differ_have_lines_of_their_own() -> None:
-    reason = "this tracker's driver cannot measure a moving SMR"
-    tests: list[IsoTest] = ["pose", "path"]
-    arms = {"left": posed(30), "right": posed(30, refused={"path": reason})}
-    lines = [one for one in coverage(tests, arms, CONDITIONS) if one.characteristic.startswith("path accuracy AT")]
-    assert [(one.arms, one.status) for one in lines] == [(("left",), "not done"), (("right",), "not done")]
-    assert lines[1].words == reason
-    assert len([one for one in coverage(tests, arms, CONDITIONS) if one.clause == "7.2.3"]) == 1
-
-
 def test_what_stopped_the_job_is_the_reason() -> None:
     arm = ArmIso9283(payload_kg=0.3)
     found = line(coverage(["pose"], {"left": arm}, CONDITIONS, "stopped: arm left: protective stop"), "pose accuracy")
     assert (found.status, found.words) == ("not done", "stopped: arm left: protective stop")
-
-
-def test_a_short_drift_test_is_a_part() -> None:
-    drift = DriftCharacteristics(
-        pose="P1", minutes=60.0, accuracy=value(10), repeatability=value(10), shift_mm=0.0, groups=()
-    )
-    arm = ArmIso9283(payload_kg=0.3, tests={"nominal": CommandedTests(drift=drift)})
-    found = line(coverage(["drift"], {"left": arm}, CONDITIONS), "drift")
-    assert (found.status, found.words) == ("in part", "10 cycles a group, over 60 of 480 min, nominal commands")
-
-
-def test_speeds_and_loads_that_were_not_tested_are_named() -> None:
-    lines = coverage(["pose"], {"left": posed(30)}, CONDITIONS)
-    assert line(lines, "speeds").words == "50% of the profile's speed; 100%, 10%: not asked for"
-    assert "profiles state no rated load" in line(lines, "rated load").words
 
 
 # -- Expanded uncertainties of the characteristics hold what they state ------------------------------------------------
@@ -346,19 +272,6 @@ def test_repeatability_and_distance_hold_the_truth() -> None:
     assert covered([one[1] for one in found], 3.0 * np.sqrt(2.0) * SIGMA) >= 0.88
 
 
-def test_a_repeatability_says_how_much_of_it_may_be_the_trackers() -> None:
-    rng = np.random.default_rng(2)
-    still = Cycles(rng.multivariate_normal(np.zeros(3), TRACKER, size=30), np.zeros(3), TRACKER, NOTHING)
-    value, tracker = repeatability_value(still, rng)
-    assert tracker * 1e3 == pytest.approx(value.value_mm, rel=0.3)
-    assert value.expanded_mm is not None
-    assert value.expanded_mm > 0.5 * value.value_mm
-    coarse = Cycles(50.0 * still.attained, np.zeros(3), TRACKER, NOTHING)
-    value, tracker = repeatability_value(coarse, rng)
-    assert value.expanded_mm is not None
-    assert value.expanded_mm < 0.4 * value.value_mm
-
-
 def test_an_uncertain_base_makes_accuracy_uncertain_and_repeatability_not() -> None:
     rng = np.random.default_rng(3)
     known = cycles(rng, 30)
@@ -369,19 +282,3 @@ def test_an_uncertain_base_makes_accuracy_uncertain_and_repeatability_not() -> N
     assert repeatability_value(known, np.random.default_rng(1)) == repeatability_value(
         unknown, np.random.default_rng(1)
     )
-
-
-def test_variation_drift_and_path_of_an_arm_without_either_are_within_their_uncertainty() -> None:
-    rng = np.random.default_rng(4)
-    shared = rng.multivariate_normal(np.zeros(3), TRACKER)
-    same = [
-        Cycles(OFF + shared + SIGMA * rng.standard_normal((30, 3)), np.zeros(3), TRACKER, NOTHING) for _ in range(3)
-    ]
-    values = [directional_value(same, rng), *drift_values(same, rng)]
-    assert all(one.value_mm <= 2.0 * (one.expanded_mm or 0.0) for one in values)
-    places = np.linspace(0.0, 0.5, 20)[:, None] * np.array([1.0, 0.0, 0.0])
-    attained = places[:, None] + SIGMA * rng.standard_normal((20, 10, 3))
-    accuracy, repeatability = path_values(attained, places, TRACKER, NOTHING, rng)
-    assert 0.0 < accuracy.value_mm < 0.05
-    assert 0.06 < repeatability.value_mm < 0.15
-    assert accuracy.n == repeatability.n == 10

@@ -33,7 +33,6 @@ from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Progress
 from cellapp.robot.kinematics.chain import JointAngles, joint_jacobian
-from cellapp.robot.kinematics.transforms import apply
 from drivers.arms.simulated import SimulatedArm
 from drivers.plant import Plant
 from drivers.trackers.simulated import SimulatedTracker
@@ -132,20 +131,6 @@ def test_without_noise_accuracy_is_the_true_error_of_the_cell(*, aligned: bool) 
     assert missing_words(findings, task.tests) == ()
     for name, home in ((name, np.array(arm.home)) for name, arm in task.profile.arms.items()):
         np.testing.assert_array_equal(plant.q(name), home)
-
-
-def test_a_found_base_is_where_its_fit_says_it_is() -> None:
-    task = task_of(cell_of(one_arm()), "pose", aligned=True)
-    findings, plant = driven(task)
-    alignment, cube = findings.alignments["left"], findings.cubes["left"]
-    there = np.array([cube.position_B[pose] for pose in ("P1", "P2", "P3", "P4", "P5")])
-    off = apply(alignment.arm.geometry.T_M_B(), there) - apply(plant.true_T_M_B("left"), there)
-    sigma = np.sqrt(np.trace(alignment.position_covariance(cube.q["P1"][None])[0]) / 3.0)
-    base = results(task, findings)["left"].base
-    assert base is not None
-    assert base.n == 20
-    assert 0.0 < base.rms_mm < 5.0
-    assert np.sqrt(np.mean(off**2)) < 4.0 * sigma  # joint zeros of the true arm turn its base for the fit
 
 
 def test_repeatability_is_that_of_the_joints() -> None:
@@ -373,22 +358,6 @@ def test_an_event_in_mid_path_stops_all_arms(event: str, cells: list[Cell], monk
     assert not any(plant.moving(name) for name in ("left", "right"))
 
 
-def test_an_smr_that_is_lost_for_a_moment_leaves_a_cycle_missing(cells: list[Cell]) -> None:
-    task = task_of(cell_of(one_arm()), "pose", cycles=3)
-    findings = IsoFindings()
-
-    def listen(event: Progress) -> None:
-        if event.job == "iso9283" and event.done in (7, 8) and event.total > 8:
-            tracker_of(cells[0]).covered ^= {"left"}
-
-    drive_tests(task, findings, listen)
-    (words,) = missing_words(findings, task.tests)
-    assert words.startswith("pose of left, nominal commands, ")
-    assert "2 of 3 cycles: tracker: no SMR within" in words
-    counts = [one.accuracy.n for one in results(task, findings)["left"].tests["nominal"].pose]
-    assert sorted(counts) == [2, 3, 3, 3, 3]
-
-
 @pytest.mark.parametrize("verb", ["stop", "abort"])
 def test_a_person_stops_the_test(verb: str, cells: list[Cell]) -> None:
     control, findings = JobControl(), IsoFindings()
@@ -397,24 +366,6 @@ def test_a_person_stops_the_test(verb: str, cells: list[Cell]) -> None:
         drive_tests(task, findings, at(3, lambda: control.ask(verb)), control)  # type: ignore[arg-type]
     assert 1 <= len(findings.measured.visits) <= 3
     assert not plant_of(cells[0]).moving("left")
-
-
-def test_a_pause_holds_between_visits(cells: list[Cell]) -> None:
-    control, findings = JobControl(), IsoFindings()
-    held: list[int] = []
-
-    class Person:
-        """Resumes as soon as the job waits for somebody."""
-
-        def __call__(self, *requests: str, timeout_s: float | None = None) -> str:
-            held.append(len(findings.measured.visits))
-            control.resume()
-            return control.request
-
-    control.wait_while = Person()  # type: ignore[method-assign,assignment]
-    drive_tests(task_of(cell_of(one_arm()), "pose"), findings, at(3, control.pause), control)
-    assert held == [2]
-    assert len(findings.measured.visits) == 10
 
 
 class RestingTracker:

@@ -9,38 +9,42 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.commands.discover.charts import picture_chart
 from cellapp.commands.discover.view import view
-from cellapp.commands.discover.words import picture_words
 from cellapp.estimation.discovery.discover import discover_cell
-from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult, Picture
+from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult
 from cellapp.estimation.motion.calibrate import calibrate_with_motion
-from cellapp.estimation.motion.discovery import SearchWithRecordings, loop_picture
-from cellapp.estimation.motion.effects import _Search, effects_in_motion, refining_terms
+from cellapp.estimation.motion.discovery import SearchWithRecordings
+from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
-from cellapp.estimation.motion.joint_path import Fading, joint_path, play
-from cellapp.estimation.motion.steps import State, Step, effects_of, loops, vibration
+from cellapp.estimation.motion.joint_path import Fading, joint_path
+from cellapp.estimation.motion.steps import State, Step, effects_of
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.motion.terms import (
-    JointLaws,
     JointTerm,
     Law,
-    Masses,
     of_all_joints,
     state_at_rest,
     state_in_motion,
-    torques_in_motion,
 )
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Discovery
-from cellapp.ground.progress import ignore_words
 from cellapp.ground.threads import one_blas_thread
-from cellapp.robot.effects import EFFECTS, EffectContext, EffectTerm, MeasurementConditions
+from cellapp.robot.effects import (
+    EFFECTS,
+    EffectContext,
+    EffectTerm,
+    Linear,
+    MeasurementConditions,
+    motion_laws,
+    own_law,
+)
 from cellapp.robot.effects.effect import displacement, term_from_json, term_to_json
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.statics import Bodies
-from tests.estimation.motion.simulated import UR10, Arm, corners, gradual, lost_motion, record, sweep, true_arm
+from tests.estimation.motion.simulated import UR10, Arm, corners, record, sweep, true_arm
+from tests.interfaces.plugins.installed import EXAMPLE, add_distribution, installed
+from tests.robot.effects.cell import context_of
 
 NOMINAL = nominal_geometry(UR10, np.zeros(3))
 BODIES = Bodies(
@@ -100,44 +104,6 @@ def found_in(*recordings, **options):
     return discovery, {effect.slug: effect for effect in discovery.effects}
 
 
-@pytest.mark.slow
-def test_dense_lines_play_and_lag_are_named_with_their_sizes():
-    rng = np.random.default_rng(1)
-    amplitude, phase = np.array([30e-6, 25e-6, 35e-6, 0, 0, 0, 0]), rng.uniform(0.0, 6.0, 7)
-    arm = replace(
-        true_arm(rng, half_play=[20e-6] * 6),
-        cycles=40.0,
-        amplitude=amplitude,
-        phase=phase,
-        lag_s=np.array([0.0, 0.0, 0.0, 0.0, 0.002, 0.0, 0.0]),
-    )
-    discovery, found = found_in(record(rng, arm, sweep(rng, 6), seconds=300.0, white=15e-6, slow=20e-6))
-    assert set(found) == {"backlash", "transmission_error", "tracking_lag"}
-    of_lines = found["transmission_error"]
-    lines = dict(zip(of_lines.names, of_lines.values, strict=True))
-    errors = dict(zip(of_lines.names, of_lines.standard_errors, strict=True))
-    assert set(lines) == {f"{wave}40q{joint}" for wave in ("cos", "sin") for joint in (1, 2, 3)}
-    for joint in range(3):
-        measured = complex(lines[f"sin40q{joint + 1}"], lines[f"cos40q{joint + 1}"])
-        true = amplitude[joint] * np.exp(1j * phase[joint])
-        error = np.hypot(errors[f"sin40q{joint + 1}"], errors[f"cos40q{joint + 1}"])
-        assert error < 0.08 * abs(true)
-        assert abs(measured - true) < 3.5 * error
-    assert {1, 2, 3} <= set(found["backlash"].joints)
-    assert found["backlash"].values[:3] == pytest.approx(20e-6, abs=5e-6)
-    assert 5 in found["tracking_lag"].joints
-    lags = dict(zip(found["tracking_lag"].names, found["tracking_lag"].values.tolist(), strict=True))
-    assert lags["lag5"] == pytest.approx(0.002 * 5 / 6, rel=0.2)
-    assert "at rest" in found["tracking_lag"].only_motion
-    assert "aliased" in found["transmission_error"].only_motion
-    assert not found["tracking_lag"].at_rest
-    assert {term.slug for term in discovery.terms} == {"backlash", "transmission_error"}
-    clock = discovery.fit.clocks["sweep"]
-    assert clock.offset_standard_error_s < 1e-4
-    assert clock.offset_s == pytest.approx(0.0178 + 0.002 / 6, abs=4 * clock.offset_standard_error_s)
-    assert discovery.heldout_after_mm < discovery.heldout_before_mm
-
-
 def test_time_constants_and_vibration_are_named_with_their_sizes_and_stay_out_of_commands():
     rng = np.random.default_rng(7)
     late = np.array([0.018, 0.015, 0.022, 0.025, 0.027, 0.012, 0.0])
@@ -152,40 +118,6 @@ def test_time_constants_and_vibration_are_named_with_their_sizes_and_stay_out_of
     assert discovery.terms == ()
     assert discovery.fit.clocks["sweep"].offset_s == pytest.approx(0.0178, abs=1e-3)
     assert discovery.heldout_after_mm < 0.2 * discovery.heldout_before_mm
-
-
-def test_of_two_vibrations_the_one_that_chance_explains_goes_and_the_other_stays():
-    rng = np.random.default_rng(8)
-    arm = replace(true_arm(rng), springs={0: (9.0, 0.04)})
-    recording = record(rng, arm, corners(rng, 6, 20.0), seconds=20.0, slow=0.0)
-    problem, rows = motion_problem(RecordedArm(NOMINAL, (recording,), tool_unknown=True), lambda words: None)
-    by_chance, true = vibration(2, (1e-4, 20.0, 0.05)), vibration(0, (1.0 / (2.0 * np.pi * 9.0) ** 2, 9.0, 0.04))
-    problem = problem.without_terms().with_terms((*by_chance, *true))
-    solution = solve(problem, rows)
-    search = _Search(problem, rows, lambda words: None)
-    steps = [Step(Law.VIBRATION, terms, 500.0, -200.0, 1.0, 1.0) for terms in (by_chance, true)]
-    _, kept = search._without_chance(State(problem, solution, 1.0), steps)
-    assert kept == steps[1:]
-
-
-def test_play_is_no_dry_friction_where_no_joint_winds_up():
-    rng = np.random.default_rng(9)
-    arm = true_arm(rng, half_play=[120e-6] * 6)
-    motion = sweep(rng, 6, base_hz=0.02, harmonics=10)
-    recording = record(rng, arm, motion, seconds=60.0, point_hz=40.0, slow=0.0)
-    recorded = RecordedArm(NOMINAL, (recording,), tool_unknown=True, bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
-    problem, rows = motion_problem(recorded, lambda words: None)
-    steps = [Step(law, of_all_joints(law, 6), 100.0, -50.0, 1.0, 1.0) for law in (Law.PLAY, Law.WINDUP)]
-    problem = problem.without_terms().with_terms(tuple(term for step in steps for term in step.terms))
-    (effect, terms), *others = effects_of(State(problem, solve(problem, rows), 1.0), steps)
-    assert (effect.slug, effect.form, others) == ("backlash", "constant", [])
-    assert terms == steps[0].terms
-    assert effect.values == pytest.approx([120e-6] * 6, rel=0.15)
-    alone = problem.without_terms().with_terms(steps[0].terms)
-    state = State(alone, solve(alone, rows), 1.0)
-    for rival, share in ((-50.0, 0.5), (-47.0, 0.95), (np.inf, 1.0)):  # wind-up that would explain as much, or less
-        ((effect, _),) = effects_of(state, [replace(steps[0], rival=rival)])
-        assert effect.posterior == pytest.approx(share, abs=0.01)
 
 
 class OffCentre(Arm):
@@ -233,6 +165,7 @@ def recordings_of_springs(rng, *, count=4, base_hz=0.0625, point_hz=100.0, knee=
     ]
 
 
+@pytest.mark.slow
 def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error():
     recordings = recordings_of_springs(np.random.default_rng(6))
     rigid_fit = identify_from_motion(RecordedArm(NOMINAL, recordings, tool_unknown=True))
@@ -272,89 +205,9 @@ def test_nothing_is_found_where_nothing_is(seed):
     assert discovery.effects == ()
 
 
-def test_play_has_history():
-    rng = np.random.default_rng(4)
-    q = np.cumsum(rng.normal(0.0, 1e-4, (4000, 3)), axis=0)
-    gap = np.array([1e-4, 5e-4, 0.0])
-    np.testing.assert_allclose(play(q, gap), lost_motion(q, gap), rtol=0.0, atol=1e-15)
-
-
-def test_torques_in_motion_are_those_of_virtual_work():
-    rng = np.random.default_rng(5)
-    motion = sweep(rng, 6, base_hz=0.2, harmonics=3, speed=1.5)
-    arm = true_arm(rng)
-    path = joint_path(record(rng, arm, motion, seconds=10.0, joint_hz=500.0).joints)
-    geometry, up_M = NOMINAL.with_T_M_B(arm.base), np.array([0.3, -0.2, np.sqrt(1 - 0.13)])
-    t = np.linspace(1.0, 9.0, 15)
-    computed = torques_in_motion(path, t, Masses(geometry, BODIES, up_M))
-    np.testing.assert_allclose(computed, torques_of(arm, motion, t, up_M), atol=0.1)
-
-
 # -- Lost motion that joints take up gradually: its history along a path, its reach from a fit, and the same at rest ---
 
 REACH = 0.15
-
-
-def path_of(rng):
-    motion, t = sweep(rng, 6, base_hz=0.1, harmonics=3), np.arange(0.0, 30.0, 0.008)
-    return motion, joint_path(JointStream(time_s=t, q=motion.at(t), qd=motion.speed(t)))
-
-
-def test_what_is_kept_is_that_of_plays_in_parallel():
-    motion, path = path_of(np.random.default_rng(1))
-    t = np.arange(0.5, 29.5, 0.0037)
-    fine = np.arange(0.0, 29.5, 0.001)
-    q, direction = motion.at(t), path.direction_at(t)
-    behind = motion.at(fine) - gradual(motion.at(fine), np.ones(6), REACH)
-    truth = np.column_stack([np.interp(t, fine, column) for column in behind.T])
-    for joint in range(6):
-        left = path.fading_at(path.samples_at(t), q[:, joint], joint, Fading(REACH, kept=True))
-        surely = np.abs(direction[:, joint]) == 1.0
-        np.testing.assert_allclose((direction[:, joint] - left)[surely], truth[surely, joint], atol=0.05)
-
-
-@pytest.mark.parametrize("bell", [False, True])
-def test_what_begins_anew_fades_with_the_travel_since_the_turn(bell):
-    motion, path = path_of(np.random.default_rng(2))
-    t = np.arange(0.0, 29.9, 0.008)
-    q = motion.at(t)
-    for joint in range(6):
-        turn, side = q[0, joint], 0.0
-        left = path.fading_at(path.samples_at(t), q[:, joint], joint, Fading(REACH, kept=False, bell=bell))
-        for i in range(1, len(t)):
-            now = np.sign(q[i, joint] - q[i - 1, joint])
-            if now != side:
-                turn, side = q[i - 1, joint], now
-            travel = abs(q[i, joint] - turn)
-            if travel > 0.01:
-                share = np.exp(-((travel / REACH) ** (2 if bell else 1)))
-                assert left[i] == pytest.approx(side * share, abs=0.02)
-
-
-def test_the_travel_of_a_joint_begins_anew_where_it_turns_round():
-    motion, path = path_of(np.random.default_rng(5))
-    t = np.arange(0.5, 29.9, 0.008)
-    q, direction = motion.at(t), path.direction_at(t)
-    travel = path.travel_at(t, q)
-    surely, side = np.abs(direction) > 0.999, np.sign(direction)
-    assert (np.sign(travel)[surely] == side[surely]).all()
-    goes_on = surely[1:] & surely[:-1] & (side[1:] == side[:-1])
-    np.testing.assert_allclose(np.diff(travel, axis=0)[goes_on], np.diff(q, axis=0)[goes_on], atol=1e-12)
-    turned = surely & (np.abs(travel) < 2e-3)
-    assert turned.sum() > 12, "each joint has turned round"
-
-
-def test_a_fit_shows_the_reach_and_the_kind_of_memory():
-    rng = np.random.default_rng(3)
-    arm = replace(true_arm(rng, half_play=[120e-6] * 6), reach=REACH)
-    recording = record(rng, arm, sweep(rng, 6, base_hz=0.02, harmonics=10), seconds=60.0, point_hz=40.0, slow=0.0)
-    problem, rows = motion_problem(RecordedArm(NOMINAL, (recording,), tool_unknown=True), lambda words: None)
-    terms = refining_terms(problem, solve(problem, rows, to_its_end=True), Law.PLAY)
-    assert [term.joint for term in terms] == list(range(6))
-    assert all(term.fading is not None and term.fading.kept for term in terms)
-    for term in terms[:3]:
-        assert term.fading is not None
-        assert term.fading.reach == pytest.approx(REACH, rel=0.35)
 
 
 @pytest.mark.parametrize(("constant", "bell"), [("reach2", False), ("bell_reach2", True)])
@@ -393,88 +246,6 @@ def test_an_arm_that_rests_after_a_gap_shows_no_side_until_it_moves():
     assert not begun[rests].any()
     just_begun = (np.abs(t[kept] - 1.05) < 0.06) | (np.abs(t[kept] - 9.05) < 0.06)
     assert begun[~rests & ~just_begun].all()
-
-
-def test_samples_with_their_history_have_the_points_of_the_motion_by_laws_at_rest():
-    rng = np.random.default_rng(8)
-    _, path = path_of(rng)
-    t = np.linspace(2.0, 29.0, 400)
-    masses = Masses(NOMINAL, Bodies(np.full(6, 4.0), np.zeros((6, 3)), 1.0, np.zeros(3)), np.array([0.0, 0.0, 1.0]))
-    play = [(JointTerm(Law.PLAY, joint), 80e-6) for joint in range(6)]
-    remembered = [(JointTerm(Law.PLAY, joint, fading=Fading(REACH, kept=True)), 60e-6) for joint in range(6)]
-    elastic = [(JointTerm(law, 1), size) for law, size in ((Law.COMPLIANCE, 2e-6), (Law.WINDUP, 5e-7))]
-    line = [(JointTerm(Law.LINE, 2, 40), 50e-6)]
-    lag = ((JointTerm(Law.LAG, 3), 2e-3),)
-    laws = JointLaws((*play, *remembered, *elastic, *line), lag, masses)
-    moves = state_in_motion(path, t, masses, torques=True)
-    of_motion = moves.q + sum(moves.offsets((term,), np.array([size])) for term, size in (*laws.at_rest, *lag))
-
-    q = laws.joints_with_history(path, t)
-    at_rest = state_at_rest(q, np.sign(np.rint(moves.direction)), masses, path.travel_at(t, moves.q))
-    terms, sizes = (tuple(one) for one in zip(*laws.at_rest, strict=True))
-    np.testing.assert_allclose(q + at_rest.offsets(terms, np.array(sizes)), of_motion, rtol=0.0, atol=1e-6)
-    history = q - laws.joints_at_rest(path, t)
-    assert np.sqrt(np.mean(history**2, axis=0)).min() > 5e-6, (
-        "older turns and accelerations are no part of laws at rest"
-    )
-    plain = JointLaws((*play[1:], *line), lag, masses)
-    turned = np.abs(moves.direction) == 1.0
-    same = np.where(turned, plain.joints_with_history(path, t) - plain.joints_at_rest(path, t), 0.0)
-    np.testing.assert_allclose(same, 0.0, atol=1e-6)
-
-
-# -- Loops of lost motion: what a joint lies behind its motor after upward and after downward motion -------------------
-
-PLAY = 50e-6
-
-
-@pytest.fixture(scope="module")
-def drawn():
-    """Loops of joint 1, which has play, of joint 2 and of joint 6, of which the latter has none."""
-    rng = np.random.default_rng(4)
-    arm = true_arm(rng, half_play=[PLAY, PLAY, 0.0, 0.0, 0.0, 0.0])
-    recording = record(rng, arm, sweep(rng, 6), seconds=90.0, slow=15e-6)
-    problem, rows = motion_problem(
-        RecordedArm(nominal_geometry(UR10, np.zeros(3)), [recording], tool_unknown=True), ignore_words
-    )
-    found = loops(problem, solve(problem, rows), [1, 2, 6])
-    bare = problem.without_terms()
-    return found, loops(bare, solve(bare, rows), [1])
-
-
-def widths(loop):
-    return [
-        float(values[loop.direction < 0.0].mean() - values[loop.direction > 0.0].mean())
-        for values in (loop.measured, loop.computed)
-    ]
-
-
-def test_the_loop_of_a_joint_is_as_wide_as_its_play(drawn):
-    for loop in drawn[0][:2]:
-        measured, computed = widths(loop)
-        assert measured == pytest.approx(2 * PLAY, rel=0.1)
-        assert computed == pytest.approx(2 * PLAY, rel=0.1)
-    assert {loop.joint for loop in drawn[0]} == {1, 2, 6}
-    assert widths(drawn[0][2])[1] < 0.4 * PLAY
-
-
-def test_a_loop_is_measured_where_the_model_has_none(drawn):
-    measured, computed = widths(drawn[1][0])
-    assert computed == 0.0
-    assert measured > 0.4 * PLAY, "a fit without play takes a part of it for geometry and for a delay, not all"
-
-
-def test_a_picture_of_a_loop_draws_both_directions_and_says_its_width(drawn):
-    picture = loop_picture(drawn[0][0])
-    assert Picture.model_validate_json(picture.model_dump_json()) == picture
-    chart = picture_chart("left", picture)
-    assert [one.name for one in chart.series] == [
-        f"{words}, {what}" for words in ("upward", "downward") for what in ("measured", "computed")
-    ]
-    upward, downward = chart.series[0], chart.series[2]
-    assert upward.y.mean() < downward.y.mean(), "after upward motion a joint lies below its motor"
-    assert "wide as measured" in picture_words(picture)
-    assert chart.y.unit == "µrad"
 
 
 # -- Discovery of an arm that was recorded in motion: its model where it predicts better, and its words ----------------
@@ -527,3 +298,68 @@ def test_dense_lines_and_play_enter_the_model_and_a_lag_does_not():
     text = str(view(DiscoverResult(arms={"left": discovery.result})))
     assert "a delay moves nothing at rest" in text
     assert "stays out of commands" in text
+
+
+# -- A law of one's own in motion --------------------------------------------------------------------------------------
+
+
+GREASE = "grease_drag"
+TRUE = np.array([120e-6, 160e-6, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+@pytest.fixture
+def plugin(tmp_path):
+    """The effect of the handbook, installed by its entry point."""
+    module = (EXAMPLE / "cellapp_example" / "grease_drag.py").read_text("utf-8")
+    entries = {"cellapp.robot.effects": {GREASE: "grease:grease_drag"}}
+    with installed(add_distribution(tmp_path, "grease", entries, {"grease.py": module})):
+        yield
+
+
+def recording(seed, **changes):
+    rng = np.random.default_rng(seed)
+    return record(
+        rng, replace(true_arm(rng), **changes), sweep(rng, 6, speed=0.8), seconds=200.0, point_hz=50.0, slow=20e-6
+    )
+
+
+def test_it_is_found_in_recordings_with_its_size(plugin):
+    discovery, found = found_in(recording(11, drag=TRUE))
+    assert set(found) == {GREASE}
+    drag = found[GREASE]
+    assert {1, 2} <= set(drag.joints)
+    assert drag.names[:2] == ("drag1", "drag2")
+    assert drag.values[:2] == pytest.approx(TRUE[:2], rel=0.1)
+    assert not drag.at_rest
+    assert "speeds" in drag.only_motion
+    assert discovery.heldout_after_mm < discovery.heldout_before_mm
+    assert discovery.terms == ()
+
+
+@pytest.mark.slow
+def test_nothing_is_found_where_nothing_is_own(plugin):
+    assert found_in(recording(12))[0].effects == ()
+
+
+def test_readings_at_rest_cannot_show_it(plugin):
+    assert len(motion_laws(EFFECTS.values())) == 3
+    assert "no speeds" in EFFECTS[GREASE].missing_data(context_of())
+
+
+def test_a_law_of_speeds_takes_what_motion_has():
+    def warm(qd, air_c, drag):
+        return -drag * qd * air_c[:, None]
+
+    with pytest.raises(ValueError, match=r"law warm: a law of speeds acts on joints and takes no other quantities"):
+        own_law("warm", drag=Linear("s", 1e-2))(warm)
+
+
+def test_accelerations_are_those_of_the_path():
+    t = np.arange(0.0, 4.0, 0.008)
+    q = np.stack([0.5 * np.sin(2.0 * t), 0.2 * np.cos(3.0 * t)], axis=1)
+    path = joint_path(JointStream(time_s=t, q=q))
+    inside = np.linspace(0.5, 3.5, 40)
+    found = state_in_motion(path, inside, None, torques=False).quantity("qdd")
+    assert found == pytest.approx(
+        np.stack([-2.0 * np.sin(2.0 * inside), -1.8 * np.cos(3.0 * inside)], axis=1), abs=0.02
+    )

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import solve
-from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_fit, motion_problem
-from cellapp.estimation.motion.observe import Stops, bands_of, noise_model, residuals
-from cellapp.estimation.motion.streams import JointStream, PointStream, Recording, read_stamps
+from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
+from cellapp.estimation.motion.observe import Stops, residuals
+from cellapp.estimation.motion.streams import JointStream, PointStream, Recording
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.progress import ignore_words
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
@@ -55,40 +54,6 @@ def test_clocks_geometry_and_play_are_those_of_the_simulated_arm(case):
     assert misses.max() < 0.1e-3
     assert np.all(np.abs(fit.half_play - PLAY) < 4.0 * fit.half_play_standard_error)
     assert fit.half_play[1] > 4.0 * fit.half_play_standard_error[1]
-
-
-def test_held_out_blocks_see_the_noise_alone(case):
-    fit = fit_of(case[2])
-    one = fit.recordings["sweep"]
-    assert one.held_out + one.learnt < one.points
-    assert one.heldout_rms_mm == pytest.approx(1e3 * np.sqrt(3.0) * np.hypot(40e-6, 15e-6), rel=0.15)
-    assert np.sqrt(np.mean(one.heldout_nominal_mm**2)) > 3.0 * one.heldout_rms_mm
-
-
-def test_correlated_points_count_as_few(case):
-    arm, motion, _ = case
-    rng = np.random.default_rng(5)
-    slow = fit_of(record(rng, arm, motion, white=5e-6, slow=40e-6, slow_s=0.5))
-    white = fit_of(record(rng, arm, motion, white=40e-6, slow=0.0))
-    learnt = white.recordings["sweep"].learnt
-    assert white.effective > 0.6 * learnt
-    assert slow.effective < 0.05 * learnt
-    ratio = slow.clocks["sweep"].offset_standard_error_s / white.clocks["sweep"].offset_standard_error_s
-    assert ratio > 3.0
-
-
-def test_joints_without_speeds_with_jitter_repeats_and_gaps(case):
-    arm, motion, _ = case
-    rng = np.random.default_rng(6)
-    recording = record(rng, arm, motion, with_speeds=False, point_hz=60.0, joint_hz=120.0)
-    keep = rng.random(len(recording.joints)) > 0.05
-    keep[2000:2200] = False
-    rows = np.sort(np.concatenate([np.flatnonzero(keep), rng.choice(np.flatnonzero(keep), 200)]))
-    joints = JointStream(time_s=recording.joints.time_s[rows], q=recording.joints.q[rows])
-    fit = fit_of(replace(recording, joints=joints))
-    one = fit.recordings["sweep"]
-    assert one.in_gaps >= 90
-    assert clock_holds(one.clock, 0.0178, -18.0)
 
 
 def test_stamps_that_jitter_about_a_regular_clock_are_replaced_by_it(case):
@@ -155,32 +120,6 @@ def test_a_part_before_a_step_of_a_clock_of_which_nothing_is_learnt_leaves_the_r
     assert fit.heldout_rms_mm < 0.1
 
 
-def test_small_steps_are_told_from_gaps(case):
-    recording = case[2]
-    time = recording.joints.time_s.copy()
-    time[7000:] += 0.12
-    kept = np.concatenate([np.arange(4000), np.arange(4015, len(time))])
-    joints = JointStream(time_s=time[kept], q=recording.joints.q[kept])
-    clock = fit_of(replace(recording, joints=joints)).clocks["sweep"]
-    ((_, step_s),) = clock.steps_of_joints
-    assert step_s == pytest.approx(0.12, abs=1e-3)
-    assert all(abs(segment.offset_s - 0.0178) < 5e-4 for segment in clock.segments)
-
-
-def test_gross_points_do_not_count(case):
-    recording = case[2]
-    rng = np.random.default_rng(12)
-    p_M = recording.points.p_M.copy()
-    wrong = rng.choice(len(p_M), 300, replace=False)
-    p_M[wrong] += rng.normal(0.0, 0.5, (300, 3))
-    p_M[4000:4010] = 0.0
-    fit = fit_of(replace(recording, points=replace(recording.points, p_M=p_M)))
-    one = fit.recordings["sweep"]
-    assert one.gross > 250
-    assert clock_holds(one.clock, 0.0178, -18.0)
-    assert one.heldout_rms_mm < 0.09
-
-
 def test_stops_and_recordings_in_one_fit(case):
     arm, _, recording = case
     rng = np.random.default_rng(13)
@@ -196,17 +135,6 @@ def test_stops_and_recordings_in_one_fit(case):
     assert errors[1] < errors[0]
 
 
-def test_seven_joints_and_several_recordings_share_the_geometry():
-    rng = np.random.default_rng(14)
-    arm = true_arm(rng, SEVEN, half_play=np.full(7, 20e-6))
-    first = record(rng, arm, sweep(rng, 7), seconds=60.0, point_hz=60.0, name="first")
-    second = record(rng, arm, sweep(rng, 7), seconds=60.0, point_hz=250.0, offset=3.2, rate_ppm=25.0, name="second")
-    fit = fit_of(first, second, nominal=SEVEN)
-    assert clock_holds(fit.clocks["first"], 0.0178, -18.0)
-    assert clock_holds(fit.clocks["second"], 3.2, 25.0)
-    assert fit.heldout_rms_mm < 0.1
-
-
 def test_blocks_that_the_file_holds_out_are_kept_apart(case):
     recording = case[2]
     held_out = np.zeros(len(recording.points), dtype=bool)
@@ -218,19 +146,6 @@ def test_blocks_that_the_file_holds_out_are_kept_apart(case):
     assert one.held_out == 2000
     assert one.heldout_rms_mm == pytest.approx(2.0 * np.sqrt(3.0), rel=0.05)  # nothing of them was learnt
     assert one.scatter_m < 60e-6
-
-
-def test_play_that_a_fit_does_not_have_is_no_delay():
-    """Both act against the motion: without play among what may lack, the delay is off by ten standard errors."""
-    rng = np.random.default_rng(29)
-    arm = true_arm(rng, half_play=rng.uniform(0.0, 15e-6, 6))
-    recording = record(rng, arm, sweep(rng, 6, base_hz=0.03), seconds=100.0, slow=0.0)
-    its = RecordedArm(nominal_geometry(UR10, np.zeros(3)), [recording], tool_unknown=True)
-    problem, rows = motion_problem(its, ignore_words)
-    rigid = problem.without_terms()
-    fit = motion_fit(rigid, allow_for_missing(rigid, solve(rigid, rows)))
-    assert clock_holds(fit.clocks["sweep"], 0.0178, -18.0)
-    assert fit.clocks["sweep"].offset_standard_error_s < 5e-6
 
 
 def test_what_little_excitation_leaves_open_is_said(case):
@@ -303,17 +218,6 @@ def test_short_recordings_of_one_arm_with_errors_of_their_own_fit_alike_beside_a
     assert sum(one.gross for one in found.values()) < 0.02 * sum(one.learnt for one in found.values())
 
 
-def test_blocks_are_held_out_of_the_time_at_which_both_were_recorded(case):
-    recording = case[2]
-    joints = recording.joints
-    inside = (joints.time_s > 40.0) & (joints.time_s < 65.0)
-    part = JointStream(time_s=joints.time_s[inside], q=joints.q[inside])
-    for seed in range(3):
-        one = fit_of(replace(recording, joints=part), seed=seed).recordings["sweep"]
-        assert one.held_out + one.learnt < one.points - one.in_gaps < 2520
-        assert one.held_out == pytest.approx(0.2 * 2500, rel=0.3)
-
-
 def test_an_arm_of_which_one_joint_moves_is_fitted_and_the_sentence_says_what_it_is_worth(case):
     arm, motion, _ = case
     alone = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
@@ -332,21 +236,6 @@ def test_an_arm_of_another_type_is_doubted(case):
     other = RecordedArm(nominal_geometry(longer, np.zeros(3)), [recording], tool_unknown=True)
     assert identify_from_motion(other).undetermined[0].startswith("whether it is an arm of this type: the published")
     assert not any("type" in said for said in fit_of(recording).undetermined)
-
-
-@pytest.mark.parametrize(("digits", "polled"), [(None, 1), (3, 1), (None, 4)])
-def test_a_regular_clock_is_found_although_stamps_jitter_and_samples_are_lost_or_repeated(case, digits, polled):
-    rng = np.random.default_rng(12)
-    time = case[2].joints.time_s
-    rows = np.flatnonzero(rng.random(len(time)) > (0.05 if polled == 1 else 0.0))
-    late = np.maximum.accumulate(time + rng.uniform(0.0, 4e-3, len(time)))[rows]
-    rows = rows.repeat(polled if polled > 1 else rng.choice([1, 2, 3], len(rows), p=[0.9, 0.07, 0.03]))
-    stamps = late[np.searchsorted(np.unique(rows), rows)] + 1e-4 * (np.arange(len(rows)) % polled)
-    read = read_stamps(stamps if digits is None else np.round(stamps, digits), case[2].joints.q[rows])
-    left = read.time_s - time[rows[read.rows]]
-    assert read.regular
-    assert np.std(left) < 0.3e-3
-    assert np.mean(left) == pytest.approx(2e-3, abs=0.3e-3)
 
 
 def test_from_values_that_are_far_off_no_recording_fits_worse_than_there_and_too_few_steps_are_an_error(
@@ -369,24 +258,3 @@ def test_from_values_that_are_far_off_no_recording_fits_worse_than_there_and_too
     monkeypatch.setattr("cellapp.estimation.motion.fit._STEPS", 1)
     with pytest.raises(NotConverged, match="fit of recordings of motion did not converge: 1 steps were not enough"):
         solve(problem, stop_rows, far)
-
-
-# -- What residuals are worth stays finite where a fit leaves nothing of them ------------------------------------------
-
-
-@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4])
-def test_a_recording_whose_residuals_vanish_is_not_worth_without_bound(size: float) -> None:
-    rng = np.random.default_rng(4)
-    X = rng.normal(size=(60, 3, 12))
-    fitted = rng.normal(size=12)
-    r = X @ fitted + size * rng.normal(size=(60, 3))
-    bands = bands_of(X, np.arange(12), r, in_time=True)
-    A, b = bands.gram.sum(axis=0), bands.product.sum(axis=0)
-    found = noise_model([bands], [1.0], np.linalg.solve(A, b), np.zeros(12), A)
-    (level,) = found.level
-    assert max(size**2 * 0.2, 1e-6) <= level <= max(size**2 * 5.0, 1e-6)
-    assert np.isfinite(found.covariance).all()
-    assert (np.diag(found.covariance) >= 0.0).all()
-
-
-# -- Answers of joints to the course of a motion, against differential equations that are solved step by step ----------

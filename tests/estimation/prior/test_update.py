@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import RunFile, import_csv
+from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences
@@ -23,8 +23,7 @@ from cellapp.estimation.calibration.identification import identify
 from cellapp.estimation.calibration.parameters import candidate_columns, weak_priors
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.estimation.discovery.arm_data import whitening
-from cellapp.estimation.prior.belief import Belief, Measured, Posterior, is_own, posterior
+from cellapp.estimation.prior.belief import Belief, Measured, is_own, posterior
 from cellapp.estimation.prior.calibrate import Earlier, believed, stated_model, updated_arm
 from cellapp.estimation.prior.discovery import SearchWithPriors
 from cellapp.estimation.prior.update import Updated, first_model, update
@@ -32,7 +31,8 @@ from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
-from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_vectors, transform
+from cellapp.robot.kinematics.transforms import rotation_vectors
+from tests.cell.run.csv_rows import import_csv
 from tests.estimation.prior.conftest import ELSEWHERE, SimulatedArm, earlier_of
 
 TOOL = np.array([-0.03, 0.05, 0.11])
@@ -104,14 +104,6 @@ def test_orientation_of_few_stops_names_changes_that_their_positions_do_not_prov
     assert np.linalg.norm(rotation_vectors(off), axis=1).mean() < 2e-5
 
 
-def test_another_base_and_tool_do_not_leak_into_the_arm(arm: SimulatedArm, earlier: Earlier) -> None:
-    outcome = again(arm.mounted(ELSEWHERE, TOOL), earlier, 25)
-    assert outcome.changes == ()
-    assert all(part.used for part in outcome.parts.values())
-    assert error_um(arm.mounted(ELSEWHERE, TOOL), outcome) < 12.0
-    np.testing.assert_allclose(outcome.found.model.geometry.T_M_B()[:3, 3], ELSEWHERE[:3, 3], atol=5e-3)
-
-
 def test_few_readings_with_the_earlier_calibration_are_as_good_as_many(arm: SimulatedArm, earlier: Earlier) -> None:
     moved = arm.mounted(ELSEWHERE, TOOL)
     few = error_um(moved, again(moved, earlier, 30))
@@ -155,16 +147,6 @@ def test_an_arm_that_is_another_one_is_not_believed(arm: SimulatedArm, earlier: 
     assert error_um(other.mounted(ELSEWHERE, TOOL), outcome) < 30.0
 
 
-def test_the_belief_has_no_say_in_base_and_tool(arm: SimulatedArm, earlier: Earlier) -> None:
-    readings = arm.readings(20, seed=2)
-    model = first_model(arm.profile, "left", Measured.of(readings, measurement_conditions(readings)), earlier.belief)
-    prior = earlier.belief.prior(model.nominal, np.zeros(0))
-    free = [place for place, column in enumerate(prior.columns) if column < 6 or column >= 36]
-    assert len(free) == 9
-    assert not prior.precision[free].any()
-    assert len(Measured(readings, measurement_conditions(readings), np.ones(20)).take(np.arange(5))) == 5
-
-
 def test_an_effect_that_appeared_is_found_beside_what_was_carried_over(arm: SimulatedArm, earlier: Earlier) -> None:
     law = EFFECTS["encoder_eccentricity"].forms[0].law()
     readings = arm.readings(70, seed=6, learn=40)
@@ -184,15 +166,6 @@ def test_an_effect_that_appeared_is_found_beside_what_was_carried_over(arm: Simu
     np.testing.assert_allclose(found.model.effects[1].values, 1e-4, atol=3e-5)
 
 
-def test_a_wrong_effect_of_the_earlier_calibration_is_left_out(arm: SimulatedArm, earlier: Earlier) -> None:
-    free = replace(arm, model=replace(arm.model, effects=())).mounted(ELSEWHERE, TOOL)
-    outcome = again(free, earlier, 40)
-    assert outcome.used
-    assert outcome.parts["geometry"].used
-    assert not outcome.parts["effects"].used or outcome.changes
-    assert error_um(free, outcome) < 15.0
-
-
 def test_of_a_quite_different_arm_nothing_is_used(arm: SimulatedArm, earlier: Earlier) -> None:
     belief = earlier.belief
     terms = tuple(replace(term, values=-3.0 * term.values) for term in belief.terms)
@@ -202,43 +175,6 @@ def test_of_a_quite_different_arm_nothing_is_used(arm: SimulatedArm, earlier: Ea
     assert not any(part.used for part in outcome.parts.values())
     assert outcome.changes == ()
     assert outcome.found.model.effects == ()
-
-
-def test_a_chain_passes_on_what_was_left_out_and_what_appeared(arm: SimulatedArm, earlier: Earlier) -> None:
-    free = replace(arm, model=replace(arm.model, effects=())).mounted(ELSEWHERE, TOOL)
-    readings = free.readings(60, seed=12)
-    before = update(
-        free.profile, "left", readings, measurement_conditions(readings), earlier.belief, earlier.since
-    )  # fmt: skip
-    models = {"left": stated_model(before.found, 0)}
-    belief, count = believed(free.profile, "left", models, {"left": readings}, earlier.belief, earlier.since)
-    assert count == 60
-    assert len(belief.mean) == len(belief.covariance) == len(belief.size) == len(belief.parts)
-    again_free = free.mounted(np.eye(4), -TOOL)
-    assert error_um(again_free, again(again_free, replace(earlier, belief=belief), 30)) < 15.0
-
-
-def fit_square(found: Posterior) -> float:
-    """The objective of a posterior at its weights, priors included."""
-    off = found.values - found.prior.mean
-    white = np.einsum("acn,nc->an", whitening(found.measured.sigma), found.left_M)
-    return float(np.vdot(white, white) + off @ found.prior.precision @ off)
-
-
-def test_a_start_that_is_far_off_ends_at_the_same_posterior_and_too_few_steps_are_an_error(
-    arm: SimulatedArm, earlier: Earlier, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    readings = arm.readings(40, seed=3)
-    measured = Measured.of(readings, measurement_conditions(readings))
-    model = first_model(arm.profile, "left", measured, earlier.belief)
-    prior = earlier.belief.prior(model.nominal, np.zeros(0))
-    T = transform(rotation_from_vector([0.6, -0.5, 0.6]), [0.2, -0.2, 0.1]) @ model.geometry.T_M_B()
-    far = replace(model, geometry=model.geometry.with_T_M_B(T))
-    one, other = (posterior(start, measured, prior, scatter_m=0.0) for start in (model, far))
-    assert fit_square(other) <= fit_square(one) * (1.0 + 1e-4)
-    monkeypatch.setattr("cellapp.estimation.prior.belief._STEPS", 1)
-    with pytest.raises(NotConverged, match="earlier calibration or belief did not converge: 1 steps were not enough"):
-        posterior(far, measured, prior)
 
 
 def test_drifts_whose_search_does_not_end_are_no_statement_about_the_arm(

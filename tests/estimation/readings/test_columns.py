@@ -17,16 +17,14 @@ from cellapp.cell.run import (
     csv_export,
     csv_import,
     file,
-    import_csv,
-    read_readings_csv,
     sqlite_file,
     write_readings_csv,
 )
 from cellapp.estimation.readings import Reading, Readings, readings
 from cellapp.estimation.readings.columns import COLUMNS, Column, Fault
 from cellapp.ground.errors import InputError
-from tests.cell.run.older_files import older_reading_table
-from tests.cell.run.two_arm_cell import two_arms
+from tests.cell.run.csv_rows import import_csv, read_readings_csv
+from tests.cell.run.small_runs import older_reading_table, two_arms
 
 
 def above_zero(matrix: np.ndarray) -> Fault | None:

@@ -37,10 +37,12 @@ from tests.evidence.wire.storm_operator import Stored, stored
 
 TITLE = "Attacks on the wire"
 ALONE = True
+HOSTS, TRACKER = ("127.0.46.2", "127.0.46.3"), "socket://127.0.46.4:50946"
+"""Addresses of the arms and the tracker, which no profile and no test has."""
 KEY_MS, COMMAND_MS, LOST_MS, SILENT_MS = 50.0, 300.0, 100.0, 350.0
 _BY_WATCHDOG_MS = 350.0
 """Limit of a stop that only the watchdog gives: its period, some control cycles, and what waits for a processor."""
-_PATIENT_S, _STOPS_WITHIN_S, _WATCHED_S = 120.0, 6.0, 0.5
+_PATIENT_S, _ENDS_WITHIN_S, _STOPS_WITHIN_S, _WATCHED_S = 120.0, 40.0, 6.0, 0.5
 _UNDER_WAY_S = 0.02
 """A motion that was commanded before a stop may begin this much later."""
 _NOISE = re.compile(r"^\W*(cellapp: )?|\s+")
@@ -50,6 +52,8 @@ _AS_NOBODY = (
 )
 """The program of another account, which may not read this one's Python: it has loaded what it needs before."""
 _SIGMAS = 6.0
+_SHOWN = 110
+"""Characters of a message that the table shows."""
 
 
 @dataclass
@@ -158,7 +162,7 @@ ATTACKS: dict[str, Attack] = {
     "malformed packet, size 0": Attack(_command("send", "rtde", "000055"), LOST_MS),
     "network 0.1 s late": Attack(_command("network", 0.1)),
     "network loses 5 %": Attack(_command("network", 0.005, 0.05)),
-    "stopped on the pendant": Attack(lambda scene: stop_program(_host(scene), 1.0)),
+    "stopped on the pendant": Attack(lambda scene: stop_program(HOSTS[0], 1.0)),
     "protective stop": Attack(_command("protective", "now"), LOST_MS),
     "driver process killed": Attack(_kill_worker, _BY_WATCHDOG_MS),
     "program killed": Attack(_signal(signal.SIGKILL), LOST_MS),
@@ -204,8 +208,11 @@ class Bench:
         struck_s = time.monotonic()
         attack.strike(scene)
         stop_ms = [] if math.isnan(attack.most_ms) else [self._stop_ms(arm, struck_s) for arm in cell.arms]
-        with suppress(subprocess.TimeoutExpired):
-            scene.program.wait(_PATIENT_S)
+        for _ in range(2):  # a program that goes on beside the attack is ended by a person
+            with suppress(subprocess.TimeoutExpired):
+                scene.program.wait(_ENDS_WITHIN_S)
+                break
+            scene.program.send_signal(signal.SIGINT)
         code = scene.program.poll()
         scene.program.kill()
         said = "; ".join(filter(None, (scene.words, _last_line(scene.program))))
@@ -267,6 +274,10 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
 def attacks(profile: Profile, names: Sequence[str], repeats: int) -> dict[str, Any]:
     """Attack the collecting of one run ``repeats`` times with each; compare its readings with an undisturbed run's."""
     profile = wire_profile(profile, stops=12 + 2 * len(names) * repeats)
+    for host, arm in zip(HOSTS, profile.arms, strict=True):
+        profile = _with_driver(profile, arm, host=host, watchdog_hz=5.0)
+    driver = profile.tracker.driver.model_copy(update={"url": TRACKER})
+    profile = profile.model_copy(update={"tracker": profile.tracker.model_copy(update={"driver": driver})})
     with tempfile.TemporaryDirectory(prefix="cellapp-wire-") as folder, in_real_time():
         parent = Path(folder)
         parent.chmod(0o755)  # another account looks
@@ -284,6 +295,12 @@ def attacks(profile: Profile, names: Sequence[str], repeats: int) -> dict[str, A
     return {"struck": [asdict(one) for one in struck], "readings": readings, "false": false, "complete": code}
 
 
+def _with_driver(profile: Profile, name: str, **changes: object) -> Profile:
+    arm = profile.arms[name]
+    driver = arm.driver.model_copy(update=changes)
+    return profile.model_copy(update={"arms": {**profile.arms, name: arm.model_copy(update={"driver": driver})}})
+
+
 def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidence:
     result = results[0]
     struck = [Struck(**one) for one in result["struck"]]
@@ -297,7 +314,7 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
             [
                 name, str(len(its)), f"{np.median(worst):.0f}; {max(worst):.0f}" if worst else "",
                 *(str(sum(getattr(one, what) for one in its)) for what in ("motions", "programs", "lost", "doubled")),
-                ", ".join(codes), max((one.said for one in its), key=len).replace("|", "/"),
+                ", ".join(codes), _cut(max((one.said for one in its), key=len)),
             ]
         )  # fmt: skip
         limits += [Limit(f"{name}: stop at both arms [ms]", max(worst), most)] if worst else []
@@ -316,6 +333,6 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
     return Evidence(figures, [Table("", columns, rows)], limits, said)
 
 
-def _host(scene: Scene) -> str:
-    driver: Any = load_profile(ROOT / "profiles" / "twin-rtde.yaml").arms[scene.cell.arms[0]].driver
-    return str(driver.host)
+def _cut(said: str) -> str:
+    """Return the first words of a message, for a cell of a table."""
+    return f"{said[:_SHOWN]} ..." if len(said) > _SHOWN else said

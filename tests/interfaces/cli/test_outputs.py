@@ -23,7 +23,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs, Writes
 from cellapp.interfaces import cli
 from cellapp.interfaces.cli.command_outputs import written_by
-from tests.cell.run.two_arm_cell import two_arms
+from tests.cell.run.small_runs import two_arms
 from tests.program import app
 from tests.twin import write_profile
 

@@ -51,3 +51,12 @@ def test_a_table_of_parameters_says_what_it_holds(call: Any, folder: Path) -> No
     head = Path("p.csv").read_text("utf-8")
     assert "does not hold" not in head
     assert "joint_compliance." in head
+
+
+def test_parameters_are_those_of_the_model_in_force(call: Any, folder: Path) -> None:  # noqa: F811
+    call("export", folder, "--as", "parameters", "--out", "p.csv", "--arm", "left")
+    exported = [line.split(",") for line in Path("p.csv").read_text("utf-8").splitlines() if not line.startswith("#")]
+    values = {row[0]: float(row[3]) for row in exported[1:]}
+    shown = call("show", folder, "parameters", "--json", "-").json["arms"]["left"]["identified"]
+    assert len(shown) > 20
+    assert {name: one["value"] for name, one in shown.items()} == pytest.approx({name: values[name] for name in shown})

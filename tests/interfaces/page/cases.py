@@ -230,7 +230,6 @@ def calibration(*arms: str) -> CalibrateResult:
         converged=True,
         message="",
         condition=None,
-        observability={},
         scatter=Scatter(value=1.0, meaning=""),
         degrees_of_freedom=100,
         splits={"validate": 17},

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -16,7 +15,6 @@ from pydantic import TypeAdapter
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.charts_accuracy import (
     error_histogram_chart,
-    joint_curve_charts,
 )
 from cellapp.commands.calibrate.charts_vectors import scale_length_mm, vector_chart
 from cellapp.commands.calibrate.held_out import HeldOutArm
@@ -31,19 +29,13 @@ from cellapp.commands.plan.charts_obstacles import (
 )
 from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.report.data import ReportData, read_report_data
-from cellapp.commands.stages import read_stages
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, bar_chart, mm, series
 from cellapp.estimation.discovery.records import Picture
-from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import AnyObstacle
 from cellapp.ground.progress import StopReport
-from cellapp.ground.results import CALIBRATE
 from cellapp.interfaces.page.drawn import chart_svg
 from cellapp.interfaces.render.chart import scale_of
-from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
-from cellapp.robot.model import ArmModel, CellModel
-from cellapp.robot.model.model import PosteriorDraws
 from cellapp.robot.model.nominal import pose_matrix
 from tests.interfaces.page.cases import picture
 from tests.twin import whole_twin
@@ -142,52 +134,6 @@ def test_what_is_mounted_on_a_flange_is_drawn_where_the_arm_stands_at_home() -> 
     assert np.allclose(found["foot"], base.position, atol=0.01)
     assert 0.3 < np.linalg.norm(found["knob"] - found["foot"]) < 2.0
     assert "knob" not in cell_map_chart(profile, stops()).message, "what moves blocks no direction for all stops"
-
-
-def term(slug: str, **values: float) -> EffectTerm:
-    numbers = np.array(list(values.values()))
-    law = EFFECTS[slug].law("constant" if slug == "backlash" else "", {})
-    return EffectTerm(slug, tuple(values), numbers, 0.01 * np.abs(numbers), ("rad",) * len(values), law)
-
-
-@pytest.fixture
-def modelled(single: RunFile) -> tuple[ArmModel, Readings]:
-    model = CellModel.from_json(read_stages(single).current[CALIBRATE].model or "").arms["only"]
-    return model, single.readings("only")
-
-
-def curves_of(model: ArmModel, readings: Readings) -> list[Chart]:
-    conditions = MeasurementConditions(approach=np.ones(readings.q.shape))
-    return list(joint_curve_charts("only", model, readings, conditions, 3))
-
-
-def test_a_curve_is_the_effects_own_and_its_band_that_of_the_draws(modelled: tuple[ArmModel, Readings]) -> None:
-    model, readings = modelled
-    eccentric = term("encoder_eccentricity", cos1q2=40e-6, sin1q2=-30e-6)
-    draws = np.array([[1e-6, 0.0], [-1e-6, 0.0], [0.0, 1e-6], [0.0, -1e-6]])
-    posterior = PosteriorDraws((), np.zeros((4, 0)), (draws,), 0.0)
-    (chart,) = curves_of(replace(model, effects=(eccentric,), posterior=posterior), readings)
-    (curve,) = chart.series
-    angle = np.radians(curve.x)
-    assert curve.y == pytest.approx(40.0 * np.cos(angle) - 30.0 * np.sin(angle), abs=1e-6)
-    # the mean square of the draws is half of (cos^2 + sin^2) urad^2
-    assert curve.band == pytest.approx(np.full(len(angle), 1.959964 * np.sqrt(0.5)))
-    low, high = np.degrees([readings.q[:, 1].min(), readings.q[:, 1].max()])
-    assert [limit.value for limit in chart.limits] == pytest.approx([low, high])
-    assert curve.x[0] < low < high < curve.x[-1]
-    assert chart.title == "Arm only: what effects turn joint 2 by, over its angle"
-    assert "Offset of joint 2 over the measured angles" in chart.message
-
-
-def test_play_is_shown_after_motions_in_either_direction(modelled: tuple[ArmModel, Readings]) -> None:
-    model, readings = modelled
-    (chart,) = curves_of(replace(model, effects=(term("backlash", half_play1=1e-4),), posterior=None), readings)
-    up, down = chart.series
-    assert np.ptp(up.y) == np.ptp(down.y) == 0.0
-    assert up.y[0] == pytest.approx(-down.y[0])
-    assert abs(up.y[0]) == pytest.approx(100.0)
-    assert up.band is None
-    assert up.name == "backlash after upward motion"
 
 
 # -- residuals over the run -------------------------------------------------------------------------------------------

@@ -148,6 +148,9 @@ READINGS: dict[str, Any] = {
     "twice": both(configuration=[0, 1, 2, 3, 4, 4]),
     "half a stop": both(configuration=np.arange(N) + 0.5),
     "sigma": both(sigma_m=-1e-6),
+    "a large sigma": both(sigma_m=0.02),
+    "heavier than the arm": both(payload_kg=300.0),
+    "too few": {name: {key: values[:3] for key, values in arm().items()} for name in ("left", "right")},
     "split": both(split=["test"] * N),
     "no column": frame(x_m=None),
     "column in mm": frame(x_m=None).assign(x_mm=1.0),
@@ -168,6 +171,9 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "misspelt": {"payload": 2.0},
     "too few": {"payload_kg": [1.0, 2.0]},
     "of one joint each": {"approach": np.ones(3)},
+    "no direction": {"approach": 2.0},
+    "heavier than the arm": {"payload_kg": 300.0},
+    "kelvin": {"temperature_c": 293.0},
     "beside an arm": {"other_q": np.zeros(5)},
 }
 TARGETS: dict[str, Any] = {

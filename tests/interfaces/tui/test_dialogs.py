@@ -31,8 +31,8 @@ from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.endings import REPORT_FILE, ending_of
 from cellapp.interfaces.tui.jobs import Job, JobEnded
 from cellapp.interfaces.tui.offers import WRITE
-from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens.calibrate import ExportArms
+from tests.handbook.screen_pictures import settle
 from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, until
 
 GIVEN = {"folder": Path("day"), "program": Path("old.script")}

@@ -21,9 +21,9 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable, TabbedContent, TabPane
 
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens import SCREENS
 from tests.approved import differences
+from tests.handbook.screen_pictures import settle
 from tests.interfaces.tui.pilot import PROFILES, SIZES, WAIT_S, opened, shown_text, shows, until
 
 SNAPSHOTS = Path(__file__).parent / "snapshots"

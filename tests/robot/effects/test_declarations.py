@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import json
-import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cellapp.cell.profile import load_profile
-from cellapp.commands.discover.tables import accepted_table
-from cellapp.estimation.discovery.discover import discover_arm
-from cellapp.estimation.discovery.outcome import Discovery
-from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import (
     EFFECTS,
     FIXED,
@@ -33,16 +27,11 @@ from cellapp.robot.effects import (
     Scaled,
     Tuned,
     own_law,
-    place_in_words,
     registered,
     term_from_json,
     term_to_json,
 )
 from cellapp.robot.effects.data_driven import Quantity, Variable, channels, form_of
-from cellapp.robot.kinematics.chain import smr_positions
-from cellapp.robot.model import ArmModel
-from cellapp.robot.model.nominal import bodies_of, nominal_arm
-from tests.arms import STATION
 from tests.interfaces.plugins.installed import add_example, installed
 from tests.robot.effects.cell import context_of
 
@@ -73,15 +62,6 @@ def test_every_effect_says_what_it_means_and_what_to_do(effect: Effect) -> None:
         assert text[0].isupper(), text
         assert not {"{", "_"} & set(text), text
     assert len(set(meaning.check)) == len(meaning.check)
-
-
-def test_places_are_put_into_the_words() -> None:
-    assert place_in_words(["joint 2"]) == "joint 2"
-    assert place_in_words(["joint 1", "joint 2", "joint 4"]) == "joints 1, 2 and 4"
-    assert place_in_words(["link 2", "link 3"]) == "links 2 and 3"
-    assert place_in_words(["base", "tool"]) == "the base and the target on the flange"
-    check = EFFECTS["backlash"].meaning.at(place_in_words(["joint 2"])).check
-    assert "Check the bolts of the gearbox of joint 2, then have the gear inspected." in check
 
 
 def test_a_term_without_a_name_has_checks_by_channel_and_stops_by_variable() -> None:
@@ -187,66 +167,7 @@ def test_a_damaged_term_is_refused(change: dict[str, Any], message: str) -> None
 
 # -- The effect of a plug-in: discovery names it, tunes its constant, and reports it in its words ----------------------
 
-TWIN = Path(__file__).parents[3] / "profiles" / "twin.yaml"
-UP = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
-N = 240
-HELD_OUT = 60
-SIGMA_M = 10e-6
 HOSE = "hose_pull"
-TRUE_SLACK = 1.25
-TRUE_PULL = np.array([3e-4, 4e-4, 0.0, 0.0, 0.0, 0.0])
-
-
-@pytest.fixture
-def plugin(tmp_path: Path) -> Iterator[None]:
-    """The example is installed."""
-    with installed(add_example(tmp_path)):
-        yield
-
-
-@pytest.fixture
-def discovery(plugin: None) -> Discovery:
-    """What discovery finds in readings of an arm with a hose that pulls."""
-    profile = load_profile(TWIN)
-    few = profile.discovery.model_copy(update={"null_simulations": 60, "false_alarm": 0.02})
-    profile = profile.model_copy(update={"discovery": few})
-    arm = profile.arms["left"]
-    geometry = nominal_arm(arm).with_T_M_B(STATION)
-    model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(arm), up_M=UP)
-    rng = np.random.default_rng(5)
-    q = rng.uniform(-2.5, 2.5, (N, 6))
-    pull = -TRUE_PULL * np.sign(q) * np.maximum(np.abs(q) - TRUE_SLACK, 0.0)
-    readings = Readings(
-        configuration=np.arange(N, dtype=np.int64),
-        time_s=np.full(N, np.nan),
-        q=q,
-        approach=np.zeros((N, 6), dtype=np.int8),
-        p_M=smr_positions(geometry, q + pull) + rng.normal(0.0, SIGMA_M, (N, 3)),
-        payload_kg=np.full(N, 2.0),
-        sigma_m=np.full(N, SIGMA_M),
-        split=("identify",) * (N - HELD_OUT) + ("validate",) * HELD_OUT,
-    )
-    return discover_arm(profile, "left", model, readings)
-
-
-def test_discovery_names_a_new_effect_tunes_its_constant_and_reports_it(discovery: Discovery) -> None:
-    ((accepted,), (term,)) = discovery.result.accepted, discovery.terms
-    assert (accepted.effect, term.slug, accepted.where.joints) == (HOSE, HOSE, (1, 2))
-    assert discovery.result.verdict == "explained"
-    effect = EFFECTS[HOSE]
-    slack = term.law.constants["slack"]
-    nearest = min((0.6, 1.0, 1.6), key=lambda one: abs(one - TRUE_SLACK))
-    assert abs(slack - TRUE_SLACK) < 0.02 < abs(nearest - TRUE_SLACK), "tuned off the grid"
-    pulls = dict(zip(term.names, term.values.tolist(), strict=True))
-    assert pulls["pull1"] == pytest.approx(TRUE_PULL[0], rel=0.05)
-    assert pulls["pull2"] == pytest.approx(TRUE_PULL[1], rel=0.05)
-    assert accepted.meaning is not None
-    assert accepted.meaning.cause.startswith("The hose package at each of joints 1 and 2 is too short")
-    table = accepted_table("left", discovery.result)
-    titles = [column.title for column in table.columns]
-    (row,) = (dict(zip(titles, row, strict=True)) for row in table.rows)
-    assert row["effect"] == effect.title
-    assert row["law"] == f"{effect.forms[0].words}, taut beyond {math.degrees(slack):.3g} deg"
 
 
 def a_term() -> EffectTerm:
@@ -301,21 +222,6 @@ def test_a_shift_is_in_the_axes_of_its_frame(acts_on: Any, frame: int | None) ->
     (column,) = sag().columns(here, sag().law())
     axis = np.broadcast_to([1.0, 0.0, 0.0], (N_OF_OWN_LAW, 3)) if frame is None else here.frames[0][frame][:, :, 0]
     assert column.shift_M == pytest.approx(np.sin(here.q[:, 1])[:, None] * axis)
-
-
-def test_an_offset_of_the_law_is_the_joint_s_own() -> None:
-    @own_law("cable", drag=Linear("rad", 1e-3))
-    def cable(q: Any, drag: Any) -> Any:
-        return drag * q
-
-    here = context()
-    column = cable().columns(here, cable().law())[1]
-    assert column.offset is not None
-    turned = here.q.copy()
-    turned[:, 1] += 1e-6 * column.offset
-    moved = smr_positions(here.geometry, turned) - smr_positions(here.geometry, here.q)
-    expected = 1e-6 * column.offset[:, None] * np.cross(here.frames[0][1, :, :, 2], here.p_M - here.frames[1][1])
-    assert moved == pytest.approx(expected, abs=1e-10)
 
 
 def test_what_a_reading_lacks_stands_at_the_mean_of_the_run() -> None:

@@ -11,10 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.robot.effects import EFFECTS, Effect, EffectContext, Law, MeasurementConditions, TemperatureRecord, Wave
+from cellapp.robot.effects import EFFECTS, Effect, EffectContext, Law, MeasurementConditions
 from cellapp.robot.effects.law import AMPLITUDE, LENGTH
-from cellapp.robot.effects.periodic import LINES_MAX
-from cellapp.robot.effects.time_functions import lagged
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, transform
 from tests.robot.effects.cell import EYE, by_name, chain, context_of, offsets, shifts, slope, under
 
@@ -75,42 +73,6 @@ def test_links_grow_with_the_air():
         np.testing.assert_allclose(
             shifts(links[f"growth{i + 1}"]), grown(lambda row, i=i: warmer[row] * np.eye(6)[i]), atol=1e-9
         )
-
-
-def test_a_lag_follows_a_ramp_at_its_distance():
-    """A first-order lag follows a ramp of slope b, from rest, with b (t - tau (1 - exp(-t / tau)))."""
-    rng = np.random.default_rng(2)
-    t = np.sort(rng.uniform(0.0, 18000.0, 3000))
-    t -= t[0]
-    mixed = rng.permutation(len(t))
-    slopes = np.array([2e-3, -1e-3])
-    for tau in (400.0, 2000.0):
-        expected = (t - tau * -np.expm1(-t / tau))[:, None] * slopes + 25.0
-        found = lagged((t[:, None] * slopes + 25.0)[mixed], t[mixed], tau)
-        np.testing.assert_allclose(found, expected[mixed], atol=5e-3)
-    np.testing.assert_allclose(lagged(np.full((5, 1), 21.5), np.arange(5.0) * 600.0, 900.0), 21.5)
-
-
-@pytest.mark.parametrize("name", ["conduction", "conduction_links"])
-def test_the_record_of_a_run_gives_link_temperatures_at_any_stop(name):
-    """Independent of the conditions of the stops themselves, and of the order of the record."""
-    law = laws("thermal_growth", name, RUN)[2]
-    conditions, rows = RUN_CONDITIONS, np.array([41, 5, 20])
-    mixed = np.random.default_rng(4).permutation(60)
-    record = TemperatureRecord(conditions.time_s[mixed], conditions.joints_c[mixed], conditions.air_c[mixed])
-    time_s = conditions.time_s[rows]
-    some = replace(RUN, q=RUN.q[rows], conditions=MeasurementConditions(time_s=time_s, record=record))
-    whole, part = columns("thermal_growth", law, RUN), columns("thermal_growth", law, some)
-    followed = set(whole) - {"growth_housings"}  # which need the temperatures at the stop
-    assert {"growth_air"} < followed
-    for one in followed:
-        np.testing.assert_allclose(shifts(part[one]), shifts(whole[one])[rows], rtol=1e-9, atol=1e-12)
-        assert np.abs(shifts(part[one])).max() > 0.05
-    settled = columns("thermal_growth", law, under(RUN, replace(conditions, record=None)))
-    warmer = conditions.air_c - conditions.air_c.mean()
-    expected = RUN.link_growth.sum(axis=0) * warmer[:, None]
-    np.testing.assert_allclose(shifts(settled["growth_air"]), expected, atol=1e-12)
-    assert not np.allclose(shifts(whole["growth_air"]), expected, atol=0.1), "the lag is seen"
 
 
 # -- base and tool ---------------------------------------------------------------------------------------------------
@@ -254,53 +216,6 @@ def test_a_pedestal_tilts_with_the_other_arm():
 
 
 # -- beams -----------------------------------------------------------------------------------------------------------
-
-
-def beam_by_integration(row, link, *, torsion, own_weight, slices=4000):
-    """Shift of the SMR (3,) for EI = 1 (or GJ = 1): each slice of the beam rotates all that is beyond it.
-
-    ``dP = int M_part(x) x (P - r(x)) dx``, M(x) the moment at x of every weight beyond x, added up body by body.
-    """
-    walked = chain(CONTEXT, row)
-    start, end = walked.frames[link - 1][:3, 3], walked.frames[link][:3, 3]
-    length = np.linalg.norm(end - start)
-    e = (end - start) / length
-    x = (np.arange(slices) + 0.5) / slices * length
-    r = start + x[:, None] * e
-    moment = np.zeros((slices, 3))
-    bodies = CONTEXT.bodies
-    for body in range(link, 6):
-        pose = walked.frames[body + 1]
-        center = pose[:3, :3] @ bodies.centers[body] + pose[:3, 3]
-        moment += np.cross(center - r, -bodies.masses[body] * GRAVITY * CONTEXT.up_M)
-    flange = walked.frames[-1]
-    load = flange[:3, :3] @ bodies.payload_center + flange[:3, 3]
-    moment += np.cross(load - r, -CONDITIONS.payload_kg[row] * GRAVITY * CONTEXT.up_M)
-    if own_weight:
-        pose = walked.frames[link]
-        center = pose[:3, :3] @ bodies.centers[link - 1] + pose[:3, 3]
-        held = x < (center - start) @ e
-        moment += held[:, None] * np.cross(center - r, -bodies.masses[link - 1] * GRAVITY * CONTEXT.up_M)
-    along = (moment @ e)[:, None] * e
-    turned = along if torsion else moment - along
-    return np.cross(turned, walked.smr - r).sum(axis=0) * length / slices
-
-
-@pytest.mark.parametrize("link", [2, 3])
-@pytest.mark.parametrize("own_weight", [False, True])
-def test_a_link_bends_and_twists_as_a_beam(link, own_weight):
-    law = EFFECTS["link_bending"].law("bending_torsion_own_weight" if own_weight else "bending_torsion")
-    found = columns("link_bending", law)
-    for name, torsion in ((f"flexibility{link}", False), (f"torsion{link}", True)):
-        expected = [
-            beam_by_integration(row, link, torsion=torsion, own_weight=own_weight) for row in range(len(CONTEXT))
-        ]
-        column = found[name]
-        assert column.block == column.where == f"link {link}"
-        assert (column.lower, column.unit) == (0.0, "1/(N m^2)")
-        # where the own weight begins is resolved to one slice: 1/4000 of its moment
-        np.testing.assert_allclose(shifts(column), expected, atol=2e-2 if own_weight else 1e-4)
-        assert np.abs(expected).max() > 1.0
 
 
 def test_a_horizontal_cantilever_hangs_down():
@@ -467,39 +382,6 @@ def test_eccentricity_is_one_cycle_and_ovality_two():
     assert list(found)[:2] == ["cos2q1", "sin2q1"]
     assert {column.block for column in found.values()} == {f"joint {j}" for j in range(1, 7)}
     np.testing.assert_allclose(offsets(found["sin2q5"]), np.sin(2.0 * CONTEXT_OF_JOINTS.q[:, 4]))
-
-
-def test_every_line_is_a_block_with_the_price_of_the_search():
-    (law,) = laws_of_joints("transmission_error", "lines")
-    assert law.tried == LINES_MAX - 1 == 209
-    found = columns_of_joints("transmission_error", law)
-    assert len(found) == 2 * 6 * 209
-    assert {found["cos101q3"].block, found["sin101q3"].block} == {"joint 3 line 101"}
-    assert len({column.block for column in found.values()}) == 6 * 209
-    for name, column in found.items():
-        assert isinstance(column.wave, Wave)
-        assert column.joint is not None
-        assert name == f"{'sin' if column.wave.sine else 'cos'}{column.cycles}q{column.joint + 1}"
-        expected = column.wave(CONTEXT_OF_JOINTS.q[:, column.joint])
-        np.testing.assert_allclose(offsets(column), expected, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("names", "ratios"),
-    [
-        (["cos2q1", "sin2q1"], []),
-        (["cos51q3", "sin51q3"], [51.0]),
-        (["cos100q3", "sin100q3"], [50.0, 100.0]),
-        (["cos4q1", "sin100q3"], [4.0, 50.0, 100.0]),
-    ],
-)
-def test_a_line_that_was_found_proposes_the_gears_it_may_belong_to(names, ratios):
-    """A line is at the ratio or at twice that; two cycles per revolution are of any gear."""
-    effect = EFFECTS["transmission_error"]
-    found = effect.refinements(CONTEXT_OF_JOINTS, effect.law("lines"), names)
-    assert [(law.name, law.constants["ratio"]) for law in found] == [("gear", ratio) for ratio in ratios]
-    assert {law.tried for law in found} <= {LINES_MAX - 1}, "choosing a ratio costs as much as choosing a line"
-    assert not any(law.name == "gear" for law in effect.laws(CONTEXT_OF_JOINTS))
 
 
 def test_a_joint_lags_half_the_play():

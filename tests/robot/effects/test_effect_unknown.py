@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,9 +26,7 @@ from cellapp.robot.effects.data_driven import (
     box_of,
     channels,
     data_driven_form,
-    field_frequencies,
     field_functions,
-    field_variances,
     form_named,
     position_in_base,
     variables,
@@ -45,14 +42,12 @@ from tests.robot.effects.cell import (
     context_of,
     curve_laws,
     offsets,
-    pair_laws,
     shifts,
     slope,
     under,
 )
 
 CONTEXT = context_of(40)
-CONDITIONS: Any = CONTEXT.conditions
 UNKNOWN = EFFECTS["unknown"]
 EVERY = (
     *(f"q{j}" for j in range(1, 7)),
@@ -70,12 +65,6 @@ CHANNELS = tuple(channel.name for channel in channels(6))
 
 def names_of(variables):
     return tuple(one.name for one in variables)
-
-
-def pairs_of(channel, names):
-    """Pairs of one channel among variables, by their names."""
-    (one,) = (one for one in channels(6) if one.name == channel)
-    return pair_laws(CONTEXT, one, [known for known in variables(CONTEXT) if known.name in names])
 
 
 def law_of(channel, variable, context=CONTEXT):
@@ -178,54 +167,6 @@ def test_a_channel_moves_the_smr_as_declared(channel):
         np.testing.assert_allclose(shifts(column)[row], expected, atol=1e-8)
 
 
-def test_an_oscillation_has_one_of_the_periods_that_the_run_resolves():
-    time = CONDITIONS.time_s
-    run_s = time[-1] - time[0]
-    laws = [law for law in curve_laws(CONTEXT) if law.name == "tool|time" and "period_s" in law.constants]
-    periods = np.array([law.constants["period_s"] for law in laws])
-    assert len(periods) == 48
-    np.testing.assert_allclose(periods[[0, -1]], [2.0 * run_s, 12.0 * run_s / 40.0])
-    np.testing.assert_allclose(np.diff(np.log(periods)), np.log(0.15) / 47.0)
-    law = UNKNOWN.law("joint 3|time", laws[20].constants)
-    found = columns(law)
-    assert list(found) == ["joint_3.cos_time", "joint_3.sin_time"]
-    phase = 2.0 * np.pi * (time - time[0]) / periods[20]
-    np.testing.assert_allclose(offsets(found["joint_3.cos_time"]), np.cos(phase), atol=1e-12)
-    np.testing.assert_allclose(offsets(found["joint_3.sin_time"]), np.sin(phase), atol=1e-12)
-    later = columns(law, under(CONTEXT, MeasurementConditions(time_s=time + 1e6)))
-    for name, column in columns(law, under(CONTEXT, NOTHING)).items():
-        np.testing.assert_allclose(offsets(column), offsets(found[name])[-1], err_msg="now is the end of the run")
-        np.testing.assert_allclose(offsets(later[name]), offsets(column), err_msg="constant beyond the run")
-
-
-@pytest.mark.parametrize("variable", ["torque2", "step3", "dwell", "temperature", "range", "elevation", "incidence"])
-def test_other_variables_are_polynomials_on_their_range(variable):
-    """Orthogonal on -1 to 1: they span all polynomials to the fourth order, except the constant."""
-    values = {
-        "torque2": CONTEXT.torques[:, 1],
-        "step3": CONDITIONS.step[:, 2],
-        "dwell": CONDITIONS.dwell_s,
-        "temperature": CONDITIONS.air_c,
-        "range": np.linalg.norm(CONTEXT.p_M, axis=1),
-        "elevation": np.arcsin(CONTEXT.p_M[:, 2] / np.linalg.norm(CONTEXT.p_M, axis=1)),
-        "incidence": np.arccos(
-            np.einsum(
-                "na,na->n",
-                CONTEXT.frames[0][-1] @ CONTEXT.smr_normal,
-                -CONTEXT.p_M / np.linalg.norm(CONTEXT.p_M, axis=1)[:, None],
-            )
-        ),
-    }[variable]
-    law = law_of("joint 2", variable)
-    assert law.constants["low"] == pytest.approx(values.min())
-    assert law.constants["high"] == pytest.approx(values.max())
-    x = 2.0 * (values - values.min()) / (values.max() - values.min()) - 1.0
-    found = columns(law)
-    expected = [x, (3 * x**2 - 1) / 2, (5 * x**3 - 3 * x) / 2, (35 * x**4 - 30 * x**2 + 3) / 8]
-    for m, polynomial in enumerate(expected, 1):
-        np.testing.assert_allclose(offsets(found[f"joint_2.p{m}_{variable}"]), polynomial, atol=1e-9)
-
-
 def test_beyond_its_range_a_variable_is_held_at_its_limit():
     law = law_of("joint 2", "temperature")
     hot = under(CONTEXT, MeasurementConditions(air_c=np.full(40, 80.0)))
@@ -248,20 +189,6 @@ def test_azimuth_has_no_jump_where_the_tracker_counts_from_half_a_turn():
         np.testing.assert_allclose(offsets(other[name]), offsets(column), atol=1e-6)
 
 
-def test_two_angles_make_all_waves_up_to_the_third_order():
-    (law,) = pairs_of("joint 4", {"q1", "q5"})
-    assert law.name == "joint 4|q1|q5"
-    found = columns(law)
-    v, w = CONTEXT.q[:, 0], CONTEXT.q[:, 4]
-    np.testing.assert_allclose(offsets(found["joint_4.sin(2*q1-q5)"]), np.sin(2.0 * v - w))
-    np.testing.assert_allclose(offsets(found["joint_4.cos(q1+q5)"]), np.cos(v + w))
-    np.testing.assert_allclose(offsets(found["joint_4.cos(3*q5)"]), np.cos(3.0 * w))
-    assert len(found) == 24
-    many = columns(law, context_of(200, seed=5))
-    design = np.column_stack([np.ones(200), *(offsets(column) for column in many.values())])
-    assert np.linalg.matrix_rank(design) == 25, "all of them differ"
-
-
 @pytest.mark.parametrize("name", ["joint 9|q1", "nonsense|q1", "joint 1", "joint 1|q1|q2|q3", "base turn z|q1"])
 def test_a_name_that_is_no_term_is_refused(name):
     with pytest.raises(ValueError, match="effect unknown has no law"):
@@ -273,17 +200,6 @@ def test_a_name_that_is_no_term_is_refused(name):
 CONTEXT_OF_MODULATION = context_of()
 COMPLIANCE = EFFECTS["joint_compliance"]
 STIFF = [column for column in COMPLIANCE.columns(CONTEXT_OF_MODULATION, COMPLIANCE.law()) if not column.refines][1:3]
-
-
-def test_a_response_out_of_proportion_depends_on_the_columns_own_size():
-    found = modulations(OWN_SIZE, STIFF[:1], CONTEXT_OF_MODULATION)
-    size = np.abs(offsets(STIFF[0]))
-    u = (size - size.min()) / np.ptp(size)
-    assert [one.order for one in found] == list(range(1, 9))
-    np.testing.assert_allclose(
-        offsets(found[2].column(STIFF[0], CONTEXT_OF_MODULATION)), np.cos(3.0 * np.pi * u) * offsets(STIFF[0])
-    )
-    assert found[2].name == "compliance2*cos3(own size)"
 
 
 def term() -> EffectTerm:
@@ -352,19 +268,6 @@ def test_functions_are_of_unit_mean_square_and_orthogonal_over_their_box():
     constants = box_of(np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]]) / 1.3)
     phi = np.array(list(field_functions(position, constants).values()))[:20]
     np.testing.assert_allclose(phi @ phi.T / 40_000, np.eye(20), atol=0.04)
-
-
-def test_columns_shift_along_the_axes_of_the_base_with_the_priors_of_the_law():
-    law = law_of_of_field(amplitude=2e-4)
-    columns = UNKNOWN.columns(CONTEXT_OF_FIELD, law)
-    values = list(field_functions(position_in_base(CONTEXT_OF_FIELD), law.constants).values())
-    assert len(columns) == 3 * len(values)
-    sd = 2e-4 * np.sqrt(field_variances(0.6, field_frequencies(law.constants)))
-    for direction in range(3):
-        column = columns[direction * len(values) + 5]
-        assert column.shift_M is not None
-        np.testing.assert_allclose(column.shift_M, values[5][:, None] * CONTEXT_OF_FIELD.base_twists[direction])
-        assert column.prior_sd == pytest.approx(sd[5])
 
 
 def test_the_law_is_found_again_by_its_name():

@@ -82,15 +82,6 @@ def test_effects_change_the_prediction_with_the_quantities_they_depend_on():
     assert np.linalg.norm(arm.predict(q, payload_kg=np.full(20, 9.0)) - middle, axis=1).max() > 1e-4
 
 
-def test_the_base_frame_is_the_tracker_frame_seen_from_the_base():
-    arm = cell_model().arms["left"]
-    q = np.random.default_rng(3).uniform(-3, 3, (20, 6))
-    T_M_B = arm.geometry.T_M_B()
-    p_B = arm.in_base().predict(q)
-    np.testing.assert_allclose(p_B @ T_M_B[:3, :3].T + T_M_B[:3, 3], arm.predict(q), atol=1e-12)
-    assert not np.allclose(T_M_B, STATION @ np.diag([1, 1, -1, 1]))
-
-
 @pytest.mark.parametrize(
     ("spoil", "says"),
     [

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
 from cellapp.cell.targets.path import PathPlan, PathSpec, load_paths, plan_path
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
-from cellapp.robot.kinematics.chain import flange_poses, parameter_names, smr_positions
-from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
+from cellapp.robot.kinematics.chain import parameter_names
+from cellapp.robot.kinematics.transforms import rotation_zyx
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from cellapp.robot.paths.cartesian import Arc, CartesianPath, cartesian_path
@@ -106,16 +103,6 @@ def test_an_arc_goes_through_its_three_points(numbers: list[float]) -> None:
     assert np.linalg.norm(points - via, axis=1).min() < arc.length / 1999.0
 
 
-def test_a_path_is_run_through_by_its_arc_length() -> None:
-    path = square()
-    s = np.linspace(0.0, path.length, 20_001)
-    steps = np.linalg.norm(np.diff(path.positions(s), axis=0), axis=1)
-    corner = np.abs(s[:-1] - path.stops[1]) < 1e-4  # cut off by a chord
-    np.testing.assert_allclose(steps[~corner], path.length / 20_000, rtol=1e-3)
-    assert path.length < 0.5  # the rounded corner is shorter
-    np.testing.assert_allclose(path.stops[1:-1], path.begins[3:4])  # the second corner is not rounded
-
-
 def test_rotations_follow_without_jumps_and_reach_the_given_ones() -> None:
     path = square()
     s = np.linspace(0.0, path.length, 5001)
@@ -123,14 +110,6 @@ def test_rotations_follow_without_jumps_and_reach_the_given_ones() -> None:
     np.testing.assert_allclose(turned @ turned.transpose(0, 2, 1), np.tile(np.eye(3), (len(s), 1, 1)), atol=1e-12)
     np.testing.assert_allclose(turned[[0, -1]], path.rotations[[0, -1]], atol=1e-12)
     assert np.abs(np.diff(turned, axis=0)).max() < 2.0 * 0.5 / 5000
-
-
-def test_distances_are_geometric() -> None:
-    path = square()
-    s = np.linspace(0.01, path.length - 0.01, 50)
-    beside = path.positions(s) + np.array([0.0, 0.0, 1e-3])
-    np.testing.assert_allclose(path.distances(beside), 1e-3, atol=1e-7)
-    np.testing.assert_allclose(path.distances(path.positions(s)), 0.0, atol=1e-6)
 
 
 # -- joint paths ------------------------------------------------------------------------------------------------------
@@ -241,29 +220,6 @@ def test_the_wanted_speed_is_kept_where_limits_allow_it(profile: Profile, model:
     fast = planned(profile, model, spec(speed="2500 mm/s", acceleration=9.0)).trajectory
     assert fast is not None
     assert np.diff(fast.s).max() / PERIOD_S < 2.5
-
-
-def test_a_single_arm_of_seven_joints_follows_too(tmp_path: Path) -> None:
-    shutil.copytree(PROFILES, tmp_path, dirs_exist_ok=True)
-    content = yaml.safe_load((tmp_path / "twin.yaml").read_text("utf-8"))
-    arm = content["arms"]["left"]
-    arm.update(type="arms/seven-joint.yaml", home=[0.0, 0.3, 0.0, -1.2, 0.0, 0.6, 0.0])
-    content["arms"], content["plant"]["effects"] = {"left": arm}, {}
-    for section in ("pair", "targets"):
-        content.pop(section, None)
-    (tmp_path / "seven.yaml").write_text(yaml.safe_dump(content), "utf-8")
-    alone = load_profile(tmp_path / "seven.yaml")
-    model = calibrated(alone)
-    geometry = model.arms["left"].geometry.with_T_M_B(np.eye(4))
-    home = np.array([arm["home"]])
-    smr, flange = smr_positions(geometry, home)[0], flange_poses(geometry, home)[0][0]
-    yaw, pitch, roll = zyx_angles(flange)
-    poses = [
-        {"position": smr.tolist(), "rpy": [roll, pitch, yaw]},
-        {"position": np.add(smr, (0.05, 0.1, -0.05)).tolist(), "blend": "10 mm"},
-        {"position": np.add(smr, (-0.05, 0.1, 0.0)).tolist()},
-    ]
-    assert_followed(alone, model, planned(alone, model, spec(poses=poses)))
 
 
 # -- refusals ---------------------------------------------------------------------------------------------------------

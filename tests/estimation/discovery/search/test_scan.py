@@ -3,52 +3,46 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from cellapp.cell.profile import load_profile
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.design.information import NuisanceProjector
+from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import ProjectedResidual, refit
+from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search import stepwise
 from cellapp.estimation.discovery.search.free_part import with_free_parts
+from cellapp.estimation.discovery.search.review import review
 from cellapp.estimation.discovery.search.scan import (
-    LawScan,
     corrected_p_value,
     score_threshold,
     simulate_null_maxima,
     smallest_detectable,
 )
-from cellapp.estimation.discovery.search.state import SearchProblem, SearchState
+from cellapp.estimation.discovery.search.state import Posteriors, Review, SearchProblem, SearchResult, SearchState
+from cellapp.estimation.discovery.search.stepwise import ChosenLines, shared_lines
 from cellapp.estimation.discovery.terms import CandidateLaw, ModelTerm
+from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import EFFECTS, EffectColumn
-from tests.estimation.discovery.linear_problem import PLAIN, N, column, problem, refining_law
+from cellapp.robot.effects.law import CYCLES
+from cellapp.robot.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH, lines_beside
+from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel
+from cellapp.robot.model.nominal import bodies_of, nominal_arm
+from tests.arms import STATION
+from tests.estimation.discovery.problems import PLAIN, N, problem, refining_law
 from tests.estimation.discovery.search.test_data_driven import readings_with
-
-
-def test_regression_on_the_projected_rows_is_the_joint_regression() -> None:
-    one = problem(0)
-    y = one.noise()
-    joint = np.linalg.lstsq(np.hstack([one.design, one.first.rows.T]), y, rcond=None)[0][-3:]
-    projected = one.projector.project(one.first.rows)
-    alone = np.linalg.lstsq(projected.T, one.visible(y), rcond=None)[0]
-    np.testing.assert_allclose(alone, joint, atol=1e-12)
-
-
-def test_with_priors_the_explained_share_is_that_of_generalised_least_squares() -> None:
-    one = problem(6)
-    sd = one.rng.uniform(0.1, 2.0, 10)
-    projector = NuisanceProjector.of(one.design.T, 1.0 / sd**2)
-    y = one.noise()
-    covariance = np.eye(N) + (one.design * sd**2) @ one.design.T
-    wanted = np.linalg.solve(covariance, y)
-    rows = one.first.rows[:2]
-    scan = LawScan.of([CandidateLaw("one", PLAIN.law(), one.first.columns[:2], rows)], projector)
-    reduction = rows @ wanted @ np.linalg.solve(rows @ np.linalg.solve(covariance, rows.T), rows @ wanted)
-    residual = ProjectedResidual(projector, y)
-    assert scan.ranked(residual)[0].explained_share == pytest.approx(reduction / (y @ wanted), rel=1e-9)
-    assert residual.explained(rows) == pytest.approx(reduction, rel=1e-9)
+from tests.robot.effects.cell import context_of
 
 
 def test_the_score_is_the_bic_gain_of_the_chosen_block() -> None:
@@ -63,44 +57,6 @@ def test_the_score_is_the_bic_gain_of_the_chosen_block() -> None:
     assert one.residual(y).bic_gain(one.first.rows[[2]]) == pytest.approx(best.value, rel=1e-9)
 
 
-def test_nuisance_parameters_cost_their_coordinates() -> None:
-    """A residual behind ten parameters scores as the numbers that it then has, without any."""
-    one = problem(2)
-    y = one.visible(one.first.rows[0] + one.noise())
-    rest = np.linalg.svd(one.design)[0][:, one.design.shape[1] :]
-    bare = NuisanceProjector.of(np.zeros((0, rest.shape[1])))
-    alone = ProjectedResidual(bare, rest.T @ y)
-    assert one.residual(y).bic_gain(one.first.rows[:2]) == pytest.approx(alone.bic_gain(one.first.rows[:2] @ rest))
-
-
-def test_the_best_law_of_each_effect_is_its_first_of_all() -> None:
-    """Whatever is left unselected, as its bound says that another law of the effect is better."""
-    one = problem(3)
-    laws = [CandidateLaw(f"effect {k % 3}", PLAIN.law(), columns(k), one.rng.normal(size=(4, N))) for k in range(24)]
-    scan = one.scan_of(*laws)
-    residual = one.residual(one.visible(sum(law.rows[k % 4] for k, law in enumerate(laws)) + one.noise()))
-    first = {score.slug: score for score in reversed(scan.ranked(residual))}
-    best = scan.best_of_each_effect(residual)
-    assert [score.value for score in best] == sorted((score.value for score in best), reverse=True)
-    assert {score.slug: (score.value, score.names) for score in best} == {
-        slug: (score.value, score.names) for slug, score in first.items()
-    }
-
-
-def test_the_laws_beside_another_model_are_those_of_a_scan_of_its_own() -> None:
-    one, other = problem(4), problem(5)
-    residual = other.residual(other.visible(one.first.rows[0] + one.noise()))
-    found = one.scan.behind_of(other.projector).ranked(residual)
-    wanted = other.scan_of(*one.scan.candidates).ranked(residual)
-    assert [(score.slug, score.names, score.value) for score in found] == [
-        (score.slug, score.names, score.value) for score in wanted
-    ]
-
-
-def columns(number: int) -> tuple[EffectColumn, ...]:
-    return tuple(column(f"x{number} {k}", f"joint {k}") for k in range(4))
-
-
 def test_choosing_among_laws_has_its_price() -> None:
     one = problem(1)
     y = one.visible(one.first.rows[2] * 0.3 + one.noise())
@@ -110,21 +66,7 @@ def test_choosing_among_laws_has_its_price() -> None:
     assert cheap.value - priced.value == pytest.approx(2.0 * math.log(50.0))
 
 
-def test_what_the_nuisance_parameters_explain_is_invisible() -> None:
-    one = problem(3)
-    rows = np.stack([one.design[:, 0], one.noise()])
-    hidden = one.scan_of(CandidateLaw("hidden", PLAIN.law(), (column("a", "one"), column("b", "two")), rows))
-    y = one.visible(one.noise() + 5.0 * rows[0])
-    assert one.ranked(y, hidden)[0].names == ("b",)
-
-
 # -- Block selection: blocks stand or fall together, refinements never stand alone, spread effects are found whole -----
-
-
-def test_columns_of_one_block_come_together() -> None:
-    one = problem(2)
-    y = one.visible(one.first.rows[0] + 0.1 * one.noise())
-    assert one.ranked(y)[0].names == ("a", "b")
 
 
 def test_a_refinement_alone_is_never_the_effect() -> None:
@@ -141,35 +83,6 @@ def test_a_refinement_alone_is_never_the_effect() -> None:
         assert set(found.names) & {"a", "b"}
 
 
-def test_a_refinement_joins_the_effect_only_where_it_is_asked_for() -> None:
-    one = problem(9)
-    law = refining_law(one.rng, one.noise())
-    scan = one.scan_of(law)
-    residual = one.residual(one.visible(law.rows[0] + 0.6 * law.rows[3] + 0.5 * one.noise()))
-    (plain,) = scan.ranked(residual)
-    (refined,) = scan.ranked(residual, with_refinements=True)
-    assert plain.names == ("a",)
-    assert refined.names == ("a", "d")
-    assert refined.value > plain.value + 6.0
-
-
-def test_without_a_visible_block_there_is_nothing_to_refine() -> None:
-    one = problem(9)
-    law = refining_law(one.rng, one.design[:, 0]).keep((0, 2, 3))
-    scan = one.scan_of(law)
-    residual = one.residual(one.visible(law.rows[1] + law.rows[2] + 0.1 * one.noise()))
-    assert scan.score(0, residual) is None
-    assert scan.ranked(residual, with_refinements=True) == []
-
-
-def test_an_effect_spread_evenly_over_blocks_is_found_whole() -> None:
-    one = problem(7)
-    columns = tuple(column(f"x{i}", f"joint {i}") for i in range(6))
-    many = CandidateLaw("many", PLAIN.law(), columns, one.rng.normal(size=(6, N)))
-    y = one.visible(0.45 * many.rows.sum(axis=0) + one.noise())
-    assert len(one.ranked(y, one.scan_of(many))[0].names) == 6
-
-
 # -- Significance: the false-alarm rate is kept, and the smallest detectable size is just detected ---------------------
 
 
@@ -180,15 +93,6 @@ def test_the_stated_false_alarm_rate_is_kept() -> None:
     # 0.05 give or take the scatter of 400 and of 2000 draws
     assert 0.02 < np.mean(fresh > least) < 0.09
     assert corrected_p_value(fresh, float(fresh[-1]) + 1.0) == pytest.approx(1.0 / 2001.0)
-
-
-def test_what_the_nuisance_parameters_explain_has_no_detectable_size() -> None:
-    one = problem(3)
-    rows = np.stack([one.design[:, 0], one.noise()])
-    hidden = one.scan_of(CandidateLaw("hidden", PLAIN.law(), (column("a", "one"), column("b", "two")), rows))
-    sizes = smallest_detectable(hidden, 0, 5.0)
-    assert math.isinf(sizes["a"])
-    assert 0.0 < sizes["b"] < 1.0
 
 
 def test_an_effect_of_the_smallest_detectable_size_is_detected_about_every_other_time() -> None:
@@ -225,3 +129,145 @@ def test_a_candidate_whose_fit_does_not_converge_is_dropped_and_named_and_is_no_
     found = stepwise.search(data, ("encoder_eccentricity",), CancelToken())
     assert not [term for term in found.fit.terms if term.smooth is None]
     assert found.not_fitted[0] == f"{EFFECTS['encoder_eccentricity'].title} added"
+
+
+# -- A name is accepted at even odds at least; rivals that nothing distinguishes from it count with it -----------------
+
+
+TWIN = Path(__file__).parents[4] / "profiles" / "twin.yaml"
+N_at_even_odds = 90
+SIGMA_M = 10e-6
+PLAY = 1e-4
+SLUGS = ("backlash", "base_step")
+
+
+def searched(
+    monkeypatch: pytest.MonkeyPatch, stated: Mapping[str, float], limited: Mapping[str, float] | None = None
+) -> SearchResult:
+    """The outcome for an arm with backlash, where the probabilities of effects are those stated, else 1.
+
+    ``limited`` are those once rivals score less than the name.
+    """
+    profile = load_profile(TWIN)
+    few = profile.discovery.model_copy(update={"null_simulations": 60, "false_alarm": 0.02})
+    arm = profile.arms["left"]
+    geometry = nominal_arm(arm).with_T_M_B(STATION)
+    rng = np.random.default_rng(8)
+    q = rng.uniform(-2.5, 2.5, (N_at_even_odds, 6))
+    approach = rng.choice([-1, 1], (N_at_even_odds, 6)).astype(np.int8)
+    readings = Readings(
+        configuration=np.arange(N_at_even_odds, dtype=np.int64),
+        time_s=np.full(N_at_even_odds, np.nan),
+        q=q,
+        approach=approach,
+        p_M=smr_positions(geometry, q - PLAY * approach) + rng.normal(0.0, SIGMA_M, (N_at_even_odds, 3)),
+        sigma_m=np.full(N_at_even_odds, SIGMA_M),
+    )
+    up_M = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
+    model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(arm), up_M=up_M)
+    data = ArmData.of(
+        profile.model_copy(update={"discovery": few}), model, readings, measurement_conditions(readings), None
+    )
+
+    def probable(found: SearchResult, scan: object) -> Posteriors:
+        out = all(max(one.alternatives.values(), default=0.0) < one.score for one in found.reviews)
+        here = stated if limited is None or not out else limited
+        return Posteriors(tuple(here.get(term.slug, 1.0) for term in found.fit.terms), here)
+
+    monkeypatch.setattr(stepwise, "posteriors_of", probable)
+    return stepwise.search(data, SLUGS, CancelToken())
+
+
+def test_an_improbable_name_is_dropped_and_not_found_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = searched(monkeypatch, {"backlash": 0.49})
+    assert "backlash" not in {term.slug for term in found.fit.terms}
+    assert found.improbable == {"backlash": 0.49}
+    assert found.dropped[-1] == "backlash"
+
+
+def test_rivals_in_one_answer_set_count_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    rival = RunnerUp(effect="friction_windup", statistic=50.0, distinguishable=False)
+    monkeypatch.setattr(stepwise, "review", lambda *args: replace(review(*args), rivals=(rival,)))
+    found = searched(monkeypatch, {"backlash": 0.4, "friction_windup": 0.3})
+    assert [term.slug for term in found.fit.terms] == ["backlash"]
+    found = searched(monkeypatch, {"backlash": 0.2, "friction_windup": 0.2})
+    assert found.improbable == {"backlash": 0.4}, "of the whole answer set"
+    found = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6})
+    assert [term.slug for term in found.fit.terms] == ["backlash"], "no search without it ends as well"
+    assert found.improbable == {}
+
+
+def test_a_rival_in_whose_place_the_search_ends_worse_scores_less_than_the_name(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def led(*args: Any) -> Review:
+        found = review(*args)
+        rival = RunnerUp(effect="friction_windup", statistic=found.score + 20.0, distinguishable=False)
+        return replace(found, rivals=(rival,), alternatives={rival.effect: rival.statistic})
+
+    monkeypatch.setattr(stepwise, "review", led)
+    (found,) = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6}).reviews
+    assert found.alternatives["friction_windup"] < found.score
+    alone = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6}, {"backlash": 0.1, "friction_windup": 0.2})
+    assert alone.improbable == {"backlash": pytest.approx(0.3)}, "its answer set was probable by that rival only"
+
+
+def test_a_name_gives_way_to_a_more_probable_rival_that_explains_as_much(monkeypatch: pytest.MonkeyPatch) -> None:
+    rival = RunnerUp(effect="friction_windup", statistic=50.0, distinguishable=False)
+    monkeypatch.setattr(stepwise, "review", lambda *args: replace(review(*args), rivals=(rival,)))
+    monkeypatch.setattr(stepwise, "criterion", lambda fit: 0.0)  # of every model
+    found = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6})
+    assert "backlash" not in {term.slug for term in found.fit.terms}
+    assert found.improbable == {"backlash": pytest.approx(0.9)}, "of the whole answer set"
+
+
+# -- Lines of many cycles that joints share, in noise: found where they are, not found where none is -------------------
+
+
+JOINTS, READINGS, SIGMA_M_OF_LINES, LEVER_M = (0, 2, 3), 300, 3e-5, 0.8
+LAW = CURVE.law({CYCLES.name: 80.0} | {one.key(j): 1e-4 for j in JOINTS for one in (CURVE_AMPLITUDE, CURVE_LENGTH)})
+CONTEXT = context_of(READINGS)
+COLUMNS = lines_beside(CONTEXT, LAW)
+"""Lines from 81 to 420 cycles of three joints, which move the SMR along an axis each."""
+
+
+def found(seed: int, *lines: tuple[int, int, float]) -> ChosenLines | None:
+    """What is found in noise and lines (joint, cycles, amplitude [rad])."""
+    rng = np.random.default_rng(seed)
+    rows = np.zeros((len(COLUMNS), 3, READINGS))
+    for row, one in zip(rows, COLUMNS, strict=True):
+        assert one.joint is not None
+        row[JOINTS.index(one.joint)] = LEVER_M / SIGMA_M_OF_LINES * offset(one)
+    y = rng.standard_normal((3, READINGS))
+    for joint, cycles, amplitude in lines:
+        y[JOINTS.index(joint)] += LEVER_M / SIGMA_M_OF_LINES * amplitude * np.sin(cycles * CONTEXT.q[:, joint] + 0.4)
+    nuisance = rng.standard_normal((40, 3 * READINGS))
+    residual = ProjectedResidual(NuisanceProjector.of(nuisance), y.ravel())
+    by_joint = np.zeros((3, CONTEXT.q.shape[1], READINGS))
+    for axis, joint in enumerate(JOINTS):
+        by_joint[axis, joint] = LEVER_M / SIGMA_M_OF_LINES
+    candidate = CandidateLaw("transmission_error", LAW, tuple(COLUMNS), rows.reshape(len(rows), -1))
+    return shared_lines(candidate, residual, by_joint)
+
+
+def offset(column: EffectColumn) -> Array:
+    assert column.offset is not None
+    return column.offset
+
+
+def names(chosen: ChosenLines | None) -> set[str]:
+    return set() if chosen is None else {COLUMNS[place].block for place in chosen.columns}
+
+
+def test_none_is_found_in_noise() -> None:
+    values = [0.0 if one is None else one.value for one in (found(seed) for seed in range(12))]
+    assert max(values) < 10.0, "the margin from which lines join a model"
+
+
+def test_a_count_that_joints_share_is_found_where_it_is_too_small_for_each() -> None:
+    """Three joints with 13 µrad at 333 cycles, plain together only."""
+    alone, shared = found(3, (0, 333, 1.3e-5)), found(3, *((joint, 333, 1.3e-5) for joint in JOINTS))
+    assert alone is None or alone.value < 10.0
+    assert shared is not None
+    assert shared.value > 10.0
+    assert names(shared) == {f"joint {joint + 1} line 333" for joint in JOINTS}

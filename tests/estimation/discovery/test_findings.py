@@ -1,15 +1,20 @@
-"""Verdicts: what was found, whether rivals remain, and whether the noise floor is reached."""
+"""What is said of findings: verdicts, formulas, opposite signs, pictures."""
 
 from __future__ import annotations
 
+import json
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.estimation.discovery.accepted import accepted_effect, formulas
+from cellapp.estimation.calibration.quantities import measurement_conditions
+from cellapp.estimation.discovery.accepted import accepted_effect, dominant_cycles, formulas, pictures
+from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.discover import discover_arm
+from cellapp.estimation.discovery.joint_fit import fit_terms
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
     ArmDiscoveryResult,
@@ -19,15 +24,16 @@ from cellapp.estimation.discovery.records import (
     RunnerUp,
 )
 from cellapp.estimation.discovery.search.state import Scatter
-from cellapp.estimation.discovery.terms import whitened_displacements
+from cellapp.estimation.discovery.terms import ModelTerm
 from cellapp.estimation.discovery.verdict import CHANCE, remaining_structure, verdict
 from cellapp.estimation.readings import Readings
-from cellapp.robot.effects import EFFECTS, Channel, EffectColumn, EffectTerm
+from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Wave, joint_column
 from cellapp.robot.effects.data_driven import Quantity, Variable
-from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm
 from tests.arms import STATION
+from tests.twin import PROFILES
 
 NOISE = Scatter(1.0, 0.5)
 FAR_ABOVE = Scatter(3.0, 0.0)
@@ -83,25 +89,6 @@ def test_readings_that_are_too_few_for_a_search_do_not_say_that_nothing_is_missi
     found, sentence = verdict([], 0.1, 1.3, 10, Scatter(50.0, 0.0), UNTESTED)
     assert found == "unknown effect"
     assert "scatter 50 times as stated and are too few to look for effects" in sentence
-
-
-# -- Candidate laws: columns of either kind are whitened alike ---------------------------------------------------------
-
-
-def test_joint_offsets_and_smr_shifts_are_whitened_alike() -> None:
-    rng = np.random.default_rng(8)
-    n = 20
-    white = rng.normal(size=(3, 3, n))
-    by_joint = rng.normal(size=(3, 6, n))
-    offset, shift = rng.normal(size=n), rng.normal(size=(n, 3))
-    columns = (
-        EffectColumn("shift", "m", "base", -1, 1, Channel.BASE, shift_M=shift),
-        EffectColumn("offset", "rad", "joint 3", -1, 1, Channel.JOINT, 2, offset=offset),
-    )
-    rows = whitened_displacements(columns, np.einsum("acn,cjn->ajn", white, by_joint), white)
-    np.testing.assert_allclose(rows[0].reshape(3, n), np.einsum("acn,nc->an", white, shift), atol=1e-12)
-    wanted = np.einsum("acn,cn->an", white, by_joint[:, 2] * offset)
-    np.testing.assert_allclose(rows[1].reshape(3, n), wanted, atol=1e-12)
 
 
 # -- Readings with the approach signs of another convention: said, counted as unknown, with what to check --------------
@@ -182,10 +169,79 @@ def test_the_formula_that_made_a_curve_explains_all_of_it(variables, shape, text
     assert explained(best.values, shape(x, y)) == pytest.approx(1.0)
 
 
-# -- Structure tests in words ------------------------------------------------------------------------------------------
+# -- Pictures of a fit: values of the terms, partial residuals, and the axis of each picture ---------------------------
 
 
-# -- Layout of parameters: geometry first, then one term after the other; priors of free curves ------------------------
+N = 120
+UP = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
 
 
-# -- Products of columns that keep joint offsets as functions of the reading are those of whole columns ----------------
+def wave_column(joint: int, count: int, sine: bool) -> EffectColumn:
+    wave = Wave(count, sine)
+    return joint_column(f"wave {count} {sine}", "rad", joint, np.zeros(2), -1.0, 1.0, wave=wave)
+
+
+def test_cycles_hold_the_middle_of_the_power():
+    waves = [(k, sine) for k in range(2, 12) for sine in (False, True)]
+    columns = [wave_column(1, k, sine) for k, sine in waves]
+    amplitudes = {3: 1.0, 5: 10.0, 6: 12.0, 9: 8.0, 11: 1.0}
+    values = [-amplitudes.get(k, 0.0) * 1e-6 if sine else 0.0 for k, sine in waves]
+    found = dominant_cycles([*columns, wave_column(0, 2, False)], np.array([*values, 4e-6]))
+    assert list(found) == ["1", "2"]
+    written = json.loads(found["1"].model_dump_json(by_alias=True))
+    assert written == {"from": 2, "to": 2, "peak": 2, "rms_urad": pytest.approx(4.0 / math.sqrt(2.0))}
+    assert (found["2"].first, found["2"].last, found["2"].peak) == (5, 9, 6)
+    assert found["2"].rms_urad == pytest.approx(math.sqrt((1 + 100 + 144 + 64 + 1) / 2.0))
+
+
+def fitted(bend, *terms, off_axis_m=0.1):
+    """Data and a fit of ``terms`` to readings with joint offsets ``bend(q, approach)``."""
+    profile = load_profile(PROFILES / "twin.yaml")
+    geometry = nominal_arm(profile.arms["left"]).with_T_M_B(STATION)
+    named = dict(zip(parameter_names(6), geometry.vector(), strict=True)) | {"tx": off_axis_m, "ty": 0.0}
+    geometry = geometry.with_vector(np.array(list(named.values())))
+    rng = np.random.default_rng(3)
+    q = rng.uniform(-2.5, 2.5, (N, 6))
+    approach = rng.choice([-1, 1], (N, 6)).astype(np.int8)
+    readings = Readings(
+        configuration=np.arange(N, dtype=np.int64),
+        time_s=60.0 * np.arange(N, dtype=np.float64),
+        q=q,
+        approach=approach,
+        p_M=smr_positions(geometry, q + bend(q, approach)) + rng.normal(0.0, SIGMA_M, (N, 3)),
+        sigma_m=np.full(N, SIGMA_M),
+    )
+    model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(profile.arms["left"]), up_M=UP)
+    data = ArmData.of(profile, model, readings, measurement_conditions(readings))
+    return data, fit_terms(data, tuple(terms))
+
+
+def made(bend, *terms, off_axis_m=0.1):
+    """Pictures of ``fitted``."""
+    found = pictures(*fitted(bend, *terms, off_axis_m=off_axis_m))
+    for picture in found:
+        assert len(picture.x) == len(picture.measured) == len(picture.computed) == len(picture.band) > 0
+        assert list(picture.x) == sorted(picture.x)
+        assert min(picture.band) >= 0.0
+        json.dumps(picture.model_dump(), allow_nan=False)
+    return found
+
+
+def only(joint, values):
+    """Offsets of one joint (counted from 1)."""
+    bent = np.zeros((len(values), 6))
+    bent[:, joint - 1] = values
+    return bent
+
+
+def test_fast_lines_are_laid_over_one_another_and_slow_ones_are_not():
+    names = tuple(f"{wave}{k}q2" for k in (2, 60, 120) for wave in ("cos", "sin"))
+    part = ModelTerm("transmission_error", EFFECTS["transmission_error"].law("gear", {"ratio": 60.0}), names)
+    slow, fast = made(lambda q, approach: only(2, 1e-4 * np.sin(2.0 * q[:, 1]) + 3e-4 * np.cos(60.0 * q[:, 1])), part)
+    assert (slow.curve.x[0], slow.curve.x[-1]) == (-180.0, 180.0)
+    assert np.ptp(slow.computed) == pytest.approx(200.0, rel=0.2)
+    assert fast.x_label == "joint 2, within a cycle of 6 deg [deg]"
+    assert "60 cycles per revolution" in fast.title
+    assert 0.0 <= fast.x[0] <= fast.x[-1] <= 6.0 == fast.curve.x[-1]
+    off = np.array(fast.curve.value) - 300.0 * np.cos(60.0 * np.radians(fast.curve.x))
+    assert (np.abs(off) < 5.0 * np.array(fast.curve.band) + 0.1).all()

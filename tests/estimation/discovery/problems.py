@@ -1,4 +1,4 @@
-"""A random linear problem with two candidate laws beside ten nuisance parameters."""
+"""A random linear problem with two candidate laws beside ten nuisance parameters, and searches of runs in memory."""
 
 from __future__ import annotations
 
@@ -6,11 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cellapp.cell.planning.proposal.arm_candidates import Effort
+from cellapp.cell.planning.proposal.propose import Proposal, propose_stops
+from cellapp.cell.run import RunFile
+from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.estimation.design.information import NuisanceProjector
+from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.discovery.joint_fit import ProjectedResidual
+from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.terms import CandidateLaw, LawScore
 from cellapp.robot.effects import Channel, EffectColumn, LawForm
+from cellapp.robot.model import CellModel
 
 N = 300
 """Coordinates."""
@@ -67,3 +75,16 @@ def refining_law(rng: np.random.Generator, main: np.ndarray) -> CandidateLaw:
         column("d", "four", refines=True),
     )
     return CandidateLaw("refined", PLAIN.law(), columns, np.stack([main, *rng.normal(size=(3, N))]))
+
+
+def calibrated_and_searched(run: RunFile) -> CellDiscovery:
+    """Draw splits, calibrate, search every arm."""
+    calibrate_run(run)
+    model = CellModel.load(run.folder / CALIBRATION_FILE)
+    return discover_cell(run.profile, model, {name: run.readings(name) for name in model.arms})
+
+
+def proposed(run: RunFile, found: CellDiscovery, count: int, effort: Effort) -> Proposal:
+    """Further stops after a search; the plan stays as it is."""
+    readings = {name: run.readings(name) for name in found.arms}
+    return propose_stops(run.profile, found.model, readings, found.arms, count, effort=effort)
