@@ -75,6 +75,7 @@ BROUGHT_ALONG = {
     "fcl": ["python-fcl"],
     "rtde_control": ["ur-rtde"],
     "rtde_receive": ["ur-rtde"],
+    "script_client": ["ur-rtde"],
 }
 """Modules that no installed package names as its own, and those of packages that a declared one needs."""
 

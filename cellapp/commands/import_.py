@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -45,6 +46,9 @@ class ImportRequest(Request):
     ] = None
     joints: Annotated[tuple[Path, ...], Asked("Joint positions of a motion: time_s, q1, q2, ...", "FILE")] = ()
     points: Annotated[tuple[Path, ...], Asked("Points of the same motion: time_s, x_m, y_m, z_m.", "FILE")] = ()
+    column: Annotated[
+        tuple[str, ...], Asked("The column of recordings that counts, where two may be meant.", "NAME")
+    ] = ()
     arm: Annotated[str | None, Asked("The arm of recordings that do not say it.", "NAME")] = None
 
     @model_validator(mode="after")
@@ -78,6 +82,7 @@ def run(request: ImportRequest, work: Work) -> ImportResult:
         in_order=request.in_order,
         recordings=(request.joints, request.points),
         arm=request.arm,
+        columns=request.column,
         reference_nests=request.reference_nests,
     )
     try:
@@ -96,12 +101,14 @@ def import_new_run(
     in_order: bool = False,
     recordings: tuple[Sequence[Path], Sequence[Path]] = ((), ()),
     arm: str | None = None,
+    columns: Sequence[str] = (),
     reference_nests: Path | None = None,
     smr: str | None = None,
 ) -> ImportResult:
     """Make a new run from readings in a CSV file, recordings of motion, or both.
 
-    ``recordings`` are files of joints and of points, pair by pair, and ``arm`` their arm if they do not state one.
+    ``recordings`` are files of joints and of points, pair by pair, ``arm`` their arm if they do not state one, and
+    ``columns`` those that count where two may be meant.
     ``reference_nests`` is a file of nests that tie tracker stations together; ``smr`` is as in ``readings_of_table``.
 
     Raises
@@ -111,7 +118,7 @@ def import_new_run(
     """
     recorded, fills = frozenset[str](), []
     if any(recordings):
-        recorded, fill = recordings_from_csv(profile, *recordings, arm)
+        recorded, fill = recordings_from_csv(profile, *recordings, arm, columns)
         fills.append(fill)
     if csv is not None:
         fills.append(
@@ -142,4 +149,5 @@ def import_new_run(
 def view(result: ImportResult, request: Request | None = None) -> View:
     """Show the number of readings and the recordings of each arm, and notes."""
     counts = (f"arm {name}: {counted(count, 'reading')}" for name, count in result.readings.items())
-    return View((*counts, *recording_tables(result.recordings), *result.notes), held="; ".join(result.notes))
+    onward = f"next: {shlex.join(['cellapp', 'calibrate', result.run])}"
+    return View((*counts, *recording_tables(result.recordings), *result.notes, onward), held="; ".join(result.notes))

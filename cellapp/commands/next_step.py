@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.recordings import recordings_digest
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.commands.certificate.iso9283_judgements import unmeasured_tests
-from cellapp.commands.stages import NextVerb, RunStages, next_command
+from cellapp.commands.stages import CERTIFICATE_FILE, NextVerb, RunStages, next_command
 from cellapp.estimation.iso9283.norm import IsoTest
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.ground.errors import InputError
-from cellapp.ground.results import COMPENSATE, ISO9283, Record
+from cellapp.ground.results import CERTIFICATE, CHECK, COMPENSATE, ISO9283, Record
 from cellapp.ground.shell import shell_word
+
+_AGAIN: Mapping[str, NextVerb] = {
+    f"'{CHECK}'": "check",
+    REPORT_FILE: "report",
+    f"'{CERTIFICATE}'": "certificate",
+    CERTIFICATE_FILE: "certificate",
+}
+"""Beginning of a complaint -> the verb that mends it, in the order of the steps."""
 
 
 class ArmState(Record):
@@ -42,13 +50,20 @@ def arm_states(run: RunFile) -> dict[str, ArmState]:
     return states
 
 
-def next_step(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> tuple[NextVerb, str]:
-    """Return the verb that comes next and its command; both empty if nothing is left to do."""
+def next_step(
+    run: RunFile, stages: RunStages, arms: Mapping[str, ArmState], complaints: Sequence[str] = ()
+) -> tuple[NextVerb, str]:
+    """Return the verb that comes next and its command; both empty if nothing is left to do and nothing complained of.
+
+    ``complaints``: what is out of date, as ``complaints_of`` says; then the last steps renew check, page, certificate.
+    """
     if run.removed_kinds():
         return "", ""
     verb = _next_verb(run, stages, arms)
     if not verb and (tests := _missing_tests(run, stages)):
         return "iso9283", f"cellapp iso9283 {tests[0]} --run {shell_word(run.folder)}"
+    if not verb:
+        verb = next((again for words, again in _AGAIN.items() if any(one.startswith(words) for one in complaints)), "")
     begun = verb == "collect" and any(arm.measured for arm in arms.values())
     return verb, next_command(verb, run.folder) + (" --resume" if begun else "")
 

@@ -148,10 +148,6 @@ def _no_certificate_page(result: Result) -> str:
     raise InputError("this interface draws no page of a certificate")
 
 
-def _no_screens(profile: Path, run: Path | None, folder: Path) -> Sequence[Path]:
-    raise InputError(f"{folder}: this interface draws no screens")
-
-
 @dataclass(frozen=True)
 class Work:
     """What an interface gives to the job that it starts.
@@ -162,8 +158,6 @@ class Work:
         The listener takes the progress; the control asks for pause and stop.
     certificate_page : callable
         Result of a certificate -> its page as HTML.
-    screens : callable
-        (profile, folder of a run or None, folder) -> write pictures of the terminal application there; their paths.
     ask : callable
         Name of the profile -> callable that asks a person before real arms move first; None if nobody can be asked.
     outputs : Outputs
@@ -182,7 +176,6 @@ class Work:
     ask: Callable[[str], Callable[[str], bool] | None]
     outputs: Outputs
     certificate_page: Callable[[Any], str] = field(default=_no_certificate_page)
-    screens: Callable[[Path, Path | None, Path], Sequence[Path]] = field(default=_no_screens)
     announce: Callable[[Result], None] = field(default=lambda result: None)
     say: Callable[[str], None] = field(default=lambda sentence: None)
     write_page: Callable[[RunFile], Path] = field(default=_no_run_page)

@@ -133,7 +133,20 @@ def sha256_of(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
-NextVerb = Literal["plan", "collect", "calibrate", "discover", "locate", "compensate", "push", "iso9283", "report", ""]
+NextVerb = Literal[
+    "plan",
+    "collect",
+    "calibrate",
+    "discover",
+    "locate",
+    "compensate",
+    "push",
+    "iso9283",
+    "check",
+    "report",
+    "certificate",
+    "",
+]
 """The verb that comes next in a run. ``push`` stands for verifying compensated targets, ``compensate`` takes its place
 if nothing can be driven, ``plan`` stands for a new run of a cell that has changed; empty if nothing is left."""
 

@@ -18,6 +18,7 @@ COMMANDS: Mapping[str, str] = {
     "recalibrate": "use 'cellapp calibrate DIR' and 'cellapp discover DIR' of each run; 'cellapp runs' lists them",
     "touch": "measure the arm with a tracker ('cellapp collect'), or take readings of one with 'cellapp import'",
     "replay": "'cellapp show DIR collection' lists the stops of a run and its faults, the page draws them",
+    "docs screens": "the source's 'python -m tests.handbook screens' draws the terminal application",
     "power": "use 'cellapp trials power DIR'",
     **{
         f"trials {name}": _EVIDENCE

@@ -221,6 +221,14 @@ def _port(port: int, is_open: bool) -> Check:
     return Check(f"port {port}", "failed", text, LinkLost)
 
 
+def inputs(taken: bool) -> Check:
+    """Return whether the input registers of RTDE are free for the client that moves the arm."""
+    if not taken:
+        return Check("RTDE inputs", "ok", "free")
+    text = "another client (a fieldbus, another program, a job of this one) holds them; end that"
+    return Check("RTDE inputs", "failed", text)
+
+
 def _state(probe: UrProbe) -> Check:
     subject, sample = "state", probe.sample
     if sample is None:

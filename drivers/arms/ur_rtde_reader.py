@@ -18,7 +18,7 @@ from drivers.arms.ur_links import RTDE_PORT, Connection
 from drivers.patience import Patience
 
 _HEADER = struct.Struct(">HB")
-_VERSION, _OUTPUTS, _START, _DATA = ord("V"), ord("O"), ord("S"), ord("U")
+_VERSION, _OUTPUTS, _INPUTS, _START, _DATA = ord("V"), ord("O"), ord("I"), ord("S"), ord("U")
 _FREQUENCY_HZ = 125.0
 """Rate that every series supports."""
 _MAX_PACKETS = 1000
@@ -130,6 +130,22 @@ def read_sample(link: Connection, patience: Patience) -> UrSample:
         If none comes in time, or the peer is not an RTDE server.
     """
     return next(samples(link, patience))
+
+
+def inputs_taken(link: Connection, patience: Patience) -> bool:
+    """Return whether another connection holds the input registers of the control client. Nothing is written; they are
+    free again when ``link`` ends.
+
+    Raises
+    ------
+    LinkLost
+        If no answer comes in time, or the peer is not an RTDE server.
+    """
+    if refusal := link.refusal(patience):
+        raise LinkLost(f"{link.where}: no RTDE connection ({refusal})")
+    packets = _Packets(link, patience)
+    packets.ask(_VERSION, struct.pack(">H", 2))
+    return b"IN_USE" in packets.ask(_INPUTS, b"input_int_register_0")
 
 
 def wait_at_rest(

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from drivers.arms.protocol import Arm, ArmError
+from drivers.arms.protocol import Arm, ArmError, LinkLost
 from drivers.arms.settings import ArmContext
 from drivers.arms.ur_options import UrOptions
 from drivers.findings import Finding
@@ -69,6 +70,8 @@ class UrSettings(UrOptions):
     def probe(self, arm: ArmContext, patience_s: float) -> list[Finding]:
         """Query the controller over plain sockets and compare its answers with the profile."""
         from drivers.arms import ur_checks, ur_probe
+        from drivers.arms.ur_links import RTDE_PORT, Connection
+        from drivers.arms.ur_rtde_reader import inputs_taken
 
         try:
             answers = ur_probe.probe_ur(self.host, min(self.timeout, patience_s))
@@ -78,6 +81,10 @@ class UrSettings(UrOptions):
             found = ur_checks.checks(self.expectation(arm), answers)
         except SettingError as error:
             return [Finding("type", "failed", f"arms.{arm.name}.{error}")]
+        patience = Patience(min(self.timeout, patience_s))
+        if answers.ports.get(RTDE_PORT):
+            with suppress(LinkLost), Connection.to(self.host, RTDE_PORT, patience) as rtde:
+                found.append(ur_checks.inputs(inputs_taken(rtde, patience)))
         where = f"{answers.series} controller at {answers.host}, PolyScope {answers.software}"
         failed = ", ".join(check.subject for check in found if check.status == "failed")
         motion = Finding("motion", "ok", "no check failed; no motion was tried")

@@ -121,7 +121,9 @@ def test_a_page_is_out_of_date_as_soon_as_the_run_holds_something_newer(finished
         append_stage(run, VERIFY, verify.model_copy(update={"stopped": "by hand"}), basis_of(run))
         (complaint,) = complaints_of(run)
         assert complaint.startswith(f"{REPORT_FILE} is out of date (the run has changed since)")
-        assert run_overview(run).complaints == (complaint,)
+        overview = run_overview(run)
+        assert overview.complaints == (complaint,)
+        assert (overview.next_verb, overview.next_step) == ("report", f"cellapp report {finished_copy}")
     assert complaints_in(finished_copy) == [complaint]
 
 

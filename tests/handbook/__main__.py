@@ -1,6 +1,7 @@
 """``python -m tests.handbook``: draw the figures of the handbook, and renew the parts of chapters that repeat the code.
 
-``python -m tests.handbook figures PROFILE DIR`` draws the figures for another arm, ``pages RUN DIR`` pages of a run.
+``python -m tests.handbook figures PROFILE DIR`` draws the figures for another arm, ``pages RUN DIR`` pages of a run,
+``screens PROFILE RUN DIR`` the terminal application with it.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from tests.handbook.chapters import CHAPTERS, ROOT, chapter_path
 from tests.handbook.declarations import with_declarations
 from tests.handbook.figure_files import write_figures
 from tests.handbook.page_pictures import write_pictures
+from tests.handbook.screen_pictures import write_screens
 
 FIGURES = ROOT / "cellapp" / "docs" / "figures"
 
@@ -36,5 +38,7 @@ if __name__ == "__main__":
             write_figures(load_profile(Path(profile)), Path(folder), RENEWED)
         case ["pages", run, folder]:
             write_pictures(Path(run), Path(folder), outputs=RENEWED)
+        case ["screens", profile, run, folder]:
+            write_screens(Path(profile), Path(run), Path(folder))
         case _:
-            sys.exit("python -m tests.handbook [figures PROFILE DIR | pages RUN DIR]")
+            sys.exit("python -m tests.handbook [figures PROFILE DIR | pages RUN DIR | screens PROFILE RUN DIR]")

@@ -24,9 +24,10 @@ from cellapp.commands.iso9283 import run as verb
 from cellapp.commands.registry import records
 from cellapp.commands.schema import json_schema, results_by_name, written_results
 from cellapp.estimation.iso9283.norm import ISO_TESTS
-from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.errors import HardwareError
 from cellapp.interfaces.tui.screens import SCREENS
 from tests.handbook.chapters import blocks
+from tests.handbook.screen_pictures import write_screens
 from tests.program import app
 from tests.twin import PROFILES, small_twin
 
@@ -105,27 +106,21 @@ def test_mistakes_are_answered_as_the_chapter_says(finished_run: Path, capsys: p
     assert numbers.sub("*", capsys.readouterr().out) == numbers.sub("*", printed)
 
 
-# -- Pictures of the terminal application's screens: the command draws all of them from a finished run -----------------
+# -- Pictures of the terminal application's screens: all are drawn from a finished run -----------------
 
 TWIN = PROFILES / "twin.yaml"
 
 
 @pytest.mark.slow
-def test_the_command_draws_every_screen(finished_run: Path, tmp_path: Path) -> None:
+def test_every_screen_is_drawn(finished_run: Path, tmp_path: Path) -> None:
     out = tmp_path / "new"
-    ended = CliRunner().invoke(
-        app, ["docs", "screens", "--profile", str(TWIN), "--run", str(finished_run), "--out", str(out), "--json", "-"]
-    )
-    assert ended.exit_code == 0
+    write_screens(TWIN, finished_run, out)
     paths = [out / f"screen-{step}.svg" for step in ("first-run", *(entry.step for entry in SCREENS))]
-    assert json.loads(ended.stdout)["files"] == [str(path) for path in paths]
     texts = {path.stem: path.read_text("utf-8").replace("&#160;", " ") for path in paths}
     assert not any("@font-face" in text or len(text) > 150_000 for text in texts.values())
     assert "Try the simulated twin" in texts["screen-first-run"]
     assert "COMPLETE, " in texts["screen-collect"]
     assert "held-out errors [mm]" in texts["screen-calibrate"]
-    with pytest.raises(InputError, match="--run belongs to 'screens'"):
-        CliRunner().invoke(app, ["docs", "figures", "--run", "x"], catch_exceptions=False)
 
 
 # -- The lists and the words on the page about targets -----------------------------------------------------------------

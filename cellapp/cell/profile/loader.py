@@ -7,6 +7,7 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -183,12 +184,13 @@ def _read_arm_types(document: Document, folders: Sequence[Path]) -> None:
             arm["type"] = arm_type.data
             document.places |= {at + inside: place for inside, place in arm_type.places.items()}
         if isinstance(arm, dict) and isinstance(arm.get("factory"), str):
-            arm["factory"] = _read_controller(folders, arm["factory"], document.places["arms", name, "factory"])
+            place = document.places["arms", name, "factory"]
+            arm["factory"] = _read_controller(folders, arm["factory"], place, arm.get("type"))
 
 
 def arm_type_of_text(text: str, path: Path) -> ArmType:
     """Parse the text of an arm type whose file is ``path``. Raise ``InputError`` with file and line."""
-    document = _parse_yaml(text, path)
+    document = replace(_parse_yaml(text, path), schema=ArmType)
     try:
         return ArmType.model_validate(document.data)
     except ValidationError as error:
@@ -267,7 +269,35 @@ def _read_arm_type(folders: Sequence[Path], name: str, place: Place) -> Document
     )
 
 
-def _read_controller(folders: Sequence[Path], name: str, place: Place) -> dict[str, object]:
+_DESCRIBED = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+_ORIGIN = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def _described(path: Path, arm_type: object) -> dict[str, object]:
+    """Return a section ``factory`` from a ``default_kinematics.yaml`` of UR's ROS description: poses of joints."""
+    import numpy as np  # late: profiles without such a file load without numerics
+
+    from cellapp.robot.kinematics.plain_dh import plain_rows_of
+    from cellapp.robot.kinematics.transforms import rotation_zyx, transform
+
+    joints, found = _parse_yaml(_read_text(path), path).data, []
+    try:
+        for name in _DESCRIBED:
+            x, y, z, roll, pitch, yaw = (float(joints["kinematics"][name][key]) for key in _ORIGIN)
+            found.append(transform(rotation_zyx(yaw, pitch, roll), [x, y, z]))
+    except (KeyError, TypeError, ValueError):
+        raise InputError(
+            f"{path}: no default_kinematics.yaml: expected under 'kinematics' {', '.join(_DESCRIBED)}, each with"
+            f" {', '.join(_ORIGIN)}; or give the calibration.conf of the controller"
+        ) from None
+    rows = [[one.theta, one.d, one.a, one.alpha] for one in ArmType.model_validate(arm_type).joints]
+    if len(rows) != len(found):
+        raise InputError(f"{path}: poses of {len(found)} joints; the arm's type has {len(rows)}")
+    deltas = (plain_rows_of(np.array(found), np.array(rows)) - np.array(rows)).T.tolist()
+    return dict(zip(("delta_theta", "delta_d", "delta_a", "delta_alpha"), map(tuple, deltas), strict=True))
+
+
+def _read_controller(folders: Sequence[Path], name: str, place: Place, arm_type: object) -> dict[str, object]:
     path = _first_file(folders, name)
     if path is None:
         raise PlacedError(
@@ -275,6 +305,8 @@ def _read_controller(folders: Sequence[Path], name: str, place: Place) -> dict[s
             f"file not found: {short(str(folders[0] / name), 200)}; give the calibration.conf of the controller,"
             " relative to the profile's file: 'cellapp doctor PROFILE --controllers DIR' writes one",
         )
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return _described(path, arm_type)
     return controller_table(_read_text(path), path)
 
 

@@ -51,6 +51,10 @@ _BOUNDS = {
 """pydantic's error of a range -> key of its bound in the error's context, and words for it."""
 
 
+_MEANT = {"offset": "theta", "r": "a", "length": "a", "twist": "alpha", "limits": "limit", "velocity": "speed"}
+"""Keys of other programs -> cellapp's."""
+
+
 @dataclass(frozen=True)
 class Place:
     """Where a value is written: file, line (0: not in a file), and its path inside that file."""
@@ -74,10 +78,11 @@ class PlacedError(InputError):
 
 @dataclass
 class Document:
-    """A profile as plain data, with the place of each of its values."""
+    """A profile, or another file of ``schema``, as plain data, with the place of each of its values."""
 
     data: Any = None
     places: dict[KeyPath, Place] = field(default_factory=dict)
+    schema: type[Section] = Profile
 
 
 def dotted(path: Sequence[Key]) -> str:
@@ -153,9 +158,17 @@ def _found(error: ValidationError, document: Document) -> list[tuple[KeyPath, li
 
 
 def _without_literal_branches(errors: Sequence[ErrorDetails], places: dict[KeyPath, Place]) -> Iterator[ErrorDetails]:
-    """Drop "expected the word 'unknown', got a list" if another error concerns the same list."""
+    """Drop "expected the word 'unknown', got a list" if another error concerns the same list, "at least 2 values" of a
+    list that has them, and an unknown key that an earlier row of the same list has."""
     paths = [_walk(details["loc"], places)[0] for details in errors]
+    seen = set[tuple[Key, ...]]()
     for index, (at, details) in enumerate(zip(paths, errors, strict=True)):
+        rows = tuple(0 if isinstance(key, int) else key for key in details["loc"])
+        if details["type"] == "extra_forbidden" and rows in seen:
+            continue
+        seen.add(rows)
+        if details["type"] == "too_short" and len(details["input"]) >= details.get("ctx", {})["min_length"]:
+            continue
         others = paths[:index] + paths[index + 1 :]
         word = details["type"] == "literal_error" and isinstance(details["input"], list | tuple | dict)
         if not (word and any(other[: len(at)] == at for other in others)):
@@ -181,7 +194,7 @@ def _located_message(details: ErrorDetails, document: Document) -> tuple[KeyPath
     at, rest = _walk(details["loc"], document.places)
     kind = details["type"]
     if kind == "extra_forbidden":
-        return at, _unknown_key(details["loc"], at)
+        return at, _unknown_key(details["loc"], at, document.schema)
     if kind == "missing":
         return at, _missing(details["loc"], at, rest, document)
     if kind in ("union_tag_not_found", "union_tag_invalid"):
@@ -194,7 +207,8 @@ def _located_message(details: ErrorDetails, document: Document) -> tuple[KeyPath
 def _missing(location: Sequence[Key], at: KeyPath, rest: Sequence[Key], document: Document) -> str:
     last = rest[-1] if rest else None
     if isinstance(last, int):
-        return f"expected {_tuple_length(location, last + 1)} values, got {described(_value(document.data, at))}"
+        expected = _tuple_length(location, last + 1, document.schema)
+        return f"expected {expected} values, got {described(_value(document.data, at))}"
     dot = "." if document.places[at].inside else ""
     return f"{dot}{last}{_MISSING}"
 
@@ -277,25 +291,25 @@ def _choices(expected: str) -> str:
 # -- what the schema allows at a location -----------------------------------------------------------------------------
 
 
-def _tuple_length(location: Sequence[Key], least: int) -> int:
+def _tuple_length(location: Sequence[Key], least: int, schema: type[Section]) -> int:
     """Return the length of the tuple whose item at the end of ``location`` is missing."""
-    fixed = [get_args(hint) for hint in _types_at(location[:-1]) if get_origin(hint) is tuple]
+    fixed = [get_args(hint) for hint in _types_at(location[:-1], schema) if get_origin(hint) is tuple]
     return max((len(items) for items in fixed if ... not in items), default=least)
 
 
-def _unknown_key(location: Sequence[Key], at: KeyPath) -> str:
+def _unknown_key(location: Sequence[Key], at: KeyPath, schema: type[Section]) -> str:
     if removed := removed_key(at):
         return removed
-    known = [name for hint in _types_at(location[:-1]) for name in _fields_of(hint)]
-    near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
+    known = [name for hint in _types_at(location[:-1], schema) for name in _fields_of(hint)]
+    near = difflib.get_close_matches(_MEANT.get(str(location[-1]), str(location[-1])), known, n=1, cutoff=0.5)
     if near:
         return f"unknown key; did you mean '{near[0]}'?"
     return f"unknown key; known here are {', '.join(known)}"
 
 
-def _types_at(location: Sequence[Key]) -> list[Any]:
+def _types_at(location: Sequence[Key], schema: type[Section]) -> list[Any]:
     """Return the types that the schema allows at a location."""
-    hints: list[Any] = [Profile]
+    hints: list[Any] = [schema]
     for key in location:
         below: list[Any] = []
         for hint in hints:

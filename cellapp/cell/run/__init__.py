@@ -1,7 +1,6 @@
 """The run file: plan, readings, log and results of one run in one SQLite file; readings to and from CSV."""
 
 from cellapp.cell.run.csv_export import write_readings_csv
-from cellapp.cell.run.csv_import import import_csv, read_readings_csv
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.sqlite_file import Event, Outcome, ReferenceRow, Session, SessionEnd
 
@@ -12,7 +11,5 @@ __all__ = [
     "RunFile",
     "Session",
     "SessionEnd",
-    "import_csv",
-    "read_readings_csv",
     "write_readings_csv",
 ]

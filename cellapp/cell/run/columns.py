@@ -6,27 +6,21 @@ q1 in degrees, ``timestamp_ns`` a timestamp in nanoseconds, ``X [mm]`` x_m. Cell
 Units of columns in files of other programs: from their names, else from values where only one is possible.
 
 Columns of recordings: their names, checks of plausibility, and their conversion to objects for estimation.
-
-Columns that hold the orientation of a probe in other forms than ``quat_w`` to ``quat_z``, recognised by their names.
-
-Names of other quaternions, rotation vectors, matrices, and of roll, pitch and yaw with a unit are unambiguous. Three
-angles by any other names are ambiguous: they are not used, and a note says how to name them.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
-from cellapp.cell.run.arm_cells import ArmCells
-from cellapp.cell.run.csv_text import CsvTable, Problems
+from cellapp.cell.run.csv_text import is_number
+from cellapp.cell.run.orientation_columns import QUATERNION, Written
 from cellapp.cell.run.records import StreamState
 from cellapp.cell.run.stream_csv import StreamTable
 from cellapp.estimation.motion.streams import JointStream, PointStream
@@ -46,15 +40,15 @@ EXAMPLES: Mapping[Kind | Literal["readings"], str] = {
 _UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {
         **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
-        **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), 1e-3),
-        **dict.fromkeys(("us", "µs", "μs", "usec", "micros", "microseconds"), 1e-6),
-        **dict.fromkeys(("ns", "nsec", "nanos", "nanoseconds"), 1e-9),
+        **dict.fromkeys(("ms", "msec", "msecs", "millis", "milliseconds"), 1e-3),
+        **dict.fromkeys(("us", "µs", "μs", "usec", "usecs", "micros", "microseconds"), 1e-6),
+        **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanos", "nanoseconds"), 1e-9),
     },
     "angle": {**dict.fromkeys(("deg", "degree", "degrees", "°", "grad"), math.pi / 180.0), "rad": 1.0, "radians": 1.0},
     "length": {"m": 1.0, "metre": 1.0, "meter": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6},
 }
 _SPEED_UNIT = re.compile(r"(deg|°|rad)\s*(?:/\s*s|s-1|s\^-1|_?per_?s|_s)")
-_OF_UNIT = re.compile(r"\s*(?:\[\s*([^\]]+?)\s*\]|\(\s*([^)]+?)\s*\)|[ _.]([a-zA-Zµμ°]+(?:/s|_per_s)?))\s*$")
+_OF_UNIT = re.compile(r"\s*(?:\[\s*([^\]]+?)\s*\]|\(\s*([^)]+?)\s*\)|(?:^|[ _.])([a-zA-Zµμ°]+(?:/s|_per_s)?))\s*$")
 _DATE = {"datetime", "date", "datum"}
 _TIME = _DATE | {"time", "timestamp", "timestamps", "stamp", "stamps", "t", "zeit", "clock", "epoch"}
 _OF_JOINTS: Mapping[str, frozenset[str]] = {
@@ -65,19 +59,42 @@ _TORQUES = {"tau", "torque", "torques", "effort", "efforts", "moment", "moments"
 """Columns of joints that are kept and not read."""
 _POSITION = {"q", "joint", "joints", "axis", "axes", "theta", "rax", "ax", "j", "a", "position", "positions", "pos"}
 _POSITION |= {"angle", "angles", "achse", "gelenk"}
-_MEASURED = {"actual", "act", "measured", "meas", "feedback", "fb", "ist", "current"}
+_MEASURED = {"actual", "act", "measured", "meas", "feedback", "fb", "ist", "current", "msr"}
 _COMMANDED = {"target", "desired", "commanded", "command", "cmd", "ref", "reference", "setpoint", "soll", "planned"}
+_COMPUTED = _COMMANDED | {"nominal", "nom", "theoretical", "theo", "design", "model", "cad", "calculated", "calc"}
+_COMPUTED |= {"computed", "predicted", "ideal", "fit", "fitted", "sim", "simulated"}
 _COMMAND = 2
-"""Rank of commanded values."""
+"""Rank of commanded values, and of points that nothing measured."""
 _BESIDE = {"robot", "arm", "state", "states", "msg", "field", "data", "value", "encoder", "motor", "controller"}
+_NO_CLOCK = {"dwell", "integration", "duration", "settle", "settling", "wait", "exposure", "cycle", "measurement"}
 _OF_READINGS = {"robot": "arm", "temperature": "temperature_c", "temp": "temperature_c", "payload": "payload_kg"}
 """Columns of readings at rest besides joint positions and points."""
-_POINT = re.compile(r"(?:.*[^a-z])?(?:p|pos|position|point|smr|t)?([xyz])")
+_GLUED = re.compile(r"([xyz])(meas|act|ist|nom|soll|ref|cmd|theo|calc)")
+_POINT = re.compile(r"((?:.*[^a-z])?(?:p|pos|position|point|smr|t)?)([xyz])([ _.\d]*)")
 _NO_POINT = re.compile(r"(?:^|[^a-z])(?:v|vel|velocity|r|rot|rotation|q|quat|quaternion|n|w|acc|normal|o)[ _.]?[xyz]$")
+_NO_COORDINATE = {
+    "dev",
+    "deviation",
+    "err",
+    "error",
+    "errors",
+    "delta",
+    "diff",
+    "difference",
+    "residual",
+    "rms",
+    "d",
+    "offset",
+}
+_SIGMA = re.compile(r"(u\s*\(?\s*(?:95\s*%?|k\s*=\s*2)\s*\)?)|sigma|uncertainty|std(?:ev)?")
+"""Standard uncertainties of points, and expanded ones (the first group: coverage factor k = 2, GUM)."""
+FRACTION = "time_s fraction"
+"""Second column of a time in two, as seconds and microseconds."""
 _UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 _LEAST_FAMILY = 4
 """Least number of columns that differ only in their last number to be taken as joint positions, if no others can be."""
 _LAST_NUMBER = re.compile(r"(.*?)(\d+)([^\d]*)")
+_NAME_OF_JOINT = re.compile(r"(?:.*[^a-z])?names?\W*(\d+)\W*")
 _PENDANT = ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3")
 """Joints of a UR arm in its controller's order, as on the pendant; messages of ROS name them in another order."""
 _OF_ROBOT = {"tcp", "robot", "flange", "tool"}
@@ -98,21 +115,33 @@ class Understood:
         Cellapp's name -> name in the file, where they differ.
     doubled : mapping
         Quantity that is left out -> the columns in the file that may be it.
-    commanded : bool
-        Whether positions are the commanded ones, as there are no measured ones.
+    commanded : tuple of str
+        What is commanded or computed ("q", "p"), as there is nothing measured.
+    smrs : mapping
+        Name of each SMR of a row -> its columns x, y, z in the file, where there are several.
+    ordered : mapping
+        Column of a joint's name -> that name, in the order of ``q1`` ..., where the file names them.
     """
 
     names: tuple[str, ...]
     factors: Mapping[str, float]
     others: Mapping[str, str]
     doubled: Mapping[str, tuple[str, ...]]
-    commanded: bool = False
+    commanded: tuple[str, ...] = ()
+    smrs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    ordered: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def said(self) -> tuple[str, ...]:
         """Description of each column under another name, as "q1 = actual_q_0"."""
-        lag = ("positions that were commanded, as there are no measured ones: their lag is part of the delay",)
-        return (*(f"{name} = {other}" for name, other in self.others.items()), *(lag if self.commanded else ()))
+        lag = "positions that were commanded, as there are no measured ones: their lag is part of the delay"
+        own = "points of the controller or a model, as there are no others: computed, not measured?"
+        return (
+            *(f"{name} = {other}" for name, other in self.others.items() if name != other),
+            *((lag,) if "q" in self.commanded else ()),
+            *((own,) if "p" in self.commanded else ()),
+            *((f"joints in the order of their names: {', '.join(self.ordered.values())}",) if self.ordered else ()),
+        )
 
     def unsaid(self, name: str) -> bool:
         """Return whether the file has this column under another name that states no unit."""
@@ -121,57 +150,153 @@ class Understood:
 
 @dataclass(frozen=True)
 class _Read:
-    name: str
+    """A column: its quantity, the number of its joint as it stands there or of its axis, and words of its family."""
+
+    quantity: str
+    number: int = 0
+    family: str = ""
     factor: float | None = None
-    rank: int = 0
-    """Smaller ranks are preferred: measured to commanded."""
+    rank: int = 1
+    """Smaller ranks are preferred: cellapp's own, measured, unmarked, commanded or computed."""
+
+
+_NOTHING = _Read("")
+_Family = dict[int, list[int]]
+"""Number of a joint or axis -> places of its columns."""
 
 
 def understood(
-    names: Sequence[str], kind: Kind | Literal["readings"], own: Collection[str], orientation: Collection[str] = ()
+    names: Sequence[str],
+    kind: Kind | Literal["readings"],
+    own: Collection[str],
+    written: Written | None = None,
+    taken: Collection[str] = (),
+    row: Sequence[str] = (),
 ) -> Understood:
-    """Interpret the names of a file of this ``kind``; ``own`` are cellapp's, ``orientation`` are read elsewhere.
+    """Interpret the names of a file of this ``kind``; ``own`` are cellapp's, ``written`` is an orientation.
 
-    A quantity with two candidate columns is left out, unless one of them is the measured one.
+    The columns of a quantity are taken as a family: measured before commanded ones, all counted from the same number.
+    One that counts from 0 is shifted as a whole, whatever stands beside it. A quantity with two candidate families is
+    left out, unless a column of one of them is among ``taken``. ``row`` are the cells of the first row: messages of ROS
+    name their joints there.
     """
-    nothing = _Read("")
-    if kind == "joints" and any(re.fullmatch(r"(?:q|qd)0", name.lower()) for name in names):
+    if any(re.fullmatch(r"(?:q|qd)0", name.lower()) for name in names):
         own = [name for name in own if name.rstrip("0123456789") == name]  # names of joints from 0 are not cellapp's
+    elsewhere, last = ((), ()) if written is None else (written.columns, written.position)
     read = [
-        _Read(name, None, -1) if name in own else nothing if name in orientation else _read(name, kind) or nothing
+        _NOTHING
+        if name in elsewhere
+        else _Read("p", last.index(name), "matrix")
+        if name in last
+        else _own(name)
+        if name in own
+        else _read(name, kind) or _NOTHING
         for name in names
     ]
-    if kind == "joints" and not any(re.fullmatch(r"q\d+", one.name) for one in read):
+    if kind != "points" and not any(one.quantity == "q" for one in read):
         numbered = _family(names)
-        read = [_read(numbered[name], kind) or nothing if name in numbered else one for name, one in zip(names, read)]
-    places: dict[str, list[int]] = {}
+        read = [_read(numbered[n], kind) or _NOTHING if n in numbered else one for n, one in zip(names, read)]
+    families: dict[str, dict[tuple[int, str], _Family]] = {}
     for place, one in enumerate(read):
-        if one is not nothing:
-            places.setdefault(one.name, []).append(place)
-    chosen, doubled = {}, {}
-    for name, its in places.items():
-        ranks = [read[place].rank for place in its]
-        if ranks.count(min(ranks)) == 1:
-            chosen[its[ranks.index(min(ranks))]] = name
-        else:
-            doubled[name] = tuple(names[place] for place in its)
-    shift = 0 if kind == "points" or "q0" not in chosen.values() else 1
-    owned = {name for place, name in chosen.items() if read[place].rank < 0}
-    called, factors = dict[int, str](), {}
-    for place, name in chosen.items():
-        one = read[place]
-        stem = name.rstrip("0123456789")
-        new = f"{stem}{int(name[len(stem) :]) + shift}" if stem != name else name
-        if one.rank < 0 or new in owned:
-            continue
-        called[place] = new
-        if one.factor is not None:
-            factors[new] = one.factor
-    commanded = any(read[place].rank == _COMMAND and name.startswith("q") for place, name in chosen.items())
-    others = {new: names[place] for place, new in called.items()}
+        if one is not _NOTHING:
+            its = families.setdefault(one.quantity, {}).setdefault((one.rank, one.family), {})
+            its.setdefault(one.number, []).append(place)
+    order, called = _named_order(names, row), dict[int, str]()
+    doubled, commanded, smrs = dict[str, tuple[str, ...]](), list[str](), dict[str, tuple[str, ...]]()
+    for quantity, found in families.items():
+        rank, best = _best(quantity, found, {place for place, name in enumerate(names) if name in taken})
+        commanded += [quantity] * (rank >= _COMMAND)
+        if quantity == "p" and len(best) > 1 and (several := _several_smrs(best)):
+            smrs = {smr: tuple(names[its[axis][0]] for axis in range(3)) for smr, its in several.items()}
+            best = dict([next(iter(best.items()))])
+        numbers = {number for its in best.values() for number in its}
+        base = min(numbers & {0, 1}, default=1)
+        for number in sorted(numbers):
+            places = [place for its in best.values() for place in its.get(number, ())]
+            units = [read[place].factor for place in places]
+            if quantity == "time_s" and (len(best), len(units), units.count(1.0), units.count(None)) == (1, 2, 1, 0):
+                whole, part = places if units[0] == 1.0 else places[::-1]
+                called |= {whole: "time_s", part: FRACTION}
+            elif (name := _called(quantity, number, base, order if rank >= 0 else {})) and len(places) == 1:
+                called[places[0]] = name
+            elif name:
+                doubled[name] = tuple(names[place] for place in places)
+    foreign = {place: name for place, name in called.items() if read[place].rank >= 0}
+    others = {name: names[place] for place, name in foreign.items()}
     free = (f"{name} (not used)" if name in others else name for name in names)  # q1 beside actual_q_0
-    all_names = tuple(called.get(place, name) for place, name in enumerate(free))
-    return Understood(all_names, factors, others, doubled, commanded)
+    return Understood(
+        tuple(called.get(place, name) for place, name in enumerate(free)),
+        {name: unit for place, name in foreign.items() if (unit := read[place].factor) is not None},
+        others,
+        doubled,
+        tuple(commanded),
+        smrs,
+        {column: name for _, column, name in sorted(order.values())} if "q1" in others else {},
+    )
+
+
+def _own(name: str) -> _Read:
+    """Interpret one of cellapp's own names."""
+    if name in POINT:
+        return _Read("p", POINT.index(name), rank=-1)
+    joint = re.fullmatch(r"(q|qd|joint_temperature)([1-9]\d*)", name)
+    return _Read(name, rank=-1) if joint is None else _Read(joint[1], int(joint[2]), rank=-1)
+
+
+def _best(
+    quantity: str, families: Mapping[tuple[int, str], _Family], taken: Collection[int]
+) -> tuple[int, Mapping[tuple[int, str], _Family]]:
+    """Return the rank of the families that may be a quantity, and those; one of a ``taken`` place alone."""
+    for key, its in families.items():
+        if any(place in taken for places in its.values() for place in places):
+            return key[0], {key: {n: [p for p in places if p in taken] or places for n, places in its.items()}}
+    whole = {key: its for key, its in families.items() if quantity != "p" or len(its) == 3}
+    if not whole:
+        return 1, families
+    rank = min(rank for rank, _ in whole)
+    return rank, {key: its for key, its in whole.items() if key[0] == rank}
+
+
+def _called(quantity: str, number: int, base: int, order: Mapping[int, tuple[int, str, str]]) -> str:
+    """Return cellapp's name of a column; empty for a joint that the file names and the arm does not have."""
+    if quantity == "p":
+        return POINT[number]
+    if quantity in ("sigma", "expanded"):
+        return f"{quantity}_{'xyzm'[number]}"
+    if quantity not in ("q", *_OF_JOINTS):
+        return quantity
+    if order and number not in order:
+        return ""
+    return f"{quantity}{order[number][0] if order else number + 1 - base}"
+
+
+def _several_smrs(families: Mapping[tuple[int, str], _Family]) -> dict[str, _Family]:
+    """Return the families of points by the number or letter that tells them apart; empty if something else does."""
+    found = {re.fullmatch(r"(.*?)(\d+|[a-h]|)", words): its for (_, words), its in families.items()}
+    if len({match[1] for match in found if match}) > 1 or not all(len(its) == 3 for its in found.values()):
+        return {}
+    return {(match[2] or "1").upper(): its for match, its in found.items() if match}
+
+
+def _named_order(names: Sequence[str], row: Sequence[str]) -> dict[int, tuple[int, str, str]]:
+    """Return number in the file -> joint of the arm, column and text of its name, where the first ``row`` names them.
+
+    Known are the names of UR's joints, and names that differ in a number; else they stand in the order of the file.
+    """
+    texts = dict[int, tuple[str, str]]()
+    for name, cell in zip(names, row):
+        if (match := _NAME_OF_JOINT.fullmatch(name.lower())) and cell.strip() and not is_number(cell):
+            texts[int(match[1])] = (name, cell.strip())
+    joints = {n: _UR_JOINTS.index(ur) + 1 for n, (_, text) in texts.items() for ur in _UR_JOINTS if ur in text}
+    if len(joints) < len(_UR_JOINTS):
+        found = {n: match for n, (_, text) in texts.items() if (match := re.fullmatch(r"(.*?)(\d+)\D*", text))}
+        heads = [match[1] for match in found.values()]
+        joints = {n: int(match[2]) for n, match in found.items() if match[1] == max(heads, key=heads.count)}
+        least = min(joints.values(), default=1)
+        joints = {n: joint + 1 - least for n, joint in joints.items()}
+    if not joints or sorted(joints.values()) != [*range(1, len(joints) + 1)]:
+        joints = {n: place for place, n in enumerate(sorted(texts), start=1)}
+    return {n: (joint, *texts[n]) for n, joint in joints.items()}
 
 
 def _read(name: str, kind: str) -> _Read | None:
@@ -180,14 +305,21 @@ def _read(name: str, kind: str) -> _Read | None:
         stem, factor = _without_unit(name, quantity)
         if quantity is not None and factor is None:
             continue
-        if kind != "readings" and quantity in ("time", None) and _words(stem)[-1:] and _words(stem)[-1] in _TIME:
-            words = set(_words(stem))
-            return _Read("time_s", factor, 0 if "header" in words else 2 if words & _DATE else 1)
+        words = _words(stem)
+        if quantity in ("time", None) and ((words[-1:] and words[-1] in _TIME) or (not stem and len(name.strip()) > 1)):
+            if _NO_CLOCK & set(words):
+                return None
+            rank = 0 if "header" in words else 2 if set(words) & _DATE else 1
+            return _Read("time_s", 0, stem, factor, rank)
         if kind != "joints" and quantity in ("length", None) and (point := _point(stem, factor)):
             return point
         if kind != "points" and quantity in ("angle", None) and (joint := _joint(stem, factor)):
             return joint
-    other = _OF_READINGS.get(name.strip().lower()) if kind == "readings" else None
+    if kind != "readings":
+        return None
+    other = _OF_READINGS.get(
+        re.sub(r"\s*[\[(]\s*(?:°|deg ?)?c\s*[\])]$|\s*[\[(]\s*kg\s*[\])]$", "", name.strip().lower())
+    )
     return None if other is None else _Read(other)
 
 
@@ -225,12 +357,20 @@ def _words(stem: str) -> list[str]:
 
 
 def _point(stem: str, factor: float | None) -> _Read | None:
-    rank = 1 if set(_words(stem)) & (_COMMANDED | _OF_ROBOT) else 0
-    if _NO_POINT.search(stem) is None and (match := _POINT.fullmatch(stem)) is not None:
-        return _Read(f"{match.group(1)}_m", factor, rank)
-    if {"sigma", "uncertainty", "std"} & set(_words(stem)) and len(_words(stem)) == 1:
-        return _Read("sigma_m", factor, rank)
-    return None
+    """Interpret a coordinate of a point, or its uncertainty, measured before nominal in any order of words."""
+    if sigma := _SIGMA.search(stem):
+        axis = (stem[: sigma.start()] + stem[sigma.end() :]).strip(" _.()")
+        place = "xyz".find(axis) if len(axis) == 1 else 3 * (axis in ("", "point", "position"))
+        return _Read("expanded" if sigma[1] else "sigma", place, "", factor) if axis in (*"xyz", "", "point") else None
+    stem = _GLUED.sub(r"\1 \2", stem)
+    words = set(_words(stem))
+    marks = words & (_MEASURED | _COMPUTED)
+    bare = re.sub(rf"[ _.(\[]*\b({'|'.join(marks)})\b[ _.)\]]*", " ", stem.replace("_", " ")).strip() if marks else stem
+    if words & _NO_COORDINATE or _NO_POINT.search(bare) or (match := _POINT.fullmatch(bare)) is None:
+        return None
+    rank = _COMMAND if words & (_COMPUTED | _OF_ROBOT) else 0 if marks else 1
+    family = re.sub(r"[^a-z0-9]+", "", match[1] + match[3]) + " ".join(sorted(marks))
+    return _Read("p", "xyz".index(match[2]), family, factor, rank)
 
 
 def _joint(stem: str, factor: float | None) -> _Read | None:
@@ -252,194 +392,7 @@ def _joint(stem: str, factor: float | None) -> _Read | None:
     rank = _COMMAND if set(words) & _COMMANDED else 0 if set(words) & _MEASURED else 1
     if rank == _COMMAND and kinds:
         return None  # speeds are only useful as measured
-    return _Read(f"{kinds[0] if kinds else 'q'}{numbers[0] if named is None else named}", factor, rank)
-
-
-Array = NDArray[np.float64]
-QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
-_ORIENTATION_UNITS = {"": 1.0, "rad": 1.0, "deg": float(np.pi / 180.0)}
-_MOST_RAD = 4.0 * np.pi
-"""Largest plausible angle [rad]: larger ones are refused as probably degrees."""
-_OFF = 1e-3
-"""Largest deviation of a matrix times its transpose from the identity."""
-
-
-@dataclass(frozen=True)
-class Form:
-    """A form of an orientation: its columns, whose ``parts`` and units ``pattern`` finds in a name.
-
-    ``rotations`` converts their values (n, k) [rad], None for a quaternion; ``said`` describes the form.
-    ``needs_unit``: the names must say degrees or radians.
-    """
-
-    pattern: re.Pattern[str]
-    parts: tuple[str, ...]
-    said: str
-    rotations: Callable[[Array], scipy.spatial.transform.Rotation] | None
-    needs_unit: bool = False
-
-
-_OF = r"(?P<of>(?:.*_)?)"
-_NUMBERED = Form(
-    re.compile(_OF + r"(?:quaternion|quat|q|orientation|rotation|o)_?(?P<part>[0-3])(?P<unit>)"),
-    ("0", "1", "2", "3"),
-    "a quaternion",
-    None,
-)
-_FORMS = (
-    Form(
-        re.compile(_OF + r"(?:quaternion|quat|q|orientation|rotation|o)_?(?P<part>[wxyz])(?P<unit>)"),
-        ("w", "x", "y", "z"),
-        "a quaternion",
-        None,
-    ),
-    _NUMBERED,
-    Form(
-        re.compile(_OF + r"(?:rotvec|rot_vec|rotation_vector|rv)_?(?P<part>[xyz])(?:_(?P<unit>rad|deg))?"),
-        ("x", "y", "z"),
-        "a rotation vector",
-        lambda vectors: scipy.spatial.transform.Rotation.from_rotvec(vectors),
-    ),
-    Form(
-        re.compile(_OF + r"(?P<part>roll|pitch|yaw)(?:_(?P<unit>rad|deg))?"),
-        ("roll", "pitch", "yaw"),
-        "rot_z(yaw) rot_y(pitch) rot_x(roll)",
-        lambda rpy: scipy.spatial.transform.Rotation.from_euler("xyz", rpy),
-        needs_unit=True,
-    ),
-    Form(
-        re.compile(_OF + r"(?:r|rot|rotation|m)_?(?P<part>[123][123])(?P<unit>)"),
-        tuple(f"{row}{column}" for row in "123" for column in "123"),
-        "a matrix, its rows one after another",
-        lambda entries: scipy.spatial.transform.Rotation.from_matrix(entries.reshape(-1, 3, 3)),
-    ),
-)
-_OF_FIFTH_JOINT = re.compile(r"(?:.*_)?q_?[45]")
-"""Beside such a column q0 to q3 are joints, not a quaternion."""
-_OTHERS = {"tcp", "robot", "flange", "tool", "target", "commanded", "command", "desired"}
-"""Orientations of these belong to the controller, not to the tracker."""
-_AMBIGUOUS = tuple(
-    re.compile(rf"({'|'.join(names)})(?:_(?:rad|deg))?")
-    for names in (("rx", "ry", "rz"), ("a", "b", "c"), ("alpha", "beta", "gamma"), ("phi", "theta", "psi"))
-)
-_WHAT_TO_DO = (
-    "they may be a rotation vector or Euler angles in any order; to use them, name them rotvec_x, rotvec_y, rotvec_z"
-    " for a rotation vector [rad], roll_deg, pitch_deg, yaw_deg for rot_z(yaw) rot_y(pitch) rot_x(roll), or give"
-    " quat_w, quat_x, quat_y, quat_z"
-)
-
-
-@dataclass(frozen=True)
-class Written:
-    """The columns of an orientation in a file, in the order of their form, and the factor to radians."""
-
-    form: Form
-    columns: tuple[str, ...]
-    factor: float
-
-    @property
-    def said(self) -> str:
-        """Description of how they are interpreted."""
-        return f"{', '.join(self.columns)}: taken as {self.form.said} of the probe's orientation in the tracker frame"
-
-    def quaternions(self, values: Array) -> tuple[Array, Fault | None]:
-        """Convert values (n, k) of these columns to quaternions (n, 4), scalar first; return also the first fault. Rows
-        without values, which are NaN, stay NaN."""
-        if self.form.rotations is None:
-            return values, None
-        found = np.full((len(values), 4), np.nan)
-        blank = np.isnan(values).all(axis=1)
-        if values.shape[1] == 9:
-            blank |= (values == 0.0).all(axis=1)  # programs write zeros where nothing was measured
-        given = np.flatnonzero(~blank)
-        if (fault := self._fault(values, given)) is None and len(given):
-            turns = self.form.rotations(values[given] * self.factor)
-            found[given] = turns.as_quat(canonical=True, scalar_first=True)
-        return found, fault
-
-    def _fault(self, values: Array, given: NDArray[np.intp]) -> Fault | None:
-        """Return the fault of the first of the ``given`` rows that is not a rotation; None if all are."""
-        own, columns = values[given], len(self.columns)
-        if (part := np.isnan(own)).any():
-            row, place = map(int, np.argwhere(part)[0])
-            return Fault(int(given[row]), place, f"the value is missing; give all {columns} of the orientation or none")
-        if columns < 9:
-            largest = np.abs(own).max(axis=1, initial=0.0) * self.factor
-            off, text = largest - _MOST_RAD, "{:.4g} rad; are these angles in degrees?"
-        else:
-            matrices = own.reshape(-1, 3, 3)
-            largest = np.abs(matrices @ matrices.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-            off = largest - _OFF
-            text = f"rows {self.columns[0]} to {self.columns[-1]} are off unit length and right angles by {{:.2g}}"
-            if not (off > 0.0).any() and (mirrored := np.flatnonzero(np.linalg.det(matrices) < 0.0)).size:
-                return Fault(int(given[mirrored[0]]), 0, "the matrix is a reflection: a frame is left-handed")
-        wrong = np.flatnonzero(off > 0.0)
-        return Fault(int(given[wrong[0]]), 0, text.format(largest[wrong[0]])) if len(wrong) else None
-
-
-def written_orientation(names: Sequence[str]) -> tuple[Written | None, list[str]]:
-    """Find the columns of an orientation in a header; return also notes on ambiguous ones.
-
-    None if they are ``QUATERNION`` already, or there are none.
-    """
-    if any(name in QUATERNION for name in names):
-        return None, []
-    plain = {_plain(name): name for name in names}
-    if any(map(_OF_FIFTH_JOINT.fullmatch, plain)):
-        plain = {key: name for key, name in plain.items() if not _NUMBERED.pattern.fullmatch(key)}
-    for form in _FORMS:
-        sets: dict[str, dict[str, tuple[str, str]]] = {}
-        for key, name in plain.items():
-            if match := form.pattern.fullmatch(key):
-                sets.setdefault(match["of"], {})[match["part"]] = (name, match["unit"] or "")
-        sets = {of: own for of, own in sets.items() if not _OTHERS & set(of.split("_"))}
-        whole = [own for own in sets.values() if len(own) == len(form.parts)]
-        if len(whole) == 1 and len({unit for _, unit in whole[0].values()}) == 1:
-            columns, units = zip(*(whole[0][part] for part in form.parts), strict=True)
-            if form.needs_unit and not units[0]:
-                return None, [f"{', '.join(columns)}: no orientation, as no unit is in the names: write _deg or _rad"]
-            return Written(form, columns, _ORIENTATION_UNITS[units[0]]), []
-        if not whole and len(own := sets.get("", {})) == len(form.parts) - 1 and form is not _NUMBERED:
-            lacking = next(part for part in form.parts if part not in own)
-            missing = f"not used as an orientation: a column for {lacking} is missing"
-            return None, [f"{', '.join(name for name, _ in own.values())}: {missing}"]
-    notes = []
-    for pattern in _AMBIGUOUS:
-        angles = {match[1]: name for key, name in plain.items() if (match := pattern.fullmatch(key))}
-        if len(angles) == 3:
-            notes.append(f"{', '.join(angles.values())}: not used as an orientation: {_WHAT_TO_DO}")
-    return None, notes
-
-
-def names_with_quaternion(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the columns that ``with_quaternions`` gives."""
-    written, _ = written_orientation(names)
-    return tuple(names) if written is None else (*(name for name in names if name not in written.columns), *QUATERNION)
-
-
-def with_quaternions(table: CsvTable) -> tuple[CsvTable, list[str]]:
-    """Convert the orientation of a probe to a quaternion; return also notes. Raise ``InputError`` by row."""
-    written, notes = written_orientation(table.names)
-    if written is None:
-        return table, notes
-    own = [table.cells[name] for name in written.columns]
-    if written.form.rotations is not None:
-        cells = ArmCells(table, range(len(table.lines)), Problems(table.place))
-        values = np.column_stack([cells.numbers(name, required=False) for name in written.columns])
-        cells.problems.check()
-        found, fault = written.quaternions(values)
-        if fault is not None:
-            where = f"{table.place(table.lines[fault.row])}: {written.columns[fault.place or 0]}"
-            raise InputError(f"{where}: {fault.text}")
-        own = [tuple("" if math.isnan(value) else repr(value) for value in column) for column in found.T.tolist()]
-    columns = {name: its for name, its in table.cells.items() if name not in written.columns}
-    columns |= dict(zip(QUATERNION, own, strict=True))
-    return replace(table, names=tuple(columns), cells=columns), [written.said]
-
-
-def _plain(name: str) -> str:
-    """Return a column's name in lower case, its unit after an underscore: ``Roll [deg]`` is ``roll_deg``."""
-    return re.sub(r"[^0-9a-z]+", "_", name.strip().lower()).strip("_")
+    return _Read(kinds[0] if kinds else "q", int(numbers[0] if named is None else named), " ".join(words), factor, rank)
 
 
 Columns = Mapping[str, NDArray[np.float64]]
@@ -457,6 +410,12 @@ _SLOWEST_HZ, _FASTEST_HZ = 2.0, 20_000.0
 """Plausible sampling rates [Hz]; outside these, timestamps are not in seconds."""
 UNITS_OF_TIME = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 _COLUMNS_OF_TIME = {"milliseconds": "time_ms", "microseconds": "time_us", "nanoseconds": "time_ns"}
+_BLOCK = 64
+"""Number of rows over which a usual step is taken."""
+_EPOCH_S, _STEPS_S = (9.5e8, 4.2e9), (5e-5, 0.5)
+"""Seconds since 1970 of the years 2000 to 2100, and steps that recordings with such stamps have [s]."""
+_LEAST_BURSTS, _OF_A_BURST = 4, 0.2
+"""Least number of bursts; share of a step or of a burst's time that is small."""
 _USUAL_STEP_S = (5e-4, 0.05)
 """Plausible steps of recordings [s], a factor of 100 apart: at most one unit puts a step between them."""
 _DEGREES = "degrees? Then name the columns q1_deg, q2_deg, ..."
@@ -492,7 +451,7 @@ def state_of(time_s: NDArray[np.float64], lost: int = 0) -> StreamState:
     """Summarise the timestamps of a stream, in the order in which they were recorded."""
     step = np.diff(time_s)
     forward = step[step > 0.0]
-    median = float(np.median(forward)) if len(forward) else math.inf
+    median = (usual_step(time_s) if len(forward) else 0.0) or math.inf
     gaps = step[step > _GAP * median]
     return StreamState(
         n=len(time_s),
@@ -506,12 +465,49 @@ def state_of(time_s: NDArray[np.float64], lost: int = 0) -> StreamState:
     )
 
 
-def time_unit(stamps: NDArray[np.float64]) -> str | None:
-    """Return the unit of timestamps by the median step between them; None if no unit gives a plausible step."""
-    step = np.diff(stamps)
-    usual = float(np.median(step[step > 0.0])) if (step > 0.0).any() else 0.0
-    least, most = _USUAL_STEP_S
-    return next((unit for unit, factor in UNITS_OF_TIME.items() if least <= usual * factor <= most), None)
+def usual_step(stamps: NDArray[np.float64]) -> float:
+    """Return the median time from row to row, over blocks of rows: neither gaps nor bursts of stamps change it."""
+    rows = max(1, min(_BLOCK, (len(stamps) - 1) // 4))
+    step = (stamps[rows:] - stamps[:-rows]) / rows
+    return float(np.median(step[step > 0.0])) if (step > 0.0).any() else 0.0
+
+
+def time_unit(stamps: NDArray[np.float64]) -> tuple[str, str] | None:
+    """Return the unit of the timestamps of a recording and its ground: seconds since 1970, or the step from row to row;
+    None if no unit gives a plausible step."""
+    step = usual_step(stamps)
+    for ground, size, (least, most) in (
+        ("by their size since 1970", float(np.nanmax(stamps, initial=0.0)), _STEPS_S),
+        ("by the step between them", _EPOCH_S[0], _USUAL_STEP_S),
+    ):
+        for unit, factor in UNITS_OF_TIME.items():
+            since_1970 = size if size == _EPOCH_S[0] else size * factor
+            if least <= step * factor <= most and _EPOCH_S[0] <= since_1970 <= _EPOCH_S[1]:
+                return unit, ground
+    return None
+
+
+def evenly_stamped(time_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
+    """Replace timestamps of packets by even ones, if samples came in bursts; return also a sentence, else "".
+
+    A packet's stamps say when it arrived. The last samples of the packets lie on a line over their number, which is the
+    clock: its slope is the step from sample to sample.
+    """
+    step, usual = np.diff(time_s), usual_step(time_s)
+    ends = np.flatnonzero(step > 2.0 * usual)
+    if len(ends) < _LEAST_BURSTS or not 0.0 < float(np.median(step)) < _OF_A_BURST * usual:
+        return time_s, ""
+    slope, begin = np.polyfit(ends, time_s[ends], 1)
+    off = float(np.abs(time_s[ends] - begin - slope * ends).max())
+    apart = float(np.median(np.diff(time_s[ends])))
+    words = (
+        f"{len(time_s)} samples came in {len(ends) + 1} bursts, {apart:.3g} s apart: their stamps are of arrival, not"
+        " of measurement"
+    )
+    if off > _OF_A_BURST * apart:
+        return time_s, f"{words}, and no even clock explains them; record the device's own stamps"
+    even = begin + slope * np.arange(len(time_s))
+    return even, f"{words}; taken as measured evenly, {1.0 / slope:.5g} a second (the bursts fit to {1e3 * off:.2g} ms)"
 
 
 def joint_faults(columns: Columns, limits: NDArray[np.float64], *, dated: bool = False) -> Iterator[Implausible]:
@@ -629,11 +625,11 @@ def _stamp_faults(time_s: NDArray[np.float64], dated: bool) -> Iterator[Implausi
     if len(forward) < len(step) // 2:
         yield Implausible(None, "time_s", "most stamps do not increase; expected the times at which samples were taken")
         return
-    rate = 1.0 / float(np.median(forward))
+    rate = 1.0 / usual_step(time_s)
     if not _SLOWEST_HZ <= rate <= _FASTEST_HZ:
         text = f"the median step is {1.0 / rate:.3g}; expected seconds, {_SLOWEST_HZ:g} to {_FASTEST_HZ:g} samples each"
         unit = None if dated else time_unit(time_s)
-        hint = "" if unit is None else f"; are these {unit}? Then name the column {_COLUMNS_OF_TIME[unit]}"
+        hint = "" if unit is None else f"; are these {unit[0]}? Then name the column {_COLUMNS_OF_TIME[unit[0]]}"
         yield Implausible(None, "time_s", text + hint)
 
 
@@ -678,17 +674,20 @@ def length_unit(p: NDArray[np.float64]) -> LengthUnit | None:
     return "m" if largest <= _SURELY_M and widest > _LEAST_M else None
 
 
-def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTable, list[str]]:
-    """Convert the table to SI units; return also a sentence about columns with other names."""
+def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTable, tuple[str, float], list[str]]:
+    """Convert the table to SI units; return also the clock and its unit, where the file does not say it, and a sentence
+    about columns with other names."""
     if not known.others:
-        return table, []
+        return table, (kind, 1.0), []
     columns, factors, guessed = dict(table.columns), dict(known.factors), list[str]()
     if table.dated:
         factors.pop("time_s", None)
+    clock: tuple[str, float] = (kind, 1.0)
     if known.unsaid("time_s"):
-        unit = "seconds" if table.dated else time_unit(columns["time_s"])
-        factors["time_s"] = 1.0 if unit is None else UNITS_OF_TIME[unit]
-        guessed.append("stamps in seconds" if unit is None else f"stamps in {unit}, by the step between them")
+        unit, ground = ("seconds", "as dates") if table.dated else time_unit(columns["time_s"]) or ("seconds", "unsaid")
+        factors["time_s"] = UNITS_OF_TIME[unit]
+        clock = (known.others["time_s"], factors["time_s"])
+        guessed.append(f"stamps in {unit}, {ground}")
     if kind == "joints":
         positions = [name for name in columns if _is_joint(name, "q")]
         unsaid = [name for name in positions if known.unsaid(name)]
@@ -702,12 +701,37 @@ def in_si(table: StreamTable, kind: Kind, known: Understood) -> tuple[StreamTabl
         if points and length_unit(np.column_stack([columns[name] for name in points])) == "mm":
             factors |= dict.fromkeys(points, 1e-3)
             guessed.append("points in millimetres, by their size")
-        if known.unsaid("sigma_m"):
-            factors["sigma_m"] = factors.get("x_m", 1.0)
+        for name in known.others:
+            if name.startswith(("sigma_", "expanded_")) and known.unsaid(name):
+                factors[name] = factors.get("x_m", 1.0)
     for name, factor in factors.items():
         columns[name] = columns[name] * factor
+    if FRACTION in columns:
+        part = columns.pop(FRACTION)
+        if part.min() < 0.0 or part.max() >= 1.0:
+            names = f"{known.others['time_s']}, {known.others[FRACTION]}"
+            raise InputError(f"{table.path}: {names}: two times; expected whole seconds and their part; remove one")
+        columns["time_s"] = columns["time_s"] + part
+    columns = with_sigma(columns)
     text = f"{table.path}: understood as {', '.join(known.said)}"
-    return replace(table, columns=columns), ["; ".join([text, *guessed])]
+    return replace(table, columns=columns), clock, ["; ".join([text, *guessed])]
+
+
+def with_sigma(columns: Columns) -> dict[str, NDArray[np.float64]]:
+    """Make ``sigma_m`` of a stated uncertainty in another form [m]: of each coordinate, or expanded with k = 2.
+
+    An expanded one without a coordinate is that of the point: the root of the sum of the squares of its coordinates'.
+    A zero is a rounded one: the least other takes its place.
+    """
+    found = dict(columns)
+    for kind, coverage, axes in (("sigma", 1.0, "xyz"), ("expanded", 2.0, "xyzm")):
+        parts = {axis: found.pop(f"{kind}_{axis}") for axis in axes if f"{kind}_{axis}" in found}
+        own = [parts[axis] for axis in ("xyz" if {*"xyz"} <= parts.keys() else "m") if axis in parts]
+        if own and "sigma_m" not in found:
+            sigma = np.sqrt(np.sum(np.square(own), axis=0) / 3.0) / coverage
+            least = sigma[sigma > 0.0].min(initial=math.inf)
+            found["sigma_m"] = np.where(sigma == 0.0, least, sigma)
+    return found
 
 
 def without_part_of_orientation(table: StreamTable) -> tuple[StreamTable, list[str]]:

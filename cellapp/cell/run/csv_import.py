@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.arm_cells import ArmCells, is_known, not_per_joint, read_arm, stem_and_joint
-from cellapp.cell.run.columns import names_with_quaternion, with_quaternions
 from cellapp.cell.run.csv_text import (
     CsvTable,
     Problems,
@@ -25,6 +24,7 @@ from cellapp.cell.run.csv_text import (
 )
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measurement_order import in_measured_order, order_fault, order_sentences, write_in_order
+from cellapp.cell.run.orientation_columns import names_with_quaternion, with_quaternions
 from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.run.stations import (
     STATIONS_RESULT,
@@ -35,12 +35,18 @@ from cellapp.cell.run.stations import (
     twice_at_a_stop,
 )
 from cellapp.estimation.calibration.quantities import repeats_words
-from cellapp.estimation.calibration.registration import factory_doubt
+from cellapp.estimation.calibration.registration import COMPUTED, explained, factory_doubt
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, OF_SOCKETS
-from cellapp.estimation.readings.readings import Readings, one_pose_a_stop, smr_names
+from cellapp.estimation.readings.readings import Readings, lost_points, one_pose_a_stop, smr_names
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile import Profile
+from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.removed import removed_readings
+from cellapp.robot.kinematics.chain import nominal_geometry
+from cellapp.robot.model.arguments import too_heavy
+from cellapp.robot.model.nominal import published_rows
+
+_FEWEST_JUDGED = 10
+"""Least number of rows that show whether points are computed."""
 
 
 class WhichSmr(InputError):
@@ -49,58 +55,6 @@ class WhichSmr(InputError):
     def __init__(self, text: str, names: tuple[str, ...]) -> None:
         super().__init__(text)
         self.names = names
-
-
-def read_readings_csv(
-    path: Path,
-    joint_counts: Mapping[str, int],
-    *,
-    in_order: bool = False,
-    limits: Mapping[str, NDArray[np.float64]] | None = None,
-) -> tuple[dict[str, Readings], list[str]]:
-    """Read and check a file of readings.
-
-    Parameters
-    ----------
-    path : Path
-        UTF-8, comma-separated.
-    joint_counts : mapping
-        Number of joints of each arm that may occur, by name.
-    in_order : bool
-        The rows of an arm stand in the order in which they were measured (with ``time_s``, the order is by time):
-        approach and step that the file does not give follow from the row before, see ``in_measured_order``.
-    limits : mapping, optional
-        Joint limits (N, 2) [rad] of each arm. Joint positions further beyond them than a revolution are refused.
-
-    Returns
-    -------
-    readings : dict
-        Readings of each arm that occurs, ordered by configuration. Unknown columns are in ``extras``.
-    notes : list of str
-        Unknown columns and arms that do not occur.
-
-    Raises
-    ------
-    InputError
-        Names file, line and column of values that are missing, not numbers, repeated or implausible.
-    """
-    readings, _, notes = _read(read_csv_table(Path(path)), joint_counts, in_order, limits or {})
-    return readings, notes
-
-
-def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = False) -> RunFile:
-    """Make a run from a file of readings, after the whole file was read and checked.
-
-    Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
-    run then stores what was derived.
-
-    Raises
-    ------
-    InputError
-        As ``read_readings_csv`` and ``RunFile.create`` do, and if an arm of the profile has no readings. No run is
-        made then.
-    """
-    return RunFile.create(folder, profile, readings_from_csv(profile, csv, in_order=in_order))
 
 
 def readings_from_csv(
@@ -114,11 +68,11 @@ def readings_from_csv(
 ) -> Callable[[RunFile], None]:
     """Read and check a whole file of readings; return a function that stores them in a new run.
 
-    Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``read_readings_csv``; the
+    Notes (unknown columns) are logged in the run with level ``note``. ``in_order`` is as in ``readings_of_table``; the
     run then stores what was derived. ``reference_nests`` is a file of nests that tie tracker stations. Arms that are
     ``recorded`` in motion need no readings. ``smr`` is as in ``readings_of_table``.
 
-    Raises as ``import_csv``.
+    Raises as ``readings_of_table``.
     """
     table = read_csv_table(Path(csv))
     readings, orders, notes = readings_of_table(profile, table, in_order=in_order, recorded=recorded, smr=smr)
@@ -157,6 +111,8 @@ def readings_of_table(
     """Check the readings of a cell, from a file or from ``table_in_memory``; all readings pass here.
 
     Three SMRs or more on a flange give one position and one rotation a stop; ``smr`` takes only the SMR of that name.
+    ``in_order``: the rows of an arm stand in the order in which they were measured (with ``time_s``, the order is by
+    time); approach and step that the file does not give follow from the row before, see ``in_measured_order``.
 
     Returns
     -------
@@ -165,21 +121,27 @@ def readings_of_table(
     orders : dict
         What ``in_order`` derived, by arm; empty without it.
     notes : list of str
-        As those of ``read_readings_csv``.
+        Unknown columns, lost beams, and arms that do not occur.
 
     Raises
     ------
     InputError
-        As ``read_readings_csv`` does, and if an arm of the profile has no readings.
+        Names file, line and column of values that are missing, not numbers, repeated or implausible; and an arm of the
+        profile that has no readings.
     WhichSmr
         If an arm has readings of two SMRs, and ``smr`` does not say which one counts.
     """
     joint_counts = {name: len(arm.type.joints) for name, arm in profile.arms.items()}
-    readings, orders, notes = _read(table, joint_counts, in_order, joint_limits(profile))
-    readings, made = _one_a_stop(table, readings, smr)
-    notes += made
+    readings, orders, lost, notes = arms_of_table(table, joint_counts, in_order, joint_limits(profile))
+    _check_payloads(profile, table, readings)
+    readings, made = _one_a_stop(
+        table.take([n for n, line in enumerate(table.lines) if line not in lost]), readings, smr
+    )
     said = {arm: repeats_words(its.q, its.p_M) for arm, its in readings.items() if its.station is None}
-    doubts = {arm: factory_doubt(profile.arms[arm], its) for arm, its in readings.items()}
+    doubts = {
+        arm: _computed(profile.arms[arm], its) or factory_doubt(profile.arms[arm], its) for arm, its in readings.items()
+    }
+    notes += made
     notes += [f"{table.path}: arm '{arm}': {words}" for its in (said, doubts) for arm, words in its.items() if words]
     missing = [name for name in profile.arms if name not in readings and name not in recorded]
     if missing:
@@ -188,6 +150,35 @@ def readings_of_table(
             " arm from the profile"
         )
     return readings, orders, notes
+
+
+def _seen(cells: ArmCells, its: Readings) -> tuple[Readings, set[int], list[str]]:
+    """Leave out rows whose point is none, as the beam was lost; return also their lines, and sentences on them."""
+    lost = lost_points(its.q, its.p_M)
+    places = {row: f"{cells.table.place(cells.line(row))}: x_m, y_m, z_m" for row in lost}
+    notes = [f"{places[row]}: {words}: the beam was lost; left out" for row, words in lost.items()]
+    kept = [row for row in range(len(its)) if row not in lost]
+    return its.take(kept), {cells.line(row) for row in lost}, notes
+
+
+def _check_payloads(profile: Profile, table: CsvTable, readings: Mapping[str, Readings]) -> None:
+    problems = Problems(table.place)
+    for name, its in readings.items():
+        masses = np.array([joint.mass for joint in profile.arms[name].type.joints])
+        if its.payload_kg is not None and (row := too_heavy(its.payload_kg, masses)) is not None:
+            stop, kg = its.configuration[row], its.payload_kg[row]
+            line = next(at for at, its in zip(table.lines, table.cells[CONFIGURATION.name]) if int(its) == stop)
+            problems.add(line, "payload_kg", f"expected at most the arm's own mass, {masses.sum():.3g} kg, got {kg:g}")
+    problems.check()
+
+
+def _computed(arm: Arm, its: Readings) -> str:
+    """Say that the published geometry explains the points exactly; else empty."""
+    if len(np.unique(its.q, axis=0)) < _FEWEST_JUDGED:
+        return ""
+    geometry = nominal_geometry(published_rows(arm), np.zeros(3))
+    exact = explained(geometry, its.q, its.p_M).computed
+    return f"the published geometry leaves 0.000 mm of the points: {COMPUTED}" if exact else ""
 
 
 def _one_a_stop(
@@ -232,13 +223,17 @@ def joint_limits(profile: Profile) -> dict[str, NDArray[np.float64]]:
     return {name: np.array([joint.limit for joint in arm.type.joints]) for name, arm in profile.arms.items()}
 
 
-def _read(
+def arms_of_table(
     table: CsvTable,
     joint_counts: Mapping[str, int],
     in_order: bool,
     limits: Mapping[str, NDArray[np.float64]],
-) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
-    """Read the readings; return also what their order of measurement gave, and notes."""
+) -> tuple[dict[str, Readings], dict[str, ArmOrder], set[int], list[str]]:
+    """Read the readings of each arm that occurs, ordered by configuration; unknown columns are in ``extras``.
+
+    Return also what their order of measurement gave, lines that are left out, and notes. Joint positions further beyond
+    the ``limits`` (N, 2) [rad] of an arm than a revolution are refused.
+    """
     problems = Problems(table.place)
     check_names(table, problems)  # of all columns, before those of an orientation are replaced
     table, unsaid = with_quaternions(table)
@@ -252,6 +247,7 @@ def _read(
     problems.check()
     readings: dict[str, Readings] = {}
     orders: dict[str, ArmOrder] = {}
+    left_out, seen = set[int](), list[str]()
     for arm in joint_counts:
         rows = [index for index, name in enumerate(names) if name == arm]
         cells = ArmCells(table, rows, problems)
@@ -263,9 +259,14 @@ def _read(
             cells.refuse(*fault)
         elif in_order:
             result, orders[arm] = in_measured_order(result)
-        readings[arm] = result.take(np.argsort(result.configuration, kind="stable"))
+        result, lost, said = _seen(cells, result)
+        left_out |= lost
+        seen += said
+        if len(result):
+            readings[arm] = result.take(np.argsort(result.configuration, kind="stable"))
     problems.check()
-    return readings, orders, [*_notes(table, joint_counts, readings), *unsaid, *order_sentences(orders)]
+    notes = [*seen, *_notes(table, joint_counts, readings), *unsaid, *order_sentences(orders)]
+    return readings, orders, left_out, notes
 
 
 def _check_header(table: CsvTable, problems: Problems) -> None:
@@ -293,14 +294,18 @@ def _notes(table: CsvTable, joint_counts: Mapping[str, int], readings: Mapping[s
     notes = []
     known = sorted({"arm", *(name for column in not_per_joint() for name in column.csv)})
     most = max(joint_counts.values())
+    unknown = {
+        name: difflib.get_close_matches(name, known, n=1, cutoff=0.75) for name in table.names if not is_known(name)
+    }
     for name in table.names:
         found = stem_and_joint(name)
         if found is not None and found[1] > most:
             notes.append(f"{table.path}: column '{name}' is empty and no arm has that joint; it is not imported")
-        if not is_known(name):
-            close = difflib.get_close_matches(name, known, n=1, cutoff=0.75)
-            hint = f" (is '{close[0]}' meant?)" if close else ""
-            notes.append(f"{table.path}: column '{name}' is unknown{hint}; it is kept and not used")
+        if close := unknown.get(name):
+            notes.append(f"{table.path}: column '{name}' is unknown (is '{close[0]}' meant?); it is kept and not used")
+    if others := [f"'{name}'" for name, close in unknown.items() if not close]:
+        words = "column {} is unknown; it is" if len(others) == 1 else "columns {} are unknown; they are"
+        notes.append(f"{table.path}: {words.format(', '.join(others))} kept and not used")
     for arm in joint_counts:
         if arm not in readings:
             notes.append(f"{table.path}: arm '{arm}' of the profile has no readings in this file")

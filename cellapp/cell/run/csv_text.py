@@ -71,6 +71,12 @@ class CsvTable:
             return f"{self.path}:{line}"
         return self.row_places[self.lines.index(line)] if line in self.lines else str(self.path)
 
+    def take(self, rows: Sequence[int]) -> CsvTable:
+        """Select some of the rows."""
+        cells = {name: tuple(its[row] for row in rows) for name, its in self.cells.items()}
+        places = None if self.row_places is None else tuple(self.row_places[row] for row in rows)
+        return replace(self, lines=tuple(self.lines[row] for row in rows), cells=cells, row_places=places)
+
     def row_words(self, line: int) -> str:
         """Return the reference to a line in a sentence about another line of the same table."""
         return f"line {line}" if self.row_places is None else self.place(line)
@@ -216,10 +222,15 @@ def read_table_of(path: Path, what: str, one: str, row: str, columns: Sequence[s
     return table
 
 
+def _named(names: Sequence[str]) -> list[str]:
+    """Leave out the last columns without a name, as spreadsheets write them."""
+    return [name for place, name in enumerate(names) if any(names[place:])]
+
+
 def _parse(path: Path, file: Iterable[str], expected: str) -> Iterator[tuple[int, list[str]]]:
     reader = csv.reader(file, strict=True)
     names: list[str] | None = None
-    line = 0
+    line = spare = 0
     try:
         for row in reader:
             line = reader.line_num
@@ -227,12 +238,18 @@ def _parse(path: Path, file: Iterable[str], expected: str) -> Iterator[tuple[int
                 continue
             if names is None:
                 names = row = [name.strip() for name in row]
+                spare = len(names) - len(_named(names))
+                names = row = _named(names)
                 if len(names) == 1 and re.search(r"[;\t|]", names[0]):
                     raise InputError(
                         f"{path}:{line}: the header is one column; separate columns by commas, and write 0.5, not 0,5"
                     )
             elif len(row) != len(names) and row[0].lstrip().startswith(COMMENTS):
                 continue
+            elif spare and len(row) == len(names) + spare:
+                if filled := next((place for place, cell in enumerate(row, 1) if place > len(names) and cell), 0):
+                    raise InputError(f"{path}:1: column {filled}: has no name; name it or remove it")
+                row = row[: len(names)]
             elif len(row) != len(names):
                 column = names[len(row)] if len(row) < len(names) else f"column {len(names) + 1}"
                 hint = "; write 0.5, not 0,5, and texts with commas in quotes" if len(row) > len(names) else ""
@@ -255,6 +272,11 @@ _LOOKED_AT = 80
 """Number of lines at the beginning of a file within which header and first numbers must be."""
 _UNIT_ALONE = re.compile(r"|-|\[[^\]]*\]|\([^)]*\)|s|ms|us|ns|deg|rad|mm?|(?:deg|rad)/s|A|Nm|°C?")
 """A cell of a row of units below the header."""
+_AXES = re.compile(r"AXES\s*=\s*CARTESIAN:?\s*X,\s*Y,\s*Z\s*\((\w+)\)", re.IGNORECASE)
+"""Comment of a SpatialAnalyzer export, which has no row of names."""
+_DATED = re.compile(r"(\d{1,2})([./])(\d{1,2})\2(\d{4}|\d\d)[ T]+")
+"""Day, month and year; with slashes the month comes first, where it can be one."""
+_OF_DAY = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(?: ?([aApP][mM]))?")
 _EMPTY = ("", "nan", "null", "none", "na", "n/a", "-")
 """Texts that programs write for a missing value."""
 
@@ -269,8 +291,8 @@ class CsvFile:
     names: tuple[str, ...]
     separator: str = ","
     decimal_comma: bool = False
-    trailing: bool = False
-    """Whether each row ends with a separator."""
+    trailing: int = 0
+    """Number of empty columns without a name at the end of each row."""
     encoding: str = "utf-8-sig"
 
     @property
@@ -286,7 +308,7 @@ class CsvFile:
             return
         for line, text in self._numbered():
             cells = split_row(text, self.separator)
-            if len(cells) != len(self.names) + self.trailing:
+            if len(cells) != len(self.names) + self.trailing or any(cells[len(self.names) :]):
                 raise InputError(
                     f"{self.path}:{line}: the row has {len(cells)} cells, the header has {len(self.names)}"
                 )
@@ -359,18 +381,32 @@ def _written(path: Path, what: str, lines: Sequence[tuple[int, str]], example: s
         above = [
             (n, row) for n, row in above if not any(math.isfinite(stamp_seconds(cell)) for cell in row)
         ]  # a row with dates is no header
-        above = [(n, row) for n, row in above if len(row) == len(cells)] or above[-1:]
+        axes = [match[1] for _, its in lines[:place] if (match := _AXES.search(its))]
+        above = [(n, row) for n, row in above if len(row) == len(cells)] or ([] if axes else above[-1:])
+        if not above and axes and (names := _measured_points(cells, axes[-1])):
+            return CsvFile(path, what, line - 1, names, separator, comma)
         if not above:
             raise InputError(
                 f"{path}:{line}: there is no row of names above the first row of {len(cells)} numbers; write one, such"
                 f" as {example}"
             )
-        head, names = above[-1]
-        if len(above) > 1 and all(_UNIT_ALONE.fullmatch(name) for name in names):
-            names = [f"{name} {unit}".strip() for name, unit in zip(above[-2][1], names, strict=True)]
-        trailing = len(names) > 2 and not names[-1] and not cells[-1]
-        return CsvFile(path, what, head, tuple(names[: len(names) - trailing]), separator, comma, trailing)
+        head, row = above[-1]
+        if len(above) > 1 and all(_UNIT_ALONE.fullmatch(name) for name in row):
+            row = [f"{name} {unit}".strip() for name, unit in zip(above[-2][1], row, strict=True)]
+        kept = _named(row)
+        return CsvFile(path, what, head, tuple(kept), separator, comma, len(row) - len(kept))
     return None
+
+
+def _measured_points(cells: Sequence[str], unit: str) -> tuple[str, ...]:
+    """Return names for a row of a SpatialAnalyzer export: names of the point, X, Y, Z, time; empty if it is none."""
+    whole = "".join("d" if NUMBER.fullmatch(cell) and "." in cell else "t" if ":" in cell else "n" for cell in cells)
+    match = re.fullmatch(r"(n*)ddd(t?)(.*)", whole)
+    if match is None:
+        return ()
+    before = [f"name {place}" for place in range(1, len(match[1]) + 1)]
+    after = [f"column {place}" for place in range(1, len(match[3]) + 1)]
+    return (*before, *(f"{axis} [{unit}]" for axis in "XYZ"), *(["time"] * len(match[2])), *after)
 
 
 def _separator(text: str) -> tuple[str, bool]:
@@ -388,15 +424,20 @@ def _separator(text: str) -> tuple[str, bool]:
 
 def stamp_seconds(cell: str) -> float:
     """Convert a date with time, or a time of day, to seconds since 1970 or midnight; NaN for other texts."""
-    text = cell.strip()
+    text = cell.strip().lstrip("'")  # spreadsheets mark a text so
     try:
         if re.match(r"\d{4}-", text):
             when = datetime.fromisoformat(text)
             return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
-        if date := re.match(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T]", text):
-            return stamp_seconds(f"{date[3]}-{date[2]:0>2}-{date[1]:0>2}T{text[date.end() :]}")
-        day = re.fullmatch(r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)", text)
-        return math.nan if day is None else 3600.0 * int(day[1]) + 60.0 * int(day[2]) + float(day[3].replace(",", "."))
+        if date := _DATED.match(text):
+            day, month = (date[3], date[1]) if date[2] == "/" and int(date[1]) <= 12 else (date[1], date[3])
+            year = date[4] if len(date[4]) == 4 else f"20{date[4]}"
+            return stamp_seconds(f"{year}-{month:0>2}-{day:0>2}") + stamp_seconds(text[date.end() :])
+        time = _OF_DAY.fullmatch(text)
+        if time is None:
+            return math.nan
+        hour = int(time[1]) if time[4] is None else int(time[1]) % 12 + 12 * (time[4].lower() == "pm")
+        return 3600.0 * hour + 60.0 * int(time[2]) + float(time[3].replace(",", "."))
     except ValueError:
         return math.nan
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -48,13 +48,17 @@ def store_recording(run: RunFile, recorded: RecordedStreams) -> None:
 
 
 def recordings_from_csv(
-    profile: Profile, joints: Sequence[Path], points: Sequence[Path], arm: str | None = None
+    profile: Profile,
+    joints: Sequence[Path],
+    points: Sequence[Path],
+    arm: str | None = None,
+    taken: Collection[str] = (),
 ) -> tuple[frozenset[str], Callable[[RunFile], None]]:
     """Read and check files of recordings; return the arms that have one, and a function that stores them in a new run.
 
     Raises ``InputError`` as ``read_recordings``.
     """
-    recorded, notes = read_recordings(profile, joints, points, arm)
+    recorded, notes = read_recordings(profile, joints, points, arm, taken)
 
     def fill(run: RunFile) -> None:
         for one in recorded:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import difflib
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,13 +22,13 @@ from cellapp.cell.run.columns import (
     KINDS,
     OPTIONAL_OF_JOINTS,
     POINT,
-    QUATERNION,
     TEXTS,
+    UNITS_OF_TIME,
     Implausible,
     Kind,
     Understood,
-    Written,
     beside_faults,
+    evenly_stamped,
     in_si,
     joint_faults,
     point_faults,
@@ -36,10 +36,10 @@ from cellapp.cell.run.columns import (
     stems,
     understood,
     without_part_of_orientation,
-    written_orientation,
 )
 from cellapp.cell.run.csv_import import joint_limits
 from cellapp.cell.run.csv_text import CsvFile, Problems, read_header, short
+from cellapp.cell.run.orientation_columns import QUATERNION, Written, written_orientation
 from cellapp.cell.run.records import RecordingState
 from cellapp.cell.run.stream_csv import StreamTable, read_stream_table
 from cellapp.estimation.readings.columns import SPLITS
@@ -48,6 +48,8 @@ from cellapp.ground.profile import Profile
 
 _LONGEST_HEADER = 200
 """Number of characters of a header that a message shows."""
+
+_TAKE = "give the one that is with --column NAME, or rename the other"
 
 Key = tuple[str, str]
 """Arm and name of a recording."""
@@ -63,12 +65,16 @@ class RecordedStreams:
 
 
 def read_recordings(
-    profile: Profile, joints: Sequence[Path], points: Sequence[Path], arm: str | None = None
+    profile: Profile,
+    joints: Sequence[Path],
+    points: Sequence[Path],
+    arm: str | None = None,
+    taken: Collection[str] = (),
 ) -> tuple[list[RecordedStreams], list[str]]:
     """Read and check pairs of files; the k-th file of joints belongs to the k-th of points.
 
-    ``arm`` is that of files without such a column; it may be left out if the profile has one arm. Returns notes too:
-    unknown columns, irregular timestamps, clocks that share no time.
+    ``arm`` is that of files without such a column; it may be left out if the profile has one arm. ``taken`` columns
+    count where two may be meant. Returns notes too: unknown columns, irregular timestamps, clocks that share no time.
 
     Raises
     ------
@@ -84,7 +90,7 @@ def read_recordings(
         raise InputError(f"import: --arm: '{arm}' is not in the profile; arms are {', '.join(profile.arms)}")
     found, notes = dict[Key, RecordedStreams](), list[str]()
     for number, pair in enumerate(zip(map(Path, joints), map(Path, points), strict=True), start=1):
-        recorded, said = _read_pair(profile, *pair, arm, number)
+        recorded, said = _read_pair(profile, *pair, arm, number, taken)
         notes += said
         for one in recorded:
             key = (one.state.arm, one.state.name)
@@ -98,15 +104,21 @@ def read_recordings(
 
 
 def _read_pair(
-    profile: Profile, joints: Path, points: Path, arm: str | None, number: int
+    profile: Profile, joints: Path, points: Path, arm: str | None, number: int, taken: Collection[str]
 ) -> tuple[list[RecordedStreams], list[str]]:
     """Read the recordings in one pair of files; return also how these were interpreted."""
     counts = [len(its.type.joints) for its in profile.arms.values()]
-    tables, said = dict[Kind, StreamTable](), list[str]()
+    tables, clocks, said = dict[Kind, StreamTable](), dict[Kind, tuple[str, float]](), list[str]()
     paths: dict[Kind, Path] = {"joints": joints, "points": points}
     for kind, path in paths.items():
-        tables[kind], notes = _read_file(path, kind, counts)
+        tables[kind], clocks[kind], notes = _read_file(path, kind, counts, taken)
         said += notes
+    if clocks["joints"][0] == clocks["points"][0] and len({factor for _, factor in clocks.values()}) > 1:
+        units = [next(unit for unit, its in UNITS_OF_TIME.items() if its == factor) for _, factor in clocks.values()]
+        raise InputError(
+            f"{points}: {clocks['points'][0]}: the steps are those of {units[1]}, and in {joints} those of {units[0]}:"
+            " one of the two has another unit; write it into the name, as time_ns"
+        )
     for table in tables.values():
         _check_words(table, "arm", tuple(profile.arms), "is not in the profile; arms are")
         _check_words(table, "split", ("", *SPLITS), "is no split; expected nothing or")
@@ -140,22 +152,36 @@ def _name_of_files(joints: Path, points: Path, number: int) -> str:
     return "".join(first for first, _ in pairs).strip("_-. ") or str(number)
 
 
-def _read_file(path: Path, kind: Kind, joints: Sequence[int]) -> tuple[StreamTable, list[str]]:
-    """Read the columns of a file in SI units; return also how foreign names and units were interpreted."""
+def _read_file(
+    path: Path, kind: Kind, joints: Sequence[int], taken: Collection[str]
+) -> tuple[StreamTable, tuple[str, float], list[str]]:
+    """Read the columns of a file in SI units; return also the name and the unit of a clock whose unit it does not say,
+    and how foreign names and units were interpreted."""
     what = "joint positions" if kind == "joints" else "points"
     file, quantities = read_header(path, what, EXAMPLES[kind]), stems(kind, max(joints), max(joints))
     numbers = {name for its in quantities.values() for name in its}
     written, notes = written_orientation(file.names) if kind == "points" else (None, [])
     turned = () if written is None else written.columns
-    known = understood(file.names, kind, (*numbers, *TEXTS), turned)
+    row = next((cells for _, cells in file.rows()), [])
+    known = understood(file.names, kind, (*numbers, *TEXTS), written, taken, row)
     _check_columns(file, kind, known, quantities)
+    numbers |= {*turned, *known.others}
     required = {"time_s", *(name for name in quantities.get("q", ())[: min(joints)] if name in known.names)}
-    table = read_stream_table(file, known.names, numbers={*numbers, *turned}, required=required, texts=TEXTS)
+    table = read_stream_table(file, known.names, numbers=numbers, required=required, texts=TEXTS)
     if written is not None:
         table, notes = _with_quaternions(table, written), [f"{path}: {written.said}"]
-    in_units, said = in_si(table, kind, known)
+    for column, name in known.ordered.items():
+        if (words := table.words[column]) != (name,):
+            raise InputError(
+                f"{path}: the joint '{name}' is '{words[-1]}' in other rows; give each order a file of its own"
+            )
+    in_units, clock, said = in_si(table, kind, known)
+    stamps, burst = evenly_stamped(in_units.columns["time_s"])
+    if burst:
+        in_units = replace(in_units, columns={**in_units.columns, "time_s": stamps})
+        said = [*said, f"{path}: {burst}"]
     whole, left_out = without_part_of_orientation(in_units)
-    return whole, said + left_out + notes
+    return whole, clock, said + left_out + notes
 
 
 def _with_quaternions(table: StreamTable, written: Written) -> StreamTable:
@@ -181,9 +207,7 @@ def _check_columns(file: CsvFile, kind: Kind, known: Understood, quantities: Map
     problems = Problems(lambda line: f"{path}:{line}")
     for name in needed:
         if name not in names and name in known.doubled:
-            problems.add(
-                file.head, name, f"two columns may be it ({', '.join(known.doubled[name])}); rename the one that is not"
-            )
+            problems.add(file.head, name, f"two columns may be it ({', '.join(known.doubled[name])}); {_TAKE}")
         elif name not in names:
             close = difflib.get_close_matches(name, file.names, n=1, cutoff=0.5)
             meant = f" is '{close[0]}' meant?" if close else ""

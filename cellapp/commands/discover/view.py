@@ -63,22 +63,18 @@ def explanation_text(result: DiscoverResult) -> str:
     return "\n".join(line for line in printed(arms) if isinstance(line, str))
 
 
-def discovery_section(
-    discover: DiscoverResult, settings: Discovery, charts: Mapping[str, tuple[Sequence[Chart], Sequence[Chart]]]
-) -> Section:
-    """Show all arms; ``charts`` has each arm's charts of the model's uncertainty and of its effects by joint."""
+def discovery_section(discover: DiscoverResult, settings: Discovery, charts: Mapping[str, Sequence[Chart]]) -> Section:
+    """Show all arms; ``charts`` has each arm's charts of the model's uncertainty."""
     verdicts = (f"arm {name}, {arm.verdict}: {verdict_sentence(name, arm)}" for name, arm in discover.arms.items())
     arms = [
-        arm_section(f"discovery-{number}", name, arm, *charts[name])
+        arm_section(f"discovery-{number}", name, arm, charts[name])
         for number, (name, arm) in enumerate(discover.arms.items(), start=1)
     ]
     decides = Section("How discovery decides", [_decision_words(settings)], folded=True)
     return section_of("", [*arms, decides], message="; ".join(verdicts))
 
 
-def arm_section(
-    key: str, name: str, arm: ArmDiscoveryResult, certainty: Sequence[Chart] = (), curves: Sequence[Chart] = ()
-) -> Section:
+def arm_section(key: str, name: str, arm: ArmDiscoveryResult, certainty: Sequence[Chart] = ()) -> Section:
     """Show one arm: verdict, steps, accepted effects with pictures, undetectable effects, and the remainder."""
     found = with_rows(
         numbered_steps_table(name, arm),
@@ -96,12 +92,6 @@ def arm_section(
         *(Section(heading, [words]) for heading, words in description_sentences(arm)),
         *_pictures(name, arm),
     ]
-    if curves:
-        about = (
-            "What all effects together turn a joint by while its angle alone changes; bands hold 95 % of the model's"
-            " posterior, and widen beyond the measured angles."
-        )
-        parts.append(Section("What effects turn joints by", curves, about=about))
     evidence = with_rows(candidates_table(name, arm), structure_table(name, arm), accepted_table(name, arm))
     undetected = with_rows(invisible_table(name, arm), not_found_table(name, arm))
     parts.append(Section("All evidence", evidence, folded=True))

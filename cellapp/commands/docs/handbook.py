@@ -10,6 +10,7 @@ from functools import cache
 from importlib import resources
 
 from cellapp.ground.errors import InputError
+from cellapp.ground.removed import removed_command
 
 PARTS: Mapping[str, Mapping[str, str]] = {
     "begin here": {
@@ -78,7 +79,8 @@ def topic_text(topic: str) -> str:
     if kept is None:
         near = difflib.get_close_matches(topic, topics(), n=1)
         meant = f"did you mean '{near[0]}'? Topics" if near else "topics"
-        raise InputError(f"docs: '{topic}' is not a topic; {meant} are {', '.join(topics())}")
+        said = f"docs: '{topic}' is not a topic; {meant} are {', '.join(topics())}"
+        raise InputError(removed_command(f"docs {topic}") or said)
     return _FOR_TESTS.sub(r"\1", _MARKER.sub("", kept))
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -16,32 +15,11 @@ import yaml
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.profile.loader import arm_type_of_text
 from cellapp.cell.profile.starters import FOLDER, READINGS, arm_type_files
-from cellapp.cell.run.columns import (
-    EXAMPLES,
-    POINT,
-    UNITS_OF_TIME,
-    AngleUnit,
-    LengthUnit,
-    time_unit,
-    understood,
-    written_orientation,
-)
-from cellapp.cell.run.csv_text import (
-    NUMBER,
-    CsvFile,
-    CsvTable,
-    Problems,
-    check_names,
-    is_number,
-    read_csv_table,
-    read_header,
-    short,
-    stamp_seconds,
-    table_text,
-)
-from cellapp.cell.run.recorded_csv import Recorded, converted, read_recorded
+from cellapp.cell.run.columns import UNITS_OF_TIME, AngleUnit, LengthUnit, usual_step
+from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short, table_text
+from cellapp.cell.run.recorded_csv import Choose, Recorded, converted, nobody, read_recorded
 from cellapp.estimation.calibration.quantities import repeats_words
-from cellapp.estimation.calibration.registration import Explained, better_reading, explained
+from cellapp.estimation.calibration.registration import COMPUTED, Explained, better_reading, explained
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
@@ -57,8 +35,11 @@ _FEWEST = 2
 _EXAMPLE = "theta_deg,d_mm,a_mm,alpha_deg"
 
 
-def arm_type_text(path: Path, *, modified: bool = False) -> str:
+def arm_type_text(path: Path, joints: int = 0, *, modified: bool = False) -> tuple[str, tuple[str, ...]]:
     """Convert D-H rows, one for each joint, to the YAML of an arm type; its joint limits allow two turns.
+
+    One row more than the ``joints`` of the readings is the flange, a fixed part of the tool, whose point on the last
+    frame is identified; a note says so.
 
     Standard rows are ``rot_z(q + theta) trans(a, 0, d) rot_x(alpha)``. Modified ones (Craig, Introduction to Robotics,
     section 3.4: ``rot_x(alpha) trans(a, 0, 0) rot_z(q + theta) trans(0, 0, d)``, where ``a`` and ``alpha`` of a row lie
@@ -74,13 +55,20 @@ def arm_type_text(path: Path, *, modified: bool = False) -> str:
     if modified:
         after = [(a, alpha) for _, _, a, alpha in rows[1:]] + [(0.0, 0.0)]
         rows = [(theta, d, *link) for (theta, d, _, _), link in zip(rows, after, strict=True)]
-    joints = [dict(zip(("theta", "d", "a", "alpha"), map(float, row), strict=True)) for row in rows]
-    content = {"model": path.stem, "source": f"D-H rows of {path.name}", "joints": joints}
+    notes: tuple[str, ...] = ()
+    if len(rows) == joints + 1:
+        theta, d, a, alpha = rows.pop()
+        fixed = (
+            f"theta {math.degrees(theta):g} deg, d {1e3 * d:g} mm, a {1e3 * a:g} mm, alpha {math.degrees(alpha):g} deg"
+        )
+        notes = (f"{path}: row {joints + 1} of {joints} joints is the flange ({fixed}): taken as part of the tool",)
+    named = [dict(zip(("theta", "d", "a", "alpha"), map(float, row), strict=True)) for row in rows]
+    content = {"model": path.stem, "source": f"D-H rows of {path.name}", "joints": named}
     head = (
         "# D-H (standard): A_i = rot_z(q_i + theta) trans(a, 0, d) rot_x(alpha); numbers are SI (m, rad).\n"
         "# limit, speed, mass, center_of_mass and capsules may be added; see the arm types that come with cellapp.\n"
     )
-    return head + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+    return head + yaml.safe_dump(content, sort_keys=False, allow_unicode=True), notes
 
 
 def _rows(table: CsvTable) -> list[tuple[float, float, float, float]]:
@@ -119,12 +107,16 @@ ARM = "robot"
 _IDENTIFY_SHARE = 0.75
 """Share of the rows for identification; the others are held out and show the accuracy of the calibration."""
 _PREVIEWED = 3
-_SWIFT_ROWS = 50
-"""Number of rows that decide between a motion and stops."""
+_LOOKED_AT, _SWIFT_ROWS = 2000, 50
+"""Numbers of rows, at most and at least, that decide between a motion and stops."""
+_OTHER_WAY = 0.3
+"""Share of the remaining error below which the other convention of D-H rows is named."""
 _UNITS = {"rad": "radians", "deg": "degrees", "m": "metres", "mm": "millimetres", "um": "micrometres"}
 
-Choose = Callable[[str, tuple[str, ...]], str]
-"""(question, possible answers) -> the answer of a person; "" if nobody can be asked."""
+_MOTION_S, _USUAL_MOTION_S, _STOPS_S = (5e-5, 0.2), (5e-4, 0.05), (0.5, 300.0)
+"""Times from row to row [s] of a recording of motion, the same where the unit is not sure, and of readings at rest."""
+_SMOOTH, _JUMPS = 0.02, 0.1
+"""Steps of the joints from row to row, as a share of their range: below the first a motion, above the second stops."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +135,10 @@ class OwnData:
         Units of joint positions and points if the file has none; empty: derived, else asked for.
     name : str
         Name of the profile; that of the file if empty.
+    columns : tuple of str
+        Columns that count where two may be meant.
+    rows : "stops", "motion" or ""
+        What the rows are; empty: derived, else asked for.
     """
 
     readings: Path
@@ -151,22 +147,20 @@ class OwnData:
     angles: AngleUnit | Literal[""] = ""
     lengths: LengthUnit | Literal[""] = ""
     name: str = ""
+    columns: tuple[str, ...] = ()
+    rows: Literal["stops", "motion", ""] = ""
 
 
 @dataclass(frozen=True)
 class OwnDataWritten:
     """The written files, and how the data were understood; readings are None for recordings of motion, whose points may
-    be in the same file."""
+    be in the same file. ``smr`` is the one of two SMRs that the next command takes."""
 
     profile: Path
     readings: Path | None
     notes: tuple[str, ...]
     points_beside: bool = False
-
-
-def nobody(question: str, answers: tuple[str, ...]) -> str:
-    """Answer nothing: nobody can be asked."""
-    return ""
+    smr: str | None = None
 
 
 def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs: Outputs = NEW_ONLY) -> OwnDataWritten:
@@ -177,65 +171,80 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
     InputError
         If readings or rows cannot be understood, an answer is missing and nobody can be asked, or a file exists.
     """
-    if (motion := _motion_of(own.readings)) is not None:
-        return _for_recordings(own, motion, folder, outputs)
-    recorded = read_recorded(own.readings)
-    types = _types(own, len(recorded.joints))
+    looked = read_recorded(own.readings, own.columns, choose, most=_LOOKED_AT)
+    rows, ground = _rows_are(own, looked, choose)
+    types = _types(own, len(looked.joints))
+    if rows == "motion":
+        return _for_recordings(own, looked, types, folder, outputs)
+    recorded = read_recorded(own.readings, looked.taken, choose)
     angles, lengths = _decided_units(own, recorded, types, choose)
-    q, p_M = recorded.in_si(angles, lengths)
+    q, p_M = recorded.of_one_point(angles, lengths)
+    names = recorded.smrs
     arm_type = _decided_type(own, types, q, p_M, choose)
     name = own.name or own.readings.stem.lower().replace(" ", "-")
     arms = recorded.arms or (ARM,)
     profile, readings = folder / FOLDER / f"{name}.yaml", folder / READINGS / f"{name}.csv"
-    header, rows = converted(recorded, angles, lengths, ARM)
+    header, cells = converted(recorded, angles, lengths, ARM, _clock_of_stops(recorded))
     files = {
         folder / FOLDER / arm_type.file: arm_type.text,
-        readings: table_text(header, rows),
-        profile: _profile_text(name, arms, arm_type.file, len(rows), readings, profile),
+        readings: table_text(header, cells),
+        profile: _profile_text(name, arms, arm_type.file, len(cells) // max(1, len(names)), readings, profile),
     }
     write_new(files, outputs)
-    repeated = [words] if (words := repeats_words(q, p_M)) else []
-    notes = (*_preview(recorded, angles, lengths), *recorded.notes, *repeated, _judged(arm_type, q, p_M))
-    return OwnDataWritten(profile, readings, notes)
+    if len(names) > 1:
+        taken = "three or more give a position and an orientation"
+        taken = taken if len(names) > 2 else f"two give no orientation: the next command takes {names[0]}"
+        ground = (*ground, f"SMRs {', '.join(names)}: {taken}; --smr NAME takes another one alone")
+    notes = (
+        *_preview(recorded, angles, lengths),
+        *ground,
+        *recorded.notes,
+        *arm_type.notes,
+        *((words,) if (words := repeats_words(q, p_M)) else ()),
+        _judged(arm_type, q, p_M, own.modified),
+    )
+    return OwnDataWritten(profile, readings, notes, smr=names[0] if len(names) == 2 else None)
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """A recording of joint positions: number of joints, and whether tracker points are in the same file."""
+def _rows_are(own: OwnData, recorded: Recorded, choose: Choose) -> tuple[str, tuple[str, ...]]:
+    """Return whether the rows are "stops" or samples of a "motion", and a sentence on what was derived.
 
-    joints: int
-    points_beside: bool
-
-
-def _motion_of(path: Path) -> _Motion | None:
-    """Describe a recording of joint positions (time_s, q1, q2, ...); None for other files, such as readings at rest."""
-    try:
-        file = read_header(path, "joint positions", EXAMPLES["joints"])
-        names = understood(file.names, "joints", ()).names
-        written, _ = written_orientation(file.names)
-        turned = () if written is None else written.columns
-        points = set(POINT) <= set(understood(file.names, "points", (), turned).names)
-        if "time_s" not in names or (points and not _is_swift(file, names.index("time_s"))):
-            return None
-    except InputError:
-        return None  # the reader of readings reports the error
-    joints = sum(re.fullmatch(r"q[1-9]\d?", name) is not None for name in names)
-    return _Motion(joints, points) if joints else None
-
-
-def _is_swift(file: CsvFile, column: int) -> bool:
-    """Return whether rows follow as fast as samples of a motion, in any unit of time, unlike stops."""
-    cells = [row[column] for _, row in itertools.islice(file.rows(), _SWIFT_ROWS)]
-    dated = not all(map(is_number, cells))  # dates and times of day have a resolution of seconds
-    stamps = np.array([stamp_seconds(cell) if dated else float(cell or "nan") for cell in cells])
-    if len(cells) < _SWIFT_ROWS or not (np.diff(stamps) >= 0.0).all():
-        return False
-    return time_unit(stamps) in ({"seconds"} if dated else UNITS_OF_TIME)
+    Rows seconds apart are stops; rows without points are joint positions of a motion, whose points stand elsewhere.
+    """
+    stamps, name = recorded.stamps, recorded.known.others.get("time_s", "time_s")
+    if not recorded.points and stamps is None:
+        raise InputError(
+            f"{own.readings}: joint positions without points and without time; readings at rest need x, y, z in each"
+            " row, a recording of a motion needs a column of time, such as time_s"
+        )
+    if own.rows or not recorded.points:
+        return own.rows if recorded.points else "motion", ()
+    if stamps is None or len(stamps) < _SWIFT_ROWS or not (np.diff(stamps) >= 0.0).all():
+        return "stops", ()
+    step, units = usual_step(stamps), [recorded.clock] if recorded.clock else [*UNITS_OF_TIME.values()]
+    q, swift = recorded.in_si("rad", "m")[0], _MOTION_S if recorded.clock else _USUAL_MOTION_S
+    motion, stops = (any(low <= step * unit <= high for unit in units) for low, high in (swift, _STOPS_S))
+    if motion != stops:
+        return "motion" if motion else "stops", ()
+    share = float(np.median(np.abs(np.diff(q, axis=0)).max(axis=1)) / max(np.ptp(q, axis=0).max(), 1e-300))
+    words = f"{own.readings}: rows {step:.3g} apart in '{name}', joints move by {share:.2g} of their range between rows"
+    kinds = ("stops", "motion")
+    rows = "motion" if share <= _SMOOTH else "stops" if share >= _JUMPS else choose(f"{words}: which are they?", kinds)
+    if rows not in kinds:
+        raise InputError(f"{words}: readings at stops, or samples of a motion? Give --rows stops or --rows motion")
+    return rows, (f"{words}: taken as {rows}; else give --rows",)
 
 
-def _for_recordings(own: OwnData, motion: _Motion, folder: Path, outputs: Outputs) -> OwnDataWritten:
+def _clock_of_stops(recorded: Recorded) -> float | None:
+    """Return the unit of the times of stops, where the file does not say it [s]; None if none is plausible."""
+    step = 0.0 if recorded.stamps is None else float(np.median(np.abs(np.diff(recorded.stamps))))
+    return next((unit for unit in UNITS_OF_TIME.values() if _STOPS_S[0] <= step * unit <= _STOPS_S[1]), None)
+
+
+def _for_recordings(
+    own: OwnData, recorded: Recorded, types: list[_Type], folder: Path, outputs: Outputs
+) -> OwnDataWritten:
     """Write the profile and arm type for recordings of motion; this file has the joints."""
-    types = _types(own, motion.joints)
     if not own.arm:
         words = ", ".join(one.name for one in types)
         raise InputError(
@@ -244,16 +253,14 @@ def _for_recordings(own: OwnData, motion: _Motion, folder: Path, outputs: Output
         )
     name = own.name or own.readings.stem.lower().replace(" ", "-")
     profile = folder / FOLDER / f"{name}.yaml"
-    text = _profile_text(name, (ARM,), types[0].file, 100, Path("READINGS.csv"), profile)
-    points = own.readings if motion.points_beside else "FILE"
+    text = _profile_text(name, recorded.arms or (ARM,), types[0].file, 100, Path("READINGS.csv"), profile)
+    points = own.readings if recorded.points else "FILE"
     streams = f"--joints {shell_word(own.readings)} --points {shell_word(points)}"
     head = f"# For recordings of motion: `cellapp import {shell_word(profile)} {streams} --run DIR`.\n"
     write_new({folder / FOLDER / types[0].file: types[0].text, profile: head + text}, outputs)
-    where = (
-        "the points of the tracker stand beside them" if motion.points_beside else "the points come from another file"
-    )
-    note = f"{own.readings}: joint positions of a motion, {motion.joints} joints; {where}"
-    return OwnDataWritten(profile, None, (note,), motion.points_beside)
+    where = "the points of the tracker stand beside them" if recorded.points else "the points come from another file"
+    note = f"{own.readings}: joint positions of a motion, {len(recorded.joints)} joints; {where}"
+    return OwnDataWritten(profile, None, (note, *recorded.notes), recorded.points)
 
 
 # -- arm types --------------------------------------------------------------------------------------------------------
@@ -267,6 +274,9 @@ class _Type:
     file: str
     text: str
     content: ArmType
+    notes: tuple[str, ...] = ()
+    other: ArmType | None = None
+    """The same rows in the other convention, standard or modified."""
 
     def explained(self, q: Array, p_M: Array) -> Explained:
         return explained(nominal_geometry(self._rows(), np.zeros(3)), q, p_M)
@@ -282,8 +292,13 @@ def _types(own: OwnData, joints: int) -> list[_Type]:
     """Return the named type, else all types of this program with this number of joints."""
     path = Path(own.arm)
     if own.arm and path.suffix.lower() in (".yaml", ".yml", ".csv"):
-        text = arm_type_text(path, modified=own.modified) if path.suffix.lower() == ".csv" else _read(path)
-        found = [_Type(path.stem, f"arms/{path.stem.lower()}.yaml", text, arm_type_of_text(text, path))]
+        notes, other = tuple[str, ...](), None
+        if path.suffix.lower() == ".csv":
+            text, notes = arm_type_text(path, joints, modified=own.modified)
+            other = arm_type_of_text(arm_type_text(path, joints, modified=not own.modified)[0], path)
+        else:
+            text = _read(path)
+        found = [_Type(path.stem, f"arms/{path.stem.lower()}.yaml", text, arm_type_of_text(text, path), notes, other)]
     else:
         found = [one for one in _all_arms() if own.arm in ("", one.name)]
     if not found:
@@ -365,7 +380,7 @@ def _decided_units(
 
 
 def _explains(recorded: Recorded, types: list[_Type], angles: AngleUnit, lengths: LengthUnit) -> bool:
-    q, p_M = recorded.in_si(angles, lengths)
+    q, p_M = recorded.of_one_point(angles, lengths)
     return any(one.explained(q, p_M).holds for one in types)
 
 
@@ -404,7 +419,8 @@ def _profile_text(name: str, arms: tuple[str, ...], type_file: str, rows: int, r
 def _preview(recorded: Recorded, angles: AngleUnit, lengths: LengthUnit) -> tuple[str, ...]:
     """Say how the file was understood."""
     decimals = ", decimal commas" if recorded.decimal_comma else ""
-    known = [f"{other} = {name}" for name, other in recorded.known.others.items() if name != other]
+    unused = recorded.unknown
+    known = [f"{other} = {name}" for name, other in recorded.known.others.items() if other not in (name, *unused)]
     rows = list(zip(*recorded.table.cells.values(), strict=True))
     first = "; ".join(" ".join(row) for row in rows[:_PREVIEWED])
     return (
@@ -412,14 +428,21 @@ def _preview(recorded: Recorded, angles: AngleUnit, lengths: LengthUnit) -> tupl
         f" {recorded.separator}{decimals}; joint positions in {_UNITS[angles]}, points in {_UNITS[lengths]}",
         f"first rows: {first}",
         *([f"columns: {', '.join(known)}"] if known else []),
-        *([f"not used: {', '.join(recorded.unknown)}"] if recorded.unknown else []),
+        *([f"kept and not used: {', '.join(unused)}"] if unused else []),
     )
 
 
-def _judged(arm_type: _Type, q: Array, p_M: Array) -> str:
+def _judged(arm_type: _Type, q: Array, p_M: Array, modified: bool) -> str:
     """Say whether the published arm explains the points."""
     now = arm_type.explained(q, p_M)
+    other = None if arm_type.other is None else replace(arm_type, content=arm_type.other).explained(q, p_M)
     left = f"the published geometry of {arm_type.content.model} leaves {1e3 * now.rms_m:.1f} mm rms of the points"
+    if other is not None and other.rms_m < _OTHER_WAY * now.rms_m:
+        words = "without --modified (standard rows)" if modified else "as modified rows"
+        do = "leave --modified out" if modified else "give --modified"
+        return f"WARNING: {left}, {words} {1e3 * other.rms_m:.1f} mm: {do}"
+    if now.computed:
+        return f"WARNING: {left}: {COMPUTED}"
     if now.holds:
         return f"{left}: arm, units and signs fit"
     better = arm_type.better_reading(q, p_M)

@@ -50,14 +50,22 @@ class InitRequest(Request):
         Literal["m", "mm"] | None,
         Asked("With --readings: unit of points, if it is not found.", label="points in"),
     ] = None
+    column: Annotated[
+        tuple[str, ...], Asked("With --readings: the column that counts, where two may be meant.", "NAME")
+    ] = ()
+    rows: Annotated[
+        Literal["stops", "motion"] | None, Asked("With --readings: what the rows are, if it is not found.")
+    ] = None
     name: Annotated[str | None, Asked("With --readings: name of the profile.", "NAME")] = None
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
         """Refuse none or several sources, and words about readings without readings."""
-        own = (self.arm, self.angles, self.lengths, self.name)
+        own = (self.arm, self.angles, self.lengths, self.rows, self.name, *self.column)
         if self.readings is None and (self.modified or any(one is not None for one in own)):
-            raise ValueError("--arm, --modified, --angles, --lengths and --name belong to --readings; add it")
+            raise ValueError(
+                "--arm, --modified, --angles, --lengths, --column, --rows and --name belong to --readings; add it"
+            )
         if self.twin + sum(one is not None for one in (self.starter, self.answers, self.readings)) != 1:
             from cellapp.cell.profile.starters import starter_profiles  # late: needed only for a message
 

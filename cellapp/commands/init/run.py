@@ -18,14 +18,16 @@ from cellapp.ground.starters import TWIN
 
 class InitResult(Result, schema="cellapp-init"):
     """``init``: the profile that was written, and what is to be known about it; ``readings`` are the converted ones,
-    ``joints`` the file of joint positions of a motion, ``points`` that of its points, where it is known."""
+    ``joints`` the file of joint positions of a motion, ``points`` that of its points, where it is known, ``smr`` the
+    one of two SMRs that is taken."""
 
     profile: str
     notes: tuple[str, ...] = ()
     readings: str | None = None
     joints: str | None = None
     points: str | None = None
-    omitted_when_none = frozenset({"readings", "joints", "points"})
+    smr: str | None = None
+    omitted_when_none = frozenset({"readings", "joints", "points", "smr"})
 
 
 def run(request: InitRequest, work: Work) -> InitResult:
@@ -38,12 +40,14 @@ def run(request: InitRequest, work: Work) -> InitResult:
             request.angles or "",
             request.lengths or "",
             request.name or "",
+            request.column,
+            request.rows or "",
         )
         own = write_own_data(given, request.folder, work.choose, work.outputs)
         if own.readings is None:
             joints, points = str(request.readings), str(request.readings) if own.points_beside else None
             return InitResult(profile=str(own.profile), notes=own.notes, joints=joints, points=points)
-        return InitResult(profile=str(own.profile), notes=own.notes, readings=str(own.readings))
+        return InitResult(profile=str(own.profile), notes=own.notes, readings=str(own.readings), smr=own.smr)
     if request.answers is not None:
         written = write_answers(request.answers, request.folder)
         return InitResult(profile=str(written.path), notes=written.notes)
@@ -66,7 +70,8 @@ def _next_command(result: InitResult) -> str:
         streams = ["--joints", result.joints, "--points", result.points or "POINTS.csv"]
         return shlex.join(["cellapp", "import", result.profile, *streams, "--run", str(run)])
     if result.readings is not None:
-        return shlex.join(["cellapp", "import", result.profile, result.readings, "--run", str(run)])
+        smr = [] if result.smr is None else ["--smr", result.smr]
+        return shlex.join(["cellapp", "import", result.profile, result.readings, *smr, "--run", str(run)])
     if any(arm.driver.has_device for arm in load_profile(path).arms.values()):
         return f"cellapp doctor {shell_word(path)}"
     readings = readings_of(path.stem, path.parent)

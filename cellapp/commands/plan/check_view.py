@@ -13,7 +13,6 @@ from cellapp.cell.planning.records import (
     ArmDesign,
     ArmForecast,
     FactorCorrelation,
-    JointCoverage,
     ObservabilityIndices,
     PlanCheckResult,
     PlanDesignResult,
@@ -23,7 +22,7 @@ from cellapp.cell.planning.records import (
 )
 from cellapp.commands.view.charts import enumerated
 from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
-from cellapp.commands.view.words import display_unit, geometry_unit, short_reason
+from cellapp.commands.view.words import geometry_unit, short_reason
 from cellapp.estimation.discovery.records import PlannedEffect
 from cellapp.ground.counting import counted
 from cellapp.robot.effects import EFFECTS
@@ -31,8 +30,6 @@ from cellapp.robot.effects import EFFECTS
 TIME_RESTS_ON = (
     "the profile's speeds and averaging time, 1 s to find each SMR, 0.2 s of rest; waits and persons are not counted"
 )
-_MOST_SIZES = 6
-"""Most parameters of one effect whose smallest sizes are named: those of the first joints."""
 
 
 def check_sentences(check: PlanCheckResult) -> list[str]:
@@ -171,30 +168,9 @@ def effects_table(name: str, arm: ArmForecast) -> Table:
     )
 
 
-def coverage_bar(one: JointCoverage, width: int) -> str:
-    """Draw the allowed range as a bar of ``width`` cells, filled where the plan uses it."""
-    low, high = one.allowed
-    scale = width / max(high - low, 1e-12)
-    first, last = (min(max(round((value - low) * scale), 0), width) for value in one.used)
-    return "░" * first + "█" * (last - first) + "░" * (width - last)
-
-
 def effect_title(one: PlannedEffect) -> str:
     """Return the title of an effect; its slug if this version does not know it."""
     return EFFECTS[one.effect].title if one.effect in EFFECTS else one.effect
-
-
-def effect_sentence(one: PlannedEffect) -> str:
-    """Say from which size on an effect would be seen, or why it cannot be seen."""
-    title = effect_title(one)
-    if not one.visible:
-        return f"{title} cannot be seen: {short_reason(one.reason)}."
-    words = []
-    for parameter, size in list(one.smallest_seen.items())[:_MOST_SIZES]:
-        factor, unit = display_unit(size.unit)
-        words.append(f"{parameter} {factor * size.value:.3g} {unit}")
-    sizes = f", for instance {'; '.join(words)}" if words else ""
-    return f"{title} would be seen from an rms displacement of {one.smallest_seen_rms_mm or 0.0:.3f} mm on{sizes}."
 
 
 # -- A new plan and the quality of its design, as tables and sentences ------------------------------------------------

@@ -8,7 +8,6 @@ import numpy as np
 
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.charts import Axis, Chart, evenly_spread, levelling_rotation, series
-from cellapp.estimation.readings import Readings
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_POINTS = 400
@@ -44,16 +43,3 @@ def _plane_chart(points: Mapping[str, Array], bases: Array, title: str, across: 
     drawn.append(series("tracker", [0.0], [0.0], "points", style=_OTHER_STYLE, mark="T"))
     axes = (Axis("xyz"[across], "m"), Axis("xyz"[up], "m"))
     return Chart(title, *axes, tuple(drawn), f"Measured positions span {'; '.join(words)}.", equal=True)
-
-
-def typical_stops(readings: Mapping[str, Readings]) -> dict[str, int]:
-    """Return a row of each arm with joints near their medians; rows of one common stop if the arms share a stop."""
-    off = {name: np.linalg.norm(arm.q - np.median(arm.q, axis=0), axis=1) for name, arm in readings.items()}
-    common = set.intersection(*(set(arm.configuration.tolist()) for arm in readings.values()))
-    if not common:
-        return {name: int(np.argmin(values)) for name, values in off.items()}
-    row_of_stop = {
-        name: {stop: row for row, stop in enumerate(arm.configuration.tolist())} for name, arm in readings.items()
-    }
-    best = min(sorted(common), key=lambda stop: sum(float(off[name][row_of_stop[name][stop]]) for name in off))
-    return {name: row_of_stop[name][best] for name in readings}

@@ -19,7 +19,6 @@ from cellapp.cell.run.measurement_order import order_sentences
 from cellapp.commands.calibrate.charts_accuracy import (
     certainty_chart,
     error_histogram_chart,
-    joint_curve_charts,
     pair_held_out,
     pair_histogram_chart,
     pair_stop_chart,
@@ -56,7 +55,7 @@ from cellapp.commands.rehearse.view import log_section
 from cellapp.commands.report.before_after import best_method
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.headlines import warnings
-from cellapp.commands.report.scene import cell_maps, typical_stops
+from cellapp.commands.report.scene import cell_maps
 from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
 from cellapp.commands.stored_model import values_in_force
 from cellapp.commands.trials.power.result import power_parts, stored_power
@@ -186,8 +185,6 @@ _CHAIN_LENGTH = re.compile(r"[ad]\d")
 """Pattern of the names of a chain's lengths: a1, d1 and so on."""
 _MOST_EVENTS = 100
 """Newest events of the run's log that the report shows; the run file has all of them."""
-_MOST_CURVES = 3
-"""Most joints of an arm with a chart of all its effects, the most turned ones first."""
 SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...]]] = {
     "judgements": ("Errors against their tolerances", (CALIBRATE,)),
     "accuracy": ("Accuracy at configurations that were not used", (CALIBRATE,)),
@@ -397,30 +394,12 @@ def _check(data: ReportData) -> Section | None:
 
 
 def _discovery(data: ReportData) -> Section | None:
-    """Show the discovery, the model's uncertainty at held-out configurations, and its effects by joint."""
-    return (
-        None if data.discover is None else discovery_section(data.discover, data.profile.discovery, _model_charts(data))
-    )
-
-
-def _model_charts(data: ReportData) -> dict[str, tuple[list[Chart], list[Chart]]]:
-    """Return for each arm the charts of its model's uncertainty, if known, and of the joints that effects turn most."""
-    stops = typical_stops(data.readings)
-    charts = {}
-    for name, arm in data.model.arms.items():
-        prediction = data.held_out[name].prediction
-        curves = joint_curve_charts(name, arm, data.readings[name], data.conditions[name], stops[name])
-        charts[name] = (
-            [] if prediction is None else [certainty_chart(name, *prediction)],
-            _most_turned(list(curves)),
-        )
-    return charts
-
-
-def _most_turned(curves: list[Chart]) -> list[Chart]:
-    turned = [max(float(np.nanmax(np.abs(one.y), initial=0.0)) for one in curve.series) for curve in curves]
-    most = sorted(range(len(curves)), key=lambda at: -turned[at])[:_MOST_CURVES]
-    return [curves[at] for at in sorted(most)]
+    """Show the discovery, with the model's uncertainty at held-out configurations."""
+    if data.discover is None:
+        return None
+    predictions = {name: data.held_out[name].prediction for name in data.model.arms}
+    charts = {name: [] if one is None else [certainty_chart(name, *one)] for name, one in predictions.items()}
+    return discovery_section(data.discover, data.profile.discovery, charts)
 
 
 def _paths(data: ReportData) -> Section | None:

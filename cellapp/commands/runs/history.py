@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from cellapp.cell.driving.records import End
 from cellapp.cell.run.file import RunFile
@@ -20,104 +21,49 @@ from cellapp.commands.stages import RunStages, counted_basis, read_stages
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.asking import RUNS_NOW, who_uses
 from cellapp.ground.errors import CellappError, InputError
-from cellapp.ground.results import CALIBRATE, DISCOVER, STAGES, VERIFY, Stage, StageName, Verdict
+from cellapp.ground.results import CALIBRATE, DISCOVER, STAGES, VERIFY, Stage, StageName
 
-
-class _Part(BaseModel):
-    """A part of a stored result; keys that it does not name are passed over."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-
-P = TypeVar("P", bound=_Part)
-
-
-class _Mean(_Part):
-    mean: float | None
-
-
-class _Errors(_Part):
-    position_mm: _Mean
-
-
-class _Prior(_Part):
-    run: str
-
-
-class _CalibratedArm(_Part):
-    errors: Mapping[Stage, _Errors] = Field(default={}, alias="validate")
-    prior: _Prior | None = None
-
-
-class _Calibrated(_Part):
-    arms: Mapping[str, _CalibratedArm]
-
-
-class _Accepted(_Part):
-    effect: str
-
-
-class _SearchedArm(_CalibratedArm):
-    verdict: Verdict
-    accepted: tuple[_Accepted, ...]
-
-
-class _Searched(_Part):
-    arms: Mapping[str, _SearchedArm]
-
-
-class _VerifiedArm(_Part):
-    nominal_mm: _Mean
-    compensated_mm: _Mean
-
-
-class _Verified(_Part):
-    arms: Mapping[str, _VerifiedArm]
+T = TypeVar("T")
 
 
 def run_figures(stages: RunStages) -> tuple[dict[str, ArmFigures], dict[StageName, str]]:
     """Return the figures of each arm, and the unreadable stages with the reason."""
     unreadable: dict[StageName, str] = {}
 
-    def read(name: StageName, kind: type[P]) -> P | None:
+    def read(name: StageName, figures: Callable[[Any], T]) -> dict[str, T]:
         stage = stages.current.get(name)
         try:
-            return None if stage is None else kind.model_validate_json(stage.text)
-        except ValidationError:
+            return {} if stage is None else {key: figures(arm) for key, arm in json.loads(stage.text)["arms"].items()}
+        except (ValueError, LookupError, TypeError, AttributeError):
             unreadable[name] = UNREADABLE
-            return None
+            return {}
 
-    calibrated, searched, verified = read(CALIBRATE, _Calibrated), read(DISCOVER, _Searched), read(VERIFY, _Verified)
-    names = [*(calibrated.arms if calibrated else ()), *(verified.arms if verified else ())]
+    # older versions stored the error with effects in the calibration
+    calibrated = read(CALIBRATE, lambda arm: {**_means(arm), **({} if arm.get("prior") else {"effects": None})})
+    searched = read(DISCOVER, lambda arm: (_means(arm), arm["verdict"], [one["effect"] for one in arm["accepted"]]))
+    verified = read(VERIFY, lambda arm: _before_after(arm["nominal_mm"]["mean"], arm["compensated_mm"]["mean"]))
     figures = {}
-    for name in dict.fromkeys(names):
-        arm = calibrated.arms.get(name) if calibrated else None
-        found = searched.arms.get(name) if searched else None
-        reached = verified.arms.get(name) if verified else None
-        errors: dict[Stage, _Errors] = {} if arm is None else {**arm.errors}
-        if arm is None or arm.prior is None:
-            errors.pop("effects", None)  # older versions stored it in the calibration
-        if found is not None and DISCOVER not in stages.out_of_date:
-            errors |= found.errors
-        best = next((stage for stage in reversed(STAGES) if stage in errors), None)
+    for name in dict.fromkeys((*calibrated, *verified)):
+        found, verdict, effects = searched.get(name, ({}, None, []))
+        errors = {**calibrated.get(name, {}), **({} if DISCOVER in stages.out_of_date else found)}
+        best = next((stage for stage in reversed(STAGES) if errors.get(stage) is not None), None)
         figures[name] = ArmFigures(
             heldout_mm=None if best is None else _before_after(errors.get("geometry"), errors[best]),
             best_stage=best,
-            verdict=None if found is None else found.verdict,
-            effects=() if found is None else tuple(dict.fromkeys(effect.effect for effect in found.accepted)),
-            verified_mm=None if reached is None else _means(reached.nominal_mm, reached.compensated_mm),
+            verdict=verdict,
+            effects=tuple(dict.fromkeys(effects)),
+            verified_mm=verified.get(name),
         )
     return figures, unreadable
 
 
-def _before_after(geometry: _Errors | None, best: _Errors) -> BeforeAfter | None:
-    return None if geometry is None else _means(geometry.position_mm, best.position_mm)
+def _means(arm: Any) -> dict[Stage, float | None]:
+    """Return the mean held-out error [mm] of each stage of a stored arm."""
+    return {stage: errors["position_mm"]["mean"] for stage, errors in arm.get("validate", {}).items()}
 
 
-def _means(before: _Mean, after: _Mean) -> BeforeAfter | None:
-    if before.mean is None or after.mean is None:
-        return None
-    return BeforeAfter(before=before.mean, after=after.mean)
+def _before_after(before: float | None, after: float | None) -> BeforeAfter | None:
+    return None if before is None or after is None else BeforeAfter(before=before, after=after)
 
 
 DEFAULT_FOLDER = Path("logs")

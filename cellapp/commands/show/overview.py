@@ -18,7 +18,8 @@ from cellapp.ground.results import STAGE_NAMES
 def run_overview(run: RunFile) -> OverviewResult:
     """Return profile, arms, current stages, and the next command."""
     stages, arms = read_stages(run), arm_states(run)
-    verb, command = next_step(run, stages, arms)
+    complaints = complaints_of(run, stages)
+    verb, command = next_step(run, stages, arms, complaints)
     return OverviewResult(
         run=str(run.folder),
         profile=run.profile.name,
@@ -29,7 +30,7 @@ def run_overview(run: RunFile) -> OverviewResult:
         stale="" if stages.in_force is None else stages.stale_model(),
         next_verb=verb,
         next_step=command,
-        complaints=tuple(complaints_of(run, stages)),
+        complaints=tuple(complaints),
         not_seen_at_rest={
             name: UnseenArmState(since=arm.since, reason=arm.reason) for name, arm in unseen_arms(run).items()
         },

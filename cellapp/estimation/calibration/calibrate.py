@@ -470,13 +470,14 @@ class _Fitted:
 def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = False) -> _Fitted:
     """Identify one arm on its identify split; with ``robust``, use robust weights even if the profile asks for none."""
     identify_rows, validate_rows = readings.in_split("identify"), readings.in_split("validate")
-    if len(identify_rows) < 4 or len(validate_rows) < 1:
-        raise InputError(
-            f"arm '{name}': {counted(len(readings), 'reading leaves', 'readings leave')} {len(identify_rows)} to"
-            f" identify and {len(validate_rows)} to"
-            f" validate; at least 4 and 1 are needed to begin with: measure more configurations"
-        )
     arm, learn = profile.arms[name], readings.take(identify_rows)
+    different = len(np.unique(learn.q.round(6), axis=0))
+    if different < 4 or len(validate_rows) < 1:
+        raise InputError(
+            f"arm '{name}': {counted(len(readings), 'reading leaves', 'readings leave')}"
+            f" {counted(different, 'different configuration')} to identify and {len(validate_rows)} to validate; at"
+            " least 4 and 1 are needed to begin with: measure more configurations"
+        )
     nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
     refuse_odd_orientations(name, nominal, learn)
     its = measured_quantities(learn)
@@ -524,7 +525,7 @@ def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
     found, readings = arm.identification, fitted.readings
     notes = [left_out_note(name, arm)] if arm.left_out else []
     notes += [f"arm '{name}': {words}"] if (words := neighbours_words(readings)) else []
-    notes += [*_hardly_better(name, arm), *undetermined_offset(name, found)]
+    notes += [*_hardly_better(name, arm), *_carried(name, fitted), *undetermined_offset(name, found)]
     moved = station_change(smr_positions(fitted.nominal.with_T_M_B(np.eye(4)), readings.q), readings.p_M)
     if moved is not None:
         notes.append(
@@ -568,6 +569,22 @@ def _hardly_better(name: str, arm: ArmCalibration) -> list[str]:
         f"arm '{name}': the identified geometry is hardly better than the nominal one (mean held-out error"
         f" {found.mean:.3f} mm, nominal {nominal.mean:.3f} mm): look for readings in other units, swapped rows, another"
         " arm type or SMR offset, and too few readings, before you use this calibration"
+    ]
+
+
+def _carried(name: str, fitted: _Fitted) -> list[str]:
+    """Say how many parameters the readings determine, if there are few rows for them."""
+    found, learn = fitted.identification, fitted.readings.take(fitted.readings.in_split("identify"))
+    rows, names = len(np.unique(learn.q.round(6), axis=0)), found.estimated.names
+    if rows >= len(names):
+        return []
+    variances = np.diag(found.estimated_covariance)[: len(names)]
+    priors = np.array([found.prior_sigma.get(one, np.inf) for one in names]) ** 2
+    rest = counted(int(np.count_nonzero(variances > 0.5 * priors)), "rests", "rest")
+    return [
+        f"arm '{name}': {counted(rows, 'different row')} to learn {len(names)} parameters: they determine"
+        f" {len(found.parameter_set.names)} combinations, {rest} more on the prior than on the readings; measure more"
+        " configurations"
     ]
 
 

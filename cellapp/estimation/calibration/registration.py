@@ -150,6 +150,12 @@ _MOST_ROWS = 120
 """Maximum number of rows that are used; more cost time and tell no more about signs."""
 _EXPLAINED = 0.02
 """Largest residual, as a share of the points' spread, under the right convention; a wrong one leaves a third."""
+_COMPUTED_M = 5e-6
+"""Largest residual of points that a controller computed; real arms miss their published geometry by tenths of a mm."""
+COMPUTED = (
+    "computed, not measured, as no real arm is that exact: are these the controller's own positions? Give those of the"
+    " tracker"
+)
 _ALIKE = 1.2
 """Ratio of residuals up to which conventions are equal: the last joint's sign may not matter. The simplest is named."""
 _WORSE = 1.05
@@ -166,6 +172,11 @@ class Explained:
 
     rms_m: float
     spread_m: float
+
+    @property
+    def computed(self) -> bool:
+        """Whether it explains them better than any real arm: the points are computed with this geometry."""
+        return self.rms_m <= _COMPUTED_M
 
     @property
     def holds(self) -> bool:

@@ -30,7 +30,7 @@ _VARIANCES = [0, 3, 5]
 """Indices of the variances among the six numbers of an upper triangle."""
 _FURTHEST_M = 100.0
 """Largest plausible coordinate: no laser tracker measures beyond 80 m (Leica AT960); a larger one is not in metres."""
-_LEAST_SIGMA_M, _LARGEST_SIGMA_M = 1e-10, 1.0
+_LEAST_SIGMA_M, _LARGEST_SIGMA_M = 1e-10, 0.01
 """Range of standard uncertainties that instruments state for points [m]; beyond it their squares lose all meaning."""
 _UNIT_LENGTH, _ROUNDED = 1e-3, 1e-12
 """Tolerances of a quaternion's length about one: above the first (four digits) refused, above the second normalised."""
@@ -306,7 +306,7 @@ def _places(sequence: NDArray[Any]) -> Fault | None:
     return Fault(int(again[0]), 0, f"{sequence[again[0], 0]:g} is the place of another row of the arm already")
 
 
-_DEGREES_C = _within(-273.15, 1e3, "degC")
+_DEGREES_C = _within(-100.0, 200.0, "degC, not kelvin or Fahrenheit")
 
 CONFIGURATION = Column("configuration", "", ("configuration",), dtype=np.int64, required=True)
 """Number of the stop; with the arm it is the key of a reading."""

@@ -277,6 +277,10 @@ def joined(parts: Sequence[Readings]) -> Readings:
     return Readings(**values, other_q=_stacked(beside, [(len(part), others) for part in parts]))
 
 
+_FEWEST, _OTHER_JOINTS = 6, 0.01
+"""Least number of rows; difference of a joint [rad, deg] that moves the point. It may lie on the axis of the last."""
+
+
 def _stacked(arrays: Sequence[NDArray[Any] | None], shapes: Sequence[tuple[int, ...]]) -> NDArray[Any] | None:
     """Concatenate arrays, with NaN in place of missing ones; None if all are missing."""
     if all(array is None for array in arrays):
@@ -324,6 +328,8 @@ _SETTLED_M = 1e-8
 """Motion of an SMR in the last round [m]."""
 _FLAT = 1e-3
 """Ratio of the figure's width to its length below which the SMRs are on one line."""
+_EXCHANGED = 0.05
+"""Misfit, as a share of the figure, from which SMRs are exchanged; below it one of them was disturbed."""
 _OUTLYING, _LEAST_M = 8.0, 1e-6
 """Multiple of the median misfit, which counts at least as 1 µm, above which the figure does not fit a stop."""
 _USUAL_NOISE_M = 1e-5
@@ -331,6 +337,21 @@ _USUAL_NOISE_M = 1e-5
 
 Fault = tuple[int, str, str]
 """Row, column and text of a contradiction."""
+
+
+def lost_points(q: _Floats, p_M: _Floats) -> dict[int, str]:
+    """Return row -> what it holds, of rows without a point: trackers write zeros, or an earlier point, for a lost beam.
+
+    Fewer than ``_FEWEST`` rows do not show it, and units do not matter: ``q`` (n, N), ``p_M`` (n, 3).
+    """
+    lost, first = dict[int, str](), dict[tuple[float, ...], int]()
+    for row, point in enumerate(map(tuple, p_M.tolist() if len(q) >= _FEWEST else [])):
+        before = first.setdefault(point, row)
+        if not any(point):
+            lost[row] = "0, 0, 0"
+        elif np.abs(q[row, :-1] - q[before, :-1]).max(initial=0.0) > _OTHER_JOINTS:
+            lost[row] = f"{', '.join(f'{one:.10g}' for one in point)} again, at other joints than row {before + 1}"
+    return lost
 
 
 def smr_names(readings: Readings) -> tuple[str, ...]:
@@ -373,20 +394,24 @@ def one_pose_a_stop(readings: Readings) -> tuple[Readings, str, list[Fault]]:
         return readings, "", [*faults, (0, "smr", words)]
     misfit = np.full(len(stops), np.nan)
     misfit[turned] = _misfit(points_S, p_M[turned])
+    outlying, exchanged = _outlying(misfit), _EXCHANGED * float(np.abs(points_S).max())
     faults += [
         (
             int(first[stop]),
             "smr",
             f"the SMRs are off their places at other stops by {misfit[stop] * 1e3:.2f} mm: exchanged?",
         )
-        for stop in np.flatnonzero(_outlying(misfit)).tolist()
+        for stop in np.flatnonzero(outlying & (misfit > exchanged)).tolist()
     ]
     one = _means(readings, row, np.where(seen[:, 0], row[:, 0], first))
     one, sigma_rad = _with_poses(one, readings, points_S, row, p_M, turned)
-    kept = turned | seen[:, 0]
+    kept = (turned | seen[:, 0]) & ~outlying
     sentence = f"one position (that of SMR {names[0]}) and one rotation of SMRs {', '.join(names)}"
     sentence += f" at {np.count_nonzero(turned)} of {len(stops)} stops, to {1e3 * sigma_rad:.3f} mrad about the axis"
     sentence += f" known least; {counted(int(np.count_nonzero(~kept)), 'stop')} left out"
+    if outlying.any():
+        off = ", ".join(f"{stops[stop]} ({misfit[stop] * 1e3:.3f} mm)" for stop in np.flatnonzero(outlying).tolist())
+        sentence += f", of these for SMRs off their places at other stops, as if one was disturbed: {off}"
     return one.take(np.flatnonzero(kept)), sentence, faults
 
 

@@ -13,7 +13,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from pathlib import Path
 from types import MappingProxyType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
 
@@ -30,7 +29,6 @@ from cellapp.interfaces.cli.job import Job, require_none
 from cellapp.interfaces.page import draw_certificate, write_page
 
 if TYPE_CHECKING:
-    from cellapp.ground.outputs import Outputs
     from cellapp.ground.results import Result
 
 
@@ -152,17 +150,10 @@ def _work(job: Job, announce: Callable[[Result], None], *, allowed: bool) -> Wor
         job.outputs,
         write_page=write_page,
         certificate_page=draw_certificate,
-        screens=partial(_screens, job.outputs),
         announce=announce,
         say=job.say,
         choose=partial(_choose, job),
     )
-
-
-def _screens(outputs: Outputs, profile: Path, run: Path | None, folder: Path) -> list[Path]:
-    from cellapp.interfaces.tui.pictures import write_screens  # most commands draw none
-
-    return write_screens(profile, run, folder, outputs=outputs)
 
 
 def _choose(job: Job, question: str, answers: tuple[str, ...]) -> str:

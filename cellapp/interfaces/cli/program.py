@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -20,6 +21,7 @@ from cellapp.ground.signals import HANGUP, INTERRUPTS
 
 EXIT_UNEXPECTED = 1
 EXIT_INTERRUPTED = 4
+_WARNINGS = "PYTHONWARNINGS"
 _ERROR_LOG = "cellapp-error.log"
 _REPORT = "to report this: 'cellapp doctor PROFILE --bundle FILE.zip' packs what the authors need, without secrets"
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -32,13 +34,23 @@ def run_program(app: Callable[[], object]) -> None:
     With ``--json -``, an error is also written to standard output as an object, unless the command has written its
     result.
     """
+    shown, warnings.showwarning = warnings.showwarning, _unseen  # those of libraries are for who writes programs
+    before = os.environ.get(_WARNINGS)
+    os.environ[_WARNINGS] = before or "ignore"  # of worker processes
     handlers = {number: signal.signal(number, _stop_before_job) for number in (*INTERRUPTS, *HANGUP)}
     try:
         with _errors_as_json(sys.argv[1:]):
             _ended(app)
     finally:
+        warnings.showwarning = shown
+        if before is None:
+            del os.environ[_WARNINGS]
         for number, handler in handlers.items():
             signal.signal(number, handler)
+
+
+def _unseen(*_: object, **__: object) -> None:
+    """Show no warning of numpy or another library: what a person must know, a message says."""
 
 
 def end_with(error: BaseException) -> None:

@@ -60,7 +60,7 @@ from cellapp.interfaces.python.printed import Charted, Printed
 from cellapp.robot.effects import MeasurementConditions, TemperatureRecord
 from cellapp.robot.kinematics.transforms import Array, apply
 from cellapp.robot.model import ArmModel, CellModel
-from cellapp.robot.model.arguments import configurations, of_arm, require_radians
+from cellapp.robot.model.arguments import configurations, of_arm, require_radians, too_heavy
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -203,6 +203,7 @@ def stated_conditions(
             raise InputError(f"arm {arm}: no condition is called '{name}'; known are {', '.join(known)}{hint}")
         field, of_joints = _FIELDS[name]
         fields[field] = _values(f"arm {arm}: {name}", value, q.shape if of_joints else q.shape[:1])
+        _check_as_readings(f"arm {arm}: {name}", name, fields[field])
     conditions = MeasurementConditions(**fields, record=record if "time_s" in given else None)
     if _OTHER not in given:
         return conditions
@@ -211,6 +212,17 @@ def stated_conditions(
     other_q = np.atleast_2d(_values(f"arm {arm}: {_OTHER}", given[_OTHER], None))
     at = configurations(other_q, other.geometry.joints, f"beside {arm}")
     return beside(conditions, other, np.broadcast_to(at, (len(q), at.shape[1])), None)
+
+
+def _check_as_readings(where: str, name: str, values: Array) -> None:
+    """Refuse what an import of readings refuses, with its words."""
+    column = next(one for one in COLUMNS if one.name == name)
+    matrix = column.matrix(values)
+    wrong = matrix[~np.isnan(matrix) & ~np.isin(matrix, column.allowed)] if column.allowed else matrix[:0, 0]
+    if len(wrong):
+        raise InputError(f"{where}: expected {column.expected}, got {wrong[0]:g}")
+    if column.check is not None and (fault := column.check(matrix)) is not None:
+        raise InputError(f"{where}: {fault.text}")
 
 
 def _values(where: str, value: Any, shape: tuple[int, ...] | None) -> Array:
@@ -283,6 +295,11 @@ class Fitted(Charted):
         require_radians(at, arm)
         others = [other for name, other in self.model.arms.items() if name != arm]
         record = self._conditions[arm].record
+        if (row := too_heavy(np.atleast_1d(given.get("payload_kg", 0.0)), model.bodies.masses)) is not None:
+            raise InputError(
+                f"arm {arm}: payload_kg: expected at most the arm's own mass, {model.bodies.masses.sum():.3g} kg, got"
+                f" {np.atleast_1d(given['payload_kg'])[row]:g}"
+            )
         return model, at, stated_conditions(at, given, arm, others[0] if len(others) == 1 else None, record)
 
     @cached_property

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Parts
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.render.notebook import html_view
+from cellapp.interfaces.page.notebook import html_view
 from cellapp.interfaces.render.terminal import plain_text
 
 if TYPE_CHECKING:
-    from cellapp.interfaces.render.notebook import Drawing
+    from cellapp.interfaces.page.notebook import Drawing
 
 _LONGEST = 190
 """Longest ``repr`` [characters]: one line of a wide screen or two of a narrow one."""
@@ -60,7 +60,7 @@ class Charted(Printed):
         InputError
             If there are no charts of that name.
         """
-        from cellapp.interfaces.render.notebook import draw_charts
+        from cellapp.interfaces.page.notebook import draw_charts
 
         known = self.charts()
         if what and what not in known:

@@ -134,3 +134,32 @@ def _hayati_row(row: Array, published: Array) -> tuple[Array, float, float]:
     left = (rotation_z(theta_new) @ rotation_x(alpha_new) @ rotation_y(beta)).T @ rotation_z(theta) @ rotation_x(alpha)
     turned = np.array([theta_new, published[1], sign * math.hypot(x, y), alpha_new, beta])
     return turned, math.atan2(left[1, 0], left[0, 0]), float(shift)
+
+
+def plain_rows_of(origins: Array, published: Array) -> Array:
+    """Return the plain rows (N, 4) of an arm from its joints' origins (N, 4, 4) in the frames of the links before.
+
+    Each origin is ``rot_z(turn) trans(0, 0, shift) trans(a, 0, 0) rot_x(alpha) trans(0, 0, d) rot_z(theta)``: a and
+    alpha are those of the row before, to which turn and shift belong, too. Of the two directions of a common normal,
+    that of the ``published`` rows (N, 4) is chosen. What stands before the first joint belongs to the base.
+    """
+    rows = np.zeros((len(origins) + 1, 4))
+    before = np.vstack([np.zeros(4), published])
+    for joint, origin in enumerate(origins):
+        R, p, a, twist = origin[:3, :3], origin[:3, 3], before[joint, 2], before[joint, 3]
+        for sign in (1.0, -1.0):
+            sine = sign * math.hypot(R[0, 2], R[1, 2])
+            if abs(sine) < _PARALLEL:
+                turn = math.atan2(sign * p[1], sign * p[0]) if math.hypot(p[0], p[1]) > _SAME_ROWS else 0.0
+                theta, d, alpha = math.atan2(R[1, 0], R[0, 0]) - turn, p[2], 0.0
+            else:
+                turn, theta = math.atan2(R[0, 2] / sine, -R[1, 2] / sine), math.atan2(R[2, 0] / sine, R[2, 1] / sine)
+                alpha = math.atan2(sine, R[2, 2])
+                d = (math.sin(turn) * p[0] - math.cos(turn) * p[1]) / sine
+            length = math.cos(turn) * p[0] + math.sin(turn) * p[1]
+            if (length * a if abs(a) > _SAME_ROWS else alpha * twist) >= 0.0:
+                break
+        rows[joint] += [turn, p[2] - d * math.cos(alpha), length, alpha]
+        rows[joint + 1, :2] += [theta, d]
+    rows[1:, 0] -= 2.0 * math.pi * np.rint((rows[1:, 0] - published[:, 0]) / (2.0 * math.pi))
+    return rows[1:]

@@ -75,9 +75,21 @@ def configurations(q: ArrayLike, joints: int, arm: str = "") -> Array:
 
 
 def require_radians(q: Array, arm: str) -> None:
-    """Raise ``InputError`` if most rows of ``q`` (n, N) are beyond two turns, so that they seem to be in degrees."""
+    """Raise ``InputError`` if ``q`` (n, N) is not finite, or if most rows are beyond two turns: in degrees."""
+    if not np.isfinite(q).all():
+        row, joint = np.argwhere(~np.isfinite(q))[0].tolist()
+        raise InputError(f"arm {arm}: q[{row}, {joint}] is {q[row, joint]:g}; expected a finite number [rad]")
     if (place := first_in_degrees(q)) is not None:
         raise InputError(
             f"arm {arm}: q reaches {q[place]:g} and most rows are beyond two turns; expected radians."
             " np.radians(q) converts degrees"
         )
+
+
+def too_heavy(payload_kg: Array, masses: Array) -> int | None:
+    """Return the first row whose payload (n,) is heavier than the arm, the sum of its ``masses`` [kg]: none lifts that.
+
+    None if there is no such row, or the masses are not known.
+    """
+    wrong = np.flatnonzero((payload_kg > np.sum(masses)) & (np.sum(masses) > 0.0))
+    return int(wrong[0]) if len(wrong) else None

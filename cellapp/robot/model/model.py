@@ -741,14 +741,6 @@ class PosteriorDraws:
         moved += np.einsum("snj,cjn->snc", joints, by_joint, optimize=True)
         return np.asarray(by_geometry), moved
 
-    def joint_offsets(self, terms: Sequence[EffectTerm], context: EffectContext) -> Array:
-        """Compute deviations (T, S, n, N) [rad] of the joint offsets by each of the T terms."""
-        joints = np.zeros((len(terms), len(self.geometry), *context.q.shape))
-        moved = np.zeros((*joints.shape[1:3], 3))  # shifts of the SMR are not needed
-        for own, term, drawn in zip(joints, terms, self.terms, strict=True):
-            _add(own, moved, _columns(term, context), drawn)
-        return joints
-
 
 def _columns(term: EffectTerm, context: EffectContext) -> list[EffectColumn]:
     """Return the columns of a term in the order of its parameters."""

@@ -162,6 +162,14 @@ def test_errors_of_an_arm_type_file(twin: Path, old: str, new: str, says: str) -
     assert says in message
 
 
+def test_a_key_of_another_program_in_every_row_is_told_once(twin: Path) -> None:
+    ur10 = twin.parent / "arms" / "ur10.yaml"
+    ur10.write_text(ur10.read_text("utf-8").replace("- {d:", "- {offset: 0.0, d:"), "utf-8")
+    message = refusal(twin)
+    assert "\n" not in message
+    assert message.endswith("joints[0].offset: unknown key; did you mean 'theta'?")
+
+
 def test_joint_count_of_another_arm_type(twin: Path) -> None:
     ur5 = twin.parent / "arms" / "ur5.yaml"
     text = ur5.read_text("utf-8")

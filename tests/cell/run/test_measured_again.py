@@ -17,7 +17,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.run import Outcome, RunFile, import_csv, read_readings_csv, write_readings_csv
+from cellapp.cell.run import Outcome, RunFile, write_readings_csv
 from cellapp.cell.run.csv_import import WhichSmr
 from cellapp.cell.run.measured_again import earlier_readings, replace_stop, replaced_counts
 from cellapp.cell.run.measurement_order import in_measured_order
@@ -29,7 +29,16 @@ from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
 from cellapp.robot.kinematics.transforms import rotation_vectors
-from tests.cell.run.small_runs import Rows, add_stop, assert_same, planned_run, two_arms, written
+from tests.cell.run.small_runs import (
+    Rows,
+    add_stop,
+    assert_same,
+    import_csv,
+    planned_run,
+    read_readings_csv,
+    two_arms,
+    written,
+)
 from tests.commands.quiet_work import quiet_work
 from tests.twin import PROFILES, small_twin
 
@@ -197,7 +206,11 @@ def test_export_then_import_gives_the_same_readings_with_and_without_the_flag(
 ) -> None:
     folder = tmp_path_factory.mktemp("order")
     stops = data.draw(st.permutations(range(len(q))))
-    write(folder / "in.csv", HEADER, *(f"{stop},left,{a!r},{b!r},1,2,3" for stop, (a, b) in zip(stops, q.tolist())))
+    write(
+        folder / "in.csv",
+        HEADER,
+        *(f"{stop},left,{a!r},{b!r},1,2,{stop + 3}" for stop, (a, b) in zip(stops, q.tolist())),
+    )
     profile = two_arms()
     profile = profile.model_copy(update={"arms": {"left": profile.arms["left"]}})
     with import_csv(profile, folder / "in.csv", folder / "run", in_order=True) as run:

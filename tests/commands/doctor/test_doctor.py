@@ -17,7 +17,6 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.examination import LONGEST_PROBE_S, examine
 from cellapp.cell.profile import load_profile
 from cellapp.commands.doctor.result import DoctorResult
-from cellapp.commands.doctor.result import Finding as ResultFinding
 from cellapp.commands.doctor.run import _end_left_programs, examine_run
 from cellapp.commands.emulate import EmulatedArm, emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
@@ -318,8 +317,13 @@ def test_a_program_that_a_cellapp_left_is_ended_after_one_question(
     asked, ended = list[str](), list[UrSettings]()
     monkeypatch.setattr(UrSettings, "left_program", lambda self: "another cellapp, on vm, run night")
     monkeypatch.setattr(UrSettings, "end_program", lambda self: ended.append(self))
-    work = replace(quiet_work(), choose=lambda words, answers: asked.append(words) or answer)
-    found = DoctorResult(findings=(ResultFinding(subject="arm left: program", status="failed", text="it runs"),))
+
+    def choose(words: str, answers: object) -> str:
+        asked.append(words)
+        return answer
+
+    work = replace(quiet_work(), choose=choose)
+    found = DoctorResult(findings=(Finding(subject="arm left: program", status="failed", text="it runs"),))
     assert _end_left_programs(real, found, work) is (answer == "yes")
     (words,) = asked
     assert words.startswith("arm left: a program of another cellapp, on vm, run night, runs on its controller.")

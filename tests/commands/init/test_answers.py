@@ -12,10 +12,10 @@ import yaml
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import SurveyPoint
-from cellapp.cell.run import import_csv
+from cellapp.cell.run.recorded_csv import nobody
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.init.answers import surveyed_base, write_answers
-from cellapp.commands.init.own_data import OwnData, nobody, write_own_data
+from cellapp.commands.init.own_data import OwnData, write_own_data
 from cellapp.commands.init.run import InitResult, view
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose
@@ -23,6 +23,7 @@ from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_from_vector, transform
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 from tests.arms import UR5, UR10
+from tests.cell.run.small_runs import import_csv
 from tests.twin import PROFILES
 
 ANSWERS = """\
@@ -149,7 +150,8 @@ def simulated(rows: Array, n: int = 60, seed: int = 1) -> tuple[Array, Array]:
     rng = np.random.default_rng(seed)
     T_M_B = transform(rotation_from_vector(rng.normal(size=3)), rng.uniform(-2.0, 2.0, 3))
     q = rng.uniform(-2.5, 2.5, (n, len(rows)))
-    return q, smr_positions(nominal_geometry(rows, np.array([0.01, 0.02, 0.08]), T_M_B), q)
+    p_M = smr_positions(nominal_geometry(rows, np.array([0.01, 0.02, 0.08]), T_M_B), q)
+    return q, p_M + rng.normal(0.0, 1e-5, p_M.shape)
 
 
 def table(path: Path, q: Array, p: Array, names: str = "", separator: str = ",", comma: str = ".") -> Path:
@@ -270,7 +272,7 @@ def test_real_readings_of_both_arms_keep_their_names_and_splits(tmp_path: Path) 
 
 def test_joint_positions_of_a_motion_give_a_profile_for_recordings(tmp_path: Path) -> None:
     file = tmp_path / "joints.csv"
-    file.write_text("time_s,q1,q2,q3,q4,q5,q6\n0.0,0,0,0,0,0,0\n")
+    file.write_text("time_s,q1,q2,q3,q4,q5,q6\n" + "0.0,0,0,0,0,0,0\n" * 3)
     with pytest.raises(InputError, match="which arm"):
         write_own_data(OwnData(file), tmp_path)
     written = write_own_data(OwnData(file, arm="ur5"), tmp_path)

@@ -30,12 +30,14 @@ from drivers.arms.protocol import (
     ProtectiveStop,
     WrongRobot,
 )
+from drivers.arms.settings import ArmContext
 from drivers.arms.ur import UrArm
-from drivers.arms.ur_links import stop_program
+from drivers.arms.ur_links import RTDE_PORT, Connection, stop_program
 from drivers.arms.ur_motion import MAX_SPEED, Kicks, leading_rates
-from drivers.arms.ur_rtde_reader import wait_at_rest
+from drivers.arms.ur_rtde_reader import inputs_taken, wait_at_rest
 from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import EmulatorProcess, start_in_process
+from drivers.patience import Patience
 from tests.at_once import in_parallel
 from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
@@ -60,7 +62,7 @@ from tests.drivers.arms.emulated_ur_cell import (
 )
 from tests.latency import attempts
 from tests.loopback import own_address, own_arms
-from tests.waiting import until, within
+from tests.waiting import WAIT_S, until, within
 
 pytestmark = pytest.mark.waits
 
@@ -215,6 +217,18 @@ def test_a_program_of_another_client_is_left_alone(unconnected: EmulatorProcess)
         assert unconnected.control("left", "status")["runtime_state"] == "PLAYING"
     stop_program(HOSTS["left"], 1.0)
     until(lambda: unconnected.control("left", "status")["runtime_state"] == "STOPPED", "it has stopped")
+
+
+def test_inputs_that_another_client_holds_are_told(unconnected: EmulatorProcess) -> None:
+    host, patience, found = HOSTS["left"], Patience(WAIT_S), {}
+    limits = JointLimits(np.tile([-6.0, 6.0], (6, 1)), np.full(6, 2.0), np.full(6, 2.0))
+    arm = ArmContext("left", "UR10", 6, limits, 0.35, np.zeros(3))
+    for holds in (True, False):
+        with Connection.to(host, RTDE_PORT, patience) as link:
+            assert not holds or not inputs_taken(link, patience)
+            findings = UrSettings(host=host).probe(arm, WAIT_S)
+        found[holds] = next(one.status for one in findings if one.subject == "RTDE inputs")
+    assert found == {True: "failed", False: "ok"}
 
 
 def test_of_two_that_begin_together_one_is_refused_and_stops_nothing(unconnected: EmulatorProcess) -> None:

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import import_csv
 from cellapp.commands.calibrate.result import arm_result
 from cellapp.commands.calibrate.run import draw_missing_splits
 from cellapp.estimation.calibration.calibrate import (
@@ -35,6 +34,7 @@ from cellapp.estimation.readings.readings import FIRST_SAMPLE
 from cellapp.ground.grouping import grouped
 from cellapp.ground.results import ErrorSummary
 from cellapp.robot.kinematics.chain import smr_positions
+from tests.cell.run.small_runs import import_csv
 from tests.evidence import coverage, parameter_sets
 from tests.evidence.gross_errors import disturbed
 from tests.evidence.shared.series import Entrant, load_entrant

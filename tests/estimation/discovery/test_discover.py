@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.cell import build_plant, plant_arm
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import RunFile, import_csv
+from cellapp.cell.run import RunFile
 from cellapp.cell.targets.invert import invert
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_result
@@ -38,6 +38,7 @@ from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import suggest
 from tests.arms import true_geometry
+from tests.cell.run.small_runs import import_csv
 from tests.estimation.discovery.problems import calibrated_and_searched
 from tests.evidence.shared.series import draw_rows, load_entrant
 from tests.series import twin

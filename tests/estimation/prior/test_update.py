@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import RunFile, import_csv
+from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences
@@ -32,6 +32,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_vectors
+from tests.cell.run.small_runs import import_csv
 from tests.estimation.prior.conftest import ELSEWHERE, SimulatedArm, earlier_of
 
 TOOL = np.array([-0.03, 0.05, 0.11])

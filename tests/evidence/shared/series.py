@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import read_readings_csv
 from cellapp.cell.run.csv_import import joint_limits
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
+from tests.cell.run.small_runs import read_readings_csv
 from tests.evidence.skeleton import ROOT
 
 Rows = int | str

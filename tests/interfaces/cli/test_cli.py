@@ -107,6 +107,18 @@ def shell(*arguments: object, cwd: Path) -> Ended:
     return Ended(done.returncode, done.stdout, done.stderr)
 
 
+def test_no_warning_of_a_library_reaches_a_user() -> None:
+    """Neither of this process nor of one that it starts; a warning of numpy says nothing to a person at a robot."""
+    warn = "import numpy; numpy.log(numpy.zeros(1))"
+    code = (
+        "import subprocess, sys; from cellapp.interfaces.cli.program import run_program;"
+        f"run_program(lambda: (exec({warn!r}), subprocess.run([sys.executable, '-c', {warn!r}])))"
+    )
+    env = {key: value for key, value in os.environ.items() if key != "PYTHONWARNINGS"} | {"PYTHONPATH": str(ROOT)}
+    ended = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+    assert ended.stderr == ""
+
+
 REPORT = (
     "cellapp: to report this: 'cellapp doctor PROFILE --bundle FILE.zip' packs what the authors need, without secrets"
 )

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import controller_file_text
 from cellapp.cell.run import RunFile
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.plain_dh import plain_geometry
+from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import OFF_AXIS, UR5, UR10, Array, at_station, true_geometry
 from tests.cell.programs.plain_controller import forward
 from tests.interfaces.cli.test_cli import call, exit_code, one_sentence  # noqa: F401 - a fixture
@@ -106,6 +108,14 @@ def test_the_factory_file_of_another_arm(call: Any, monkeypatch: pytest.MonkeyPa
     said += call("calibrate", "mine", "--json", "-").json["notes"]
     assert "explains the points worse" not in " ".join(said)
     assert exit_code(monkeypatch, "correct", "mine", "a.script", "--out", "b.script") == 0
+    rows = []
+    for form, file in (("ur-calibration", "its.conf"), ("ur-description", "default_kinematics.yaml")):
+        call("export", "mine", "--as", form, "--out", f"profiles/exported-{file}")
+        profile.write_text(plain.replace("ur5.yaml", f"ur5.yaml\n    factory: exported-{file}"), "utf-8")
+        rows.append(nominal_arm(load_profile(profile).arms["robot"]).rows)
+    for own in rows:
+        own[-1, 2:4] = 0.0  # behind the last joint: a description has its origin alone
+    np.testing.assert_allclose(rows[1], rows[0], atol=2e-9)
 
 
 def test_the_posture_is_the_one_that_was_measured(call: Any) -> None:  # noqa: F811

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 
 import cellapp
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run import RunFile, import_csv
+from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.export.run import export_run
@@ -43,6 +43,7 @@ from cellapp.interfaces.cli.program import wants_json
 from cellapp.interfaces.page.page import page_text
 from cellapp.interfaces.tui.workspace import load_workspace
 from drivers.findings import Finding
+from tests.cell.run.small_runs import import_csv
 from tests.interfaces.cli.test_cli import call, exit_code  # noqa: F401 - a fixture
 from tests.interfaces.page.cases import calibration
 from tests.interfaces.page.parsed_page import NOON

@@ -42,7 +42,6 @@ from cellapp.commands.export.run import calibrated_arms
 from cellapp.commands.plan.view import plan_section
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.result import read_results
-from cellapp.commands.report.sections import report_sections
 from cellapp.commands.report.view import all_tables
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
 from cellapp.commands.view.charts import Chart
@@ -114,12 +113,9 @@ def test_is_well_formed(whole: RunFile, whole_page: Page) -> None:
     certainties = sum(arm.uncertainty_mm is not None for arm in found.arms.values())
     plan = plan_section(whole)
     assert plan is not None
-    (found_section,) = (one for one in report_sections(whole, read_report_data(whole)) if one.key == "discovery")
-    curves = sum(len(one.parts) for one in sections_in(found_section) if one.title == "What effects turn joints by")
-    assert curves
-    # errors, histogram, run, three of vectors, targets, their uncertainty, steps, effects and joints of each arm;
+    # errors, histogram, run, three of vectors, targets, their uncertainty, steps and effects of each arm;
     # stated bounds; two of the pair; two maps of the cell
-    drawn = 23 + curves + len(pictures) + certainties + len(charts_of(plan))
+    drawn = 23 + len(pictures) + certainties + len(charts_of(plan))
     assert drawn_figures(whole_page) == drawn
     assert drawn <= 60
 

@@ -277,6 +277,15 @@ def test_too_few_readings_are_refused_with_their_number(cell: cellapp.Cell) -> N
     few = {name: {key: values[:3] for key, values in arm().items()} for name in ("left", "right")}
     with pytest.raises(cellapp.InputError, match=r"arm 'left': 3 readings leave .* measure more configurations"):
         cell.calibrate(few)
+    same = {name: {key: np.repeat(values[:1], 80, axis=0) for key, values in its.items()} for name, its in few.items()}
+    with pytest.raises(cellapp.InputError, match="1 different configuration to identify"):
+        cell.calibrate(same)
+    for key, value, words in (
+        ("payload_kg", 300.0, "own mass"),
+        ("sigma_m", 0.02, "expected 1e-10 to 0.01 m, got 0.02"),
+    ):
+        with pytest.raises(cellapp.InputError, match=words):
+            cell.readings({name: {**arm(), key: value} for name in ("left", "right")})
 
 
 @pytest.mark.parametrize(
@@ -285,6 +294,9 @@ def test_too_few_readings_are_refused_with_their_number(cell: cellapp.Cell) -> N
         ({"payload": 2.0}, "arm left: no condition is called 'payload'; known are .*; did you mean 'payload_kg'\\?"),
         ({"payload_kg": [1.0, 2.0]}, r"arm left: payload_kg: expected shape \(4,\) or one number for all"),
         ({"approach": np.ones(3)}, r"arm left: approach: expected shape \(4, 6\) or one number for all"),
+        ({"approach": 2.0}, "approach: expected -1, 0 \\(unknown\\) or 1, got 2"),
+        ({"payload_kg": 300.0}, "payload_kg: expected at most the arm's own mass, .* kg, got 300"),
+        ({"temperature_c": 293.0}, "temperature_c: expected -100 to 200 degC, not kelvin"),
         ({"other_q": np.zeros(5)}, r"arm beside left: q has shape \(1, 5\), expected \(n, 6\)"),
     ],
 )
@@ -292,6 +304,8 @@ def test_mistaken_conditions_are_explained(finished_run: Path, given: dict[str, 
     fit = cellapp.open_run(finished_run).calibration
     with pytest.raises(cellapp.InputError, match=message):
         fit.predict("left", np.zeros((4, 6)), **given)
+    with pytest.raises(cellapp.InputError, match=r"q\[0, 0\] is nan; expected a finite number"):
+        fit.uncertainty("left", np.full((1, 6), np.nan))
 
 
 @pytest.mark.parametrize(

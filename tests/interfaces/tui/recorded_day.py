@@ -28,8 +28,8 @@ from cellapp.ground.progress import Listener, PointMeasured, Progress
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.jobs import Ask, Job
-from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens import SCREENS
+from tests.handbook.screen_pictures import settle
 from tests.interfaces.tui.pilot import PROFILES, SIZES, shown_text, turned_to, until
 
 JOB_S = 120.0

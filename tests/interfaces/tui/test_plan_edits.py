@@ -18,8 +18,8 @@ from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.verb_question import NewRunQuestion, VerbQuestion
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.widgets.charts_view import ChartsView
-from cellapp.interfaces.tui.widgets.plan_tables import PairsTable, StopsTable
-from tests.interfaces.tui.pilot import SMALL, ended, tells, until
+from cellapp.interfaces.tui.widgets.stops_table import StopsTable
+from tests.interfaces.tui.pilot import SMALL, ended, shown_text, tells, until
 from tests.twin import small_twin, write_profile
 
 RUN = Path("run")
@@ -131,9 +131,8 @@ async def test_a_table_is_written_checked_by_line_and_becomes_a_run() -> None:
         await pilot.press("o")
         await fill(pilot, app, FilePicker, "#path", "broken.csv")
         await ended(pilot, app)
-        refusals = app.day_screen.query_one("#refusals", PairsTable)
-        await until(pilot, lambda: "broken.csv: Not safe" in refusals.selected_text, "the verdict")
-        assert str(refusals.get_row_at(1)[1]).startswith("broken.csv:")
+        await until(pilot, lambda: "broken.csv: Not safe" in shown_text(app), "the verdict")
+        assert "broken.csv:4: configuration" in shown_text(app)
         await pilot.press("o")
         await fill(pilot, app, FilePicker, "#path", "plan.csv")
         await until(pilot, lambda: isinstance(app.screen, Choice), "what to do with it")

@@ -27,7 +27,6 @@ from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.job_record import MOST_LINES, JobRecord
 from cellapp.interfaces.tui.keys import with_keys
-from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.run_state import SIGNS, marks_of
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.collect import CollectScreen
@@ -35,6 +34,7 @@ from cellapp.interfaces.tui.widgets.tables import TablesView
 from cellapp.interfaces.tui.workspace import Workspace, load_workspace
 from tests.cell.run.small_runs import planned_run
 from tests.handbook.declarations import with_declarations
+from tests.handbook.screen_pictures import settle
 from tests.interfaces.tui.pilot import PROFILES, WAIT_S, HeldJob, ended, opened, shown_text, until
 from tests.interfaces.tui.states import (
     RUN,

@@ -24,8 +24,8 @@ from textual.pilot import Pilot
 from textual.widgets import DataTable, TabbedContent, TabPane
 
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens import SCREENS
+from tests.handbook.screen_pictures import settle
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, WAIT_S, opened, shown_text, shows, until
 from tests.interfaces.tui.recorded_day import Recorder, main
 

@@ -24,9 +24,9 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.offers import WRITE
-from cellapp.interfaces.tui.pictures import settle
 from cellapp.interfaces.tui.screens.calibrate import ExportArms
 from tests.commands.test_show import VERB, ToyRequest
+from tests.handbook.screen_pictures import settle
 from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, log_text, opened, shown_text, until
 
 GIVEN = {"folder": Path("day"), "program": Path("old.script")}

@@ -14,7 +14,6 @@ from textual import on
 from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.containers import Horizontal
 from textual.message import Message
 from textual.widgets import Static, TabbedContent, TabPane
 from textual.worker import get_current_worker
@@ -153,10 +152,6 @@ _NOT_TESTED = (
     f"Nothing was tested yet. {SHOWN['measure']} measures by ISO 9283: pose accuracy, repeatability, and more."
 )
 _NO_CERTIFICATE = f"No certificate was written yet. {SHOWN['export']} writes it."
-_MEASURED: tuple[StageName, ...] = (CHECK, ISO9283)
-"""Stages that are also shown below the verdict in a tall terminal."""
-_TALL = 50
-"""Smallest number of lines of a tall terminal."""
 _READING = "reading the run ..."
 _NOMINAL = "Tests by ISO 9283 with nominal commands need no calibration."
 _UNREADABLE = "The run cannot be judged; the message line says what is wrong with it."
@@ -209,12 +204,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
     AcceptScreen #outdated { text-style: bold; }
     AcceptScreen PartsView { overflow-x: auto; }
     AcceptScreen PartsView .table { min-width: 110; }
-    AcceptScreen #measured { display: none; height: 1fr; border-top: solid $primary; }
-    AcceptScreen.-wide.-tall #measured { display: block; }
-    AcceptScreen.-wide.-tall #verdict-tables { height: auto; max-height: 60%; }
-    AcceptScreen #measured PartsView { width: 1fr; padding-right: 2; }
     """
-    VERTICAL_BREAKPOINTS = [(0, "-low"), (_TALL, "-tall")]  # noqa: RUF012 - as Textual declares it
 
     def __init__(self) -> None:
         super().__init__()
@@ -227,15 +217,12 @@ The check and the tests ask first, and real arms ask again with the first path. 
             with TabPane("Verdict", id="verdict-pane"):
                 yield VerdictBars(id="verdict-bars")
                 yield WrappedTables(_NOT_JUDGED, id="verdict-tables")
-                with Horizontal(id="measured"):
-                    for stage in _MEASURED:
-                        yield PartsView(classes=f"{stage}-tables")
             with TabPane("Check", id="check-pane"):
-                yield PartsView(id="check-tables", classes="check-tables")
+                yield PartsView(id="check-tables")
             with TabPane("ISO 9283", id="iso9283-pane"):
-                yield PartsView(id="iso9283-tables", classes="iso9283-tables")
+                yield PartsView(id="iso9283-tables")
             with TabPane("Certificate", id="certificate-pane"):
-                yield PartsView(id="certificate-tables", classes="certificate-tables")
+                yield PartsView(id="certificate-tables")
 
     # -- keys ----------------------------------------------------------------------------------------------------------
 
@@ -278,8 +265,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
             needs = state.no_run if place == "certificate" else state.not_calibrated if place == "check" else ""
             busy = state.nothing(self.STEP, "") if state.job is not None and state.job.step == self.STEP else ""
             locked = COPY_IT if state.read_only else ""
-            for view in self.query(f".{place}-tables").results(TablesView):
-                view.say_empty(busy or needs or locked or empty)
+            self.query_one(f"#{place}-tables", PartsView).say_empty(busy or needs or locked or empty)
         if state.no_run:
             self._draw_verdict(None, state.no_run)
         elif state.not_calibrated:
@@ -343,8 +329,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
 
     def _draw_stage(self, stage: StageName, again: str, parts: Parts) -> None:
         """Draw a result, below a mark if it is out of date."""
-        for view in self.query(f".{stage}-tables").results(PartsView):
-            view.show_parts(parts, self._outdated(stage, again))
+        self.query_one(f"#{stage}-tables", PartsView).show_parts(parts, self._outdated(stage, again))
 
     def _outdated(self, stage: StageName, again: str) -> list[str]:
         """Return the mark of a result that is out of date; empty if it is valid."""

@@ -14,7 +14,6 @@ from textual import on
 from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widget import Widget
 from textual.widgets import Input, OptionList, TabbedContent, TabPane
@@ -43,10 +42,10 @@ from cellapp.interfaces.tui.dialogs.question import Answer, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.offers import WRITE, offer_again
-from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.tables import TablesView, show_next_of, show_next_tab
+from cellapp.interfaces.tui.widgets.charts_view import PartsView
+from cellapp.interfaces.tui.widgets.tables import TablesView, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 
@@ -107,9 +106,6 @@ class ExportArms(VerbQuestion):
             super().action_answer(value)
 
 
-_PLOTS = ("stages", "errors")
-
-
 class DataRead(Message):
     """The readings and models of a workspace's run were read; None if there is nothing to draw."""
 
@@ -142,15 +138,13 @@ tables; chapter *exports*.
         bind("go", "begin", "Calibrate", "identify and evaluate; nothing moves"),
         bind("import", "begin_with_prior", "With prior", "calibrate with an earlier run as prior", show=False),
         bind("add", "begin_in_batches", "All readings", "calibrate with a network from all readings", show=False),
-        bind("arm", "other_arm", "Other arm", "show the plots of the other arm"),
-        bind("plots", "plots", "Plots", "show the plots; again: the next one"),
+        bind("plots", "plots", "Plots", "show the errors as charts"),
         bind("tab", "next_tab", "Next tab"),
         bind("export", "export", "Export", "write the calibrated arms for other programs"),
     ]
 
     def __init__(self) -> None:
         super().__init__()
-        self._arm = 0
         self._data: ReportData | None = None
         self._drawn: Workspace | None = None
 
@@ -158,12 +152,8 @@ tables; chapter *exports*.
         with TabbedContent(id="calibration"):
             with TabPane("Stages", id="stages"):
                 yield TablesView(id="stage-tables")
-                with Vertical(id="beside-stages"):
-                    yield ChartPlot(id="stage-plot")
-                    yield ChartPlot(id="stage-errors")
-            with TabPane("Errors", id="errors"), Horizontal():
-                yield ChartPlot(id="arm-errors")
-                yield ChartPlot(id="pair-errors")
+            with TabPane("Errors", id="errors"):
+                yield PartsView(id="error-charts")
             with TabPane("Parameters", id="parameters"):
                 yield TablesView(id="parameter-tables")
 
@@ -198,14 +188,9 @@ tables; chapter *exports*.
 
         offer_again(self, "Calibrate again, with a prior?", self._result, CALIBRATE, ask)
 
-    def action_other_arm(self) -> None:
-        """Show the next arm."""
-        self._arm += 1
-        self._draw_plots()
-
     def action_plots(self) -> None:
-        """Show a tab with plots; if one is shown, the next."""
-        show_next_of(self.query_one("#calibration", TabbedContent), _PLOTS)
+        """Show the charts."""
+        self.query_one("#calibration", TabbedContent).active = "errors"
 
     def action_next_tab(self) -> None:
         """Show the next tab."""
@@ -279,20 +264,11 @@ tables; chapter *exports*.
             self._draw_plots()
 
     def _draw_plots(self) -> None:
-        if self._data is None or not self._data.held_out:
-            for plot in self.query(ChartPlot):
-                plot.chart = None
-            return
-        data = self._data
-        names = list(data.held_out)
-        name = names[self._arm % len(names)]
-        arm = data.held_out[name]
-        shown = data.calibrate if data.discover is None else with_effects(data.calibrate, data.discover)
-        charts: dict[str, Chart] = {
-            "stage-plot": stage_chart(name, shown.arms[name]),
-            "arm-errors": (errors := error_histogram_chart(name, arm.errors_mm, shown.arms[name].tracker_mm)),
-            "pair-errors": pair_histogram_chart(shown),
-            "stage-errors": errors,
-        }
-        for place, chart in charts.items():
-            self.query_one(f"#{place}", ChartPlot).chart = chart
+        charts: list[Chart] = []
+        if (data := self._data) is not None and data.held_out:
+            shown = data.calibrate if data.discover is None else with_effects(data.calibrate, data.discover)
+            for name, arm in data.held_out.items():
+                charts.append(stage_chart(name, shown.arms[name]))
+                charts.append(error_histogram_chart(name, arm.errors_mm, shown.arms[name].tracker_mm))
+            charts.append(pair_histogram_chart(shown))
+        self.query_one("#error-charts", PartsView).show_parts(charts)

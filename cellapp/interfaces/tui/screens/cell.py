@@ -131,7 +131,7 @@ class CellScreen(DayScreen):
                 "warning",
             )
         profiles.focus()
-        self.set_interval(_REFRESH_S, self._draw_doctor)
+        self.set_interval(_REFRESH_S, self._draw_age)
 
     def _highlight_first(self) -> None:
         profiles = self.query_one("#profiles", OptionList)
@@ -263,6 +263,10 @@ class CellScreen(DayScreen):
         if changed and self._doctor is not None and self.workspace.profile_path != self._doctor_path:
             self._doctor = None
             self.query_one(FindingsTable).show(None)
+
+    def _draw_age(self) -> None:
+        if self.is_current:
+            self._draw_doctor()
 
     def _draw_doctor(self) -> None:
         verdict, kind = self._verdict()

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.containers import Horizontal, Vertical, VerticalScroll
+from textual.containers import VerticalScroll
 from textual.widgets import Static, TabbedContent, TabPane
 
 from cellapp.commands.collect.request import VERB as COLLECT
@@ -23,10 +23,10 @@ from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
 from cellapp.interfaces.tui.offers import BEGIN, arms_words, offer_again
-from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.tables import WrappedTables, show_next_of, show_next_tab
+from cellapp.interfaces.tui.widgets.charts_view import PartsView
+from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables, show_next_of, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 _PLOTS = ("gap", "pictures")
@@ -59,29 +59,22 @@ The handbook explains each effect.
         bind("go", "begin", "Discover", "search for missing effects; nothing moves"),
         bind("add", "propose", "Propose stops", "plan further stops that settle what is open; nothing moves"),
         bind("measure", "collect", "Collect them", "measure the proposed stops: THE ARMS MOVE"),
-        bind("arm", "other_arm", "Other arm", "show the plots of the other arm"),
-        bind("before", "picture(-1)", "Picture before", show=False),
-        bind("after", "picture(1)", "Next picture"),
         bind("plots", "plots", "Plots", "show the plots; again: the next one"),
         bind("tab", "next_tab", "Next tab"),
     ]
 
     def __init__(self) -> None:
         super().__init__()
-        self._arm, self._picture = 0, 0
         self._drawn: Workspace | None = None
 
     def body(self) -> ComposeResult:
         with TabbedContent(id="discovery"):
-            with TabPane("Gap", id="gap"), Vertical():
-                yield Static("", id="verdict", markup=False)
-                with Horizontal():
-                    yield ChartPlot(id="gap-plot")
-                    yield ChartPlot(id="candidates-plot")
+            with TabPane("Gap", id="gap"):
+                yield PartsView(id="verdict")
             with TabPane("Names", id="names"):
                 yield WrappedTables(id="name-tables")
             with TabPane("Pictures", id="pictures"):
-                yield ChartPlot(id="picture-plot")
+                yield PartsView(id="effect-pictures")
             with TabPane("Check", id="check"), VerticalScroll():
                 yield Static("", id="meaning", markup=False)
             with TabPane("Proposed stops", id="proposed"), VerticalScroll():
@@ -119,17 +112,6 @@ The handbook explains each effect.
 
         self.app.push_screen(Choice("Collect?", text, BEGIN), begin)
 
-    def action_other_arm(self) -> None:
-        """Show the next arm."""
-        self._arm, self._picture = self._arm + 1, 0
-        self._draw_plots()
-
-    def action_picture(self, step: int) -> None:
-        """Show another picture."""
-        self._picture += step
-        self.query_one("#discovery", TabbedContent).active = "pictures"
-        self._draw_plots()
-
     def action_plots(self) -> None:
         """Show a tab with plots; if one is shown, the next."""
         show_next_of(self.query_one("#discovery", TabbedContent), _PLOTS)
@@ -152,8 +134,11 @@ The handbook explains each effect.
         self._drawn = workspace
         found = self._result
         tables = self.query_one("#name-tables", WrappedTables)
+        gap, pictures = self.query_one("#verdict", PartsView), self.query_one("#effect-pictures", PartsView)
         if found is None or workspace.results is None:
             tables.show([])
+            gap.show_parts(())
+            pictures.show_parts(())
             self.query_one("#proposal", Static).update(_NO_PROPOSAL)
         else:
             reason = workspace.results.out_of_date.get(DISCOVER)
@@ -163,28 +148,14 @@ The handbook explains each effect.
             proposal = _NO_PROPOSAL if found.proposal is None else with_keys("\n".join(proposal_lines(found.proposal)))
             self.query_one("#proposal", Static).update(proposal)
             verdicts = [f"Arm {name}: {arm.verdict}. {verdict_sentence(name, arm)}" for name, arm in found.arms.items()]
-            self.query_one("#verdict", Static).update("\n".join([*outdated, *verdicts]))
-        self._draw_plots()
+            charts = (chart(name, arm) for name, arm in found.arms.items() for chart in (gap_chart, candidates_chart))
+            gap.show_parts((*verdicts, *charts), outdated)
+            pictures.show_parts([picture_chart(name, one) for name, arm in found.arms.items() for one in arm.pictures])
 
     def show_state(self, state: RunState) -> None:
         """Say why there is no discovery, if none is stored."""
         if self._result is None:
             empty = state.nothing(self.STEP, _EMPTY)
-            self.query_one("#name-tables", WrappedTables).say_empty(empty)
+            for view in self.query(TablesView):
+                view.say_empty(empty)
             self.query_one("#meaning", Static).update(empty)
-            self.query_one("#verdict", Static).update(empty)
-
-    def _draw_plots(self) -> None:
-        found = self._result
-        if found is None or not found.arms:
-            for plot in self.query(ChartPlot):
-                plot.chart = None
-            return
-        names = list(found.arms)
-        name = names[self._arm % len(names)]
-        arm = found.arms[name]
-        self.query_one("#gap-plot", ChartPlot).chart = gap_chart(name, arm)
-        self.query_one("#candidates-plot", ChartPlot).chart = candidates_chart(name, arm)
-        pictures = arm.pictures
-        picture = self.query_one("#picture-plot", ChartPlot)
-        picture.chart = picture_chart(name, pictures[self._picture % len(pictures)]) if pictures else None

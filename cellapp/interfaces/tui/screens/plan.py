@@ -33,14 +33,8 @@ from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.cell_views import CellMap
 from cellapp.interfaces.tui.widgets.charts_view import ChartsView
-from cellapp.interfaces.tui.widgets.plan_tables import (
-    AccuracyTable,
-    CoverageTable,
-    EffectsTable,
-    PairsTable,
-    StopsTable,
-)
-from cellapp.interfaces.tui.widgets.tables import explain_tabs, show_next_of, show_next_tab
+from cellapp.interfaces.tui.widgets.stops_table import StopsTable
+from cellapp.interfaces.tui.widgets.tables import WrappedTables, explain_tabs, show_next_of, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
@@ -173,12 +167,13 @@ Which stops the arms will visit, before anything moves.
 - The forecast foresees what the plan gives: time, joint ranges used, expected standard errors, and for each effect
   whether the plan can show it and from which size on.
 - *Limits* is what the profile demands, *Design* what the stops tell beside random ones; *Stops* lists them, *Above* and
-  *Tracker* show them with obstacles and what these hide. The sentence below a table is that of the selected row.
+  *Tracker* show them with obstacles and what these hide. The sentence below the stops is that of the selected one.
 
 Sizes and errors *alone* are for the tracker's noise alone; *with scatter* adds 0.1 mm, what gravity and backlash leave
 in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload let more effects be seen.
 """
 _PLOTS = ("tab-design", "tab-above", "tab-tracker")
+_NO_CHECK = f"{SHOWN['check']} checks the plan again."
 _NO_FORECAST = f"Not foreseen yet: {SHOWN['forecast']} computes time, expected errors and visible effects."
 
 
@@ -215,7 +210,7 @@ class PlanScreen(PlanEdits):
     #plan-safety.safe { color: $text-success; }
     #plan-safety.unsafe { color: $text-error; }
     #plan-tabs { height: 1fr; }
-    #plan-tabs DataTable { height: 1fr; scrollbar-size-horizontal: 0; }
+    #plan-tabs StopsTable { height: 1fr; scrollbar-size-horizontal: 0; }
     #plan-detail { height: auto; max-height: 4; background: $panel; padding: 0 1; }
     #plan-side { display: none; width: 1fr; }
     PlanScreen.-wide #plan-side { display: block; }
@@ -239,19 +234,15 @@ class PlanScreen(PlanEdits):
                 yield Static("", id="plan-time", markup=False)
                 with TabbedContent(id="plan-tabs", initial="tab-constraints"):
                     with TabPane("Limits", id="tab-constraints"):
-                        yield PairsTable(id="constraints")
+                        yield WrappedTables(id="constraints")
                     with TabPane("Design", id="tab-design"):
                         yield ChartsView("", id="plan-design")
                     with TabPane("Stops", id="tab-stops"):
                         yield StopsTable(id="stops")
-                    with TabPane("Joints", id="tab-joints"):
-                        yield CoverageTable(id="coverage")
-                    with TabPane("Effects", id="tab-effects"):
-                        yield EffectsTable(id="effects")
-                    with TabPane("Errors", id="tab-errors"):
-                        yield AccuracyTable(id="accuracy")
+                    with TabPane("Forecast", id="tab-forecast"):
+                        yield WrappedTables(_NO_FORECAST, id="forecast")
                     with TabPane("Check", id="tab-check"):
-                        yield PairsTable(id="refusals")
+                        yield WrappedTables(_NO_CHECK, id="refusals")
                     with TabPane("Above", id="tab-above"):
                         yield CellMap("above", id="plan-above")
                     with TabPane("Tracker", id="tab-tracker"):
@@ -317,7 +308,7 @@ class PlanScreen(PlanEdits):
         tabs = self.query_one("#plan-tabs", TabbedContent)
         show_next_tab(tabs)
         if tabs.active_pane is not None:
-            for content in tabs.active_pane.query("DataTable, ChartsView"):
+            for content in tabs.active_pane.query("StopsTable, ChartsView, WrappedTables"):
                 content.focus()
 
     # -- drawing -------------------------------------------------------------------------------------------------------
@@ -343,7 +334,7 @@ class PlanScreen(PlanEdits):
         elif isinstance(result, PlanForecastResult):
             self._forecast = result
             if tabs.active in ("tab-constraints", "tab-check"):
-                tabs.active = "tab-effects"
+                tabs.active = "tab-forecast"
         self._draw_results()
 
     def show_workspace(self, workspace: Workspace) -> None:
@@ -368,15 +359,10 @@ class PlanScreen(PlanEdits):
             drawn.follow(record if self.state.collecting else None)
 
     def _draw_constraints(self) -> None:
-        from cellapp.commands.doctor.view import constraint_words
+        from cellapp.commands.doctor.view import profile_tables
 
-        rows = [] if self._profile is None else constraint_words(self._profile)
-        if self._forecast is not None:
-            from cellapp.commands.plan.check_view import TIME_RESTS_ON, time_sentence
-
-            rows += [("time", time_sentence(self._forecast.time)), ("time rests on", TIME_RESTS_ON)]
-            rows += [("note", note) for note in self._forecast.notes]
-        self.query_one("#constraints", PairsTable).show(rows)
+        tables = [] if self._profile is None else profile_tables(self._profile)
+        self.query_one("#constraints", WrappedTables).show(tables[1:])
 
     def _draw_maps(self, workspace: Workspace) -> None:
         stops = () if workspace.stops is None else workspace.stops.stops
@@ -415,17 +401,14 @@ class PlanScreen(PlanEdits):
         has_plan = self._stops is not None and bool(self._stops.stops)
         self._draw_constraints()
         self._draw_check(has_plan=has_plan)
-        forecast = self._forecast
-        for table in self.query("#coverage, #effects, #accuracy").results():
-            assert isinstance(table, CoverageTable | EffectsTable | AccuracyTable)
-            if forecast is None:
-                table.draw([])
-            else:
-                table.show(forecast.arms)
         words = _NO_FORECAST if has_plan else ""
-        if forecast is not None:
-            from cellapp.commands.plan.check_view import time_sentence
+        shown = self.query_one("#forecast", WrappedTables)
+        if (forecast := self._forecast) is None:
+            shown.show(())
+        else:
+            from cellapp.commands.plan.check_view import forecast_sentences, forecast_tables, time_sentence
 
+            shown.show(forecast_tables(forecast), forecast_sentences(forecast))
             words = " ".join([time_sentence(forecast.time), *forecast.notes])
         line = self.query_one("#plan-time", Static)
         line.update(words)
@@ -439,27 +422,19 @@ class PlanScreen(PlanEdits):
         line.display = has_plan
         line.set_classes("")
         if check is not None:
-            line.update(_check_rows(check)[0])
+            line.update(_check_lines(check)[0])
             line.set_classes("safe" if check.is_safe else "unsafe")
         listed = self._file_check or check
-        self.query_one("#refusals", PairsTable).show([] if listed is None else _check_rows(listed)[1])
+        self.query_one("#refusals", WrappedTables).show((), () if listed is None else _check_lines(listed))
 
     @on(DataTable.RowHighlighted)
     @on(TabbedContent.TabActivated)
     def _draw_detail(self) -> None:
-        """Draw the full text of the selected row of the front table."""
+        """Describe the selected stop while the stops are shown."""
         self._draw_stops()
-        pane = self.query_one("#plan-tabs", TabbedContent).active_pane
-        text = ""
-        if pane is not None:
-            for table in pane.query(PairsTable).results():
-                text = table.selected_text
-            for stops in pane.query(StopsTable).results():
-                text = stops.selected_text
-            for other in pane.query("CoverageTable, EffectsTable, AccuracyTable").results():
-                assert isinstance(other, CoverageTable | EffectsTable | AccuracyTable)
-                text = other.selected_text or _NO_FORECAST
-        self.query_one("#plan-detail", Static).update(Text(text))
+        detail = self.query_one("#plan-detail", Static)
+        detail.display = self.query_one("#plan-tabs", TabbedContent).active == "tab-stops"
+        detail.update(Text(self.query_one(StopsTable).selected_text))
 
 
 def _planned(stops: StopsResult | None) -> tuple[object, ...]:
@@ -467,16 +442,13 @@ def _planned(stops: StopsResult | None) -> tuple[object, ...]:
     return () if stops is None else tuple(stop.q for stop in stops.stops)
 
 
-def _check_rows(check: PlanCheckResult) -> tuple[str, list[tuple[str, str]]]:
-    """Return the verdict of a check, and its refusals as rows."""
+def _check_lines(check: PlanCheckResult) -> list[str]:
+    """Return the verdict of a check, then its refusals."""
     from cellapp.commands.plan.check_view import check_sentences
 
     verdict, *refusals = check_sentences(check)
-    kinds = ["detour" if one.is_avoided else "refused" for one in check.refused]
-    rows = list(zip(kinds, refusals, strict=True))
-    if check.file is not None:  # the line above the tabs is about the open run
-        rows.insert(0, ("safe" if check.is_safe else "not safe", f"{check.file}: {verdict}"))
-    return verdict, rows or [("safe", verdict)]
+    # the line above the tabs is about the open run
+    return [verdict if check.file is None else f"{check.file}: {verdict}", *refusals]
 
 
 def _state_words(state: RunState, workspace: Workspace) -> str:

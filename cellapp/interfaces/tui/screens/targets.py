@@ -17,7 +17,6 @@ from textual import on
 from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
-from textual.containers import Horizontal, Vertical
 from textual.events import Resize
 from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane, Tabs
@@ -46,7 +45,7 @@ from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Request
 from cellapp.commands.report.result import RunResults
-from cellapp.commands.view.table import Table
+from cellapp.commands.view.parts import Part
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -58,10 +57,10 @@ from cellapp.interfaces.tui.dialogs.target_form import TargetForm
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, WRITE, arms_words, ask_of_calibrated
-from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.tables import TablesView, TextTable, show_next_tab
+from cellapp.interfaces.tui.widgets.charts_view import PartsView
+from cellapp.interfaces.tui.widgets.tables import TextTable, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 EMPTY = f"No targets: {SHOWN['open']} opens a list (YAML), {SHOWN['add']} adds a target."
@@ -324,8 +323,7 @@ used as it is shown, saved or not.
   keeps with that probability.
 - *Target*: all about the target under the cursor: where it is, what its uncertainty is made of, which conditions nobody
   stated, what was predicted and what was measured.
-- *Measured*: errors before and after, against the stated bounds, of cooperative targets.
-- *Tables*: joint positions, uncertainties, errors.
+- *Results*: charts of what was measured; errors, joint positions, uncertainties.
 
 The handbook's chapter *targets* explains frames, conditions and verdicts.
 """
@@ -342,9 +340,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
         bind("export", "correct", "Program", "correct the targets of a UR program; nothing moves"),
         bind("locate", "locate", "Locate", "measure where the moved tracker stands: THE ARMS MOVE"),
         bind("filter", "attention", "Attention", "only targets that need attention, or all", show=False),
-        bind("plots", "plots", "Plots", "show the charts of what was measured", show=False),
-        bind("after", "next_chart(1)", "Next chart", "show the next chart of what was measured", show=False),
-        bind("before", "next_chart(-1)", "Chart before", "show the chart before", show=False),
+        bind("plots", "plots", "Plots", "show what was measured", show=False),
         bind("tab", "next_tab", "Next tab"),
     ]
     DEFAULT_CSS = """
@@ -352,10 +348,6 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
     TargetsScreen #about-list { height: auto; }
     TargetsScreen TargetGrid { height: 1fr; }
     TargetsScreen #about-target { height: auto; max-height: 4; }
-    TargetsScreen.-narrow #second-plot { display: none; }
-    TargetsScreen #list { layout: horizontal; }
-    TargetsScreen #beside-list { width: 35%; display: none; padding-left: 2; }
-    TargetsScreen.-wide.charted #beside-list { display: block; }
     """
 
     def __init__(self) -> None:
@@ -363,7 +355,6 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
         self._edits = TargetEdits()
         self._drawn: Workspace | None = None
         self._opened_for: Path | None = None
-        self._chart = 0
         self._attention = False
         self._rows: list[int] = []
         self._corrected: CorrectResult | None = None
@@ -371,24 +362,16 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
     def body(self) -> ComposeResult:
         with TabbedContent(id="targets"):
             with TabPane("List", id="list"):
-                with Vertical():
-                    yield Static("", id="about-list", markup=False)
-                    grid = TargetGrid(id="grid", cursor_type="row", zebra_stripes=True)
-                    grid.tooltip = "Enter edits, {add} adds, {remove} removes, {undo} undoes, {save} saves".format_map(
-                        SHOWN
-                    )
-                    yield grid
-                    yield Static("", id="about-target", classes="muted", markup=False)
-                with Vertical(id="beside-list"):
-                    yield ChartPlot()
-                    yield ChartPlot()
+                yield Static("", id="about-list", markup=False)
+                grid = TargetGrid(id="grid", cursor_type="row", zebra_stripes=True)
+                tip = "Enter edits, {add} adds, {remove} removes, {undo} undoes, {save} saves"
+                grid.tooltip = tip.format_map(SHOWN)
+                yield grid
+                yield Static("", id="about-target", classes="muted", markup=False)
             with TabPane("Target", id="target"):
-                yield TablesView(_NO_TARGET, id="details")
-            with TabPane("Measured", id="measured"), Horizontal():
-                yield ChartPlot(id="first-plot")
-                yield ChartPlot(id="second-plot")
-            with TabPane("Tables", id="target-tables-pane"):
-                yield TablesView(id="target-tables")
+                yield PartsView(_NO_TARGET, id="details")
+            with TabPane("Results", id="results"):
+                yield PartsView(id="target-results")
 
     @property
     def unsaved(self) -> str:
@@ -557,27 +540,20 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
             from cellapp.cell.programs.solving import correct_lines
 
             self._corrected = result
-            self._draw_tables()
+            self._draw_results()
             tabs = self.query_one("#targets", TabbedContent)
-            tabs.active = "target-tables-pane"
+            tabs.active = "results"
             tabs.query_one(Tabs).focus()  # the list, which has the focus, would bring its tab back
             lines = correct_lines(result)
             self.app.push_screen(Reading("\n".join(["# Program", "", "```text", *lines, "```"])))
 
-    # -- tabs and plots ------------------------------------------------------------------------------------------------
+    # -- tabs ----------------------------------------------------------------------------------------------------------
 
     def action_plots(self) -> None:
-        """Show the charts of measured targets; the second time, the next one."""
+        """Show what was measured."""
         tabs = self.query_one("#targets", TabbedContent)
-        if tabs.active == "measured":
-            self.action_next_chart(1)
-        tabs.active = "measured"
-
-    def action_next_chart(self, step: int) -> None:
-        """Show another chart: the other arm, cooperative targets, bounds."""
-        self._chart += step
-        self.query_one("#targets", TabbedContent).active = "measured"
-        self._draw_plots()
+        tabs.active = "results"
+        tabs.query_one(Tabs).focus()
 
     def action_next_tab(self) -> None:
         """Show the next tab."""
@@ -594,7 +570,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
 
     def show_state(self, state: RunState) -> None:
         """Say why nothing was computed."""
-        self.query_one("#target-tables", TablesView).say_empty(state.nothing(self.STEP, _NOT_MEASURED))
+        self.query_one("#target-results", PartsView).say_empty(state.nothing(self.STEP, _NOT_MEASURED))
 
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the list with the results of the run; open the list that the profile names."""
@@ -606,8 +582,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
             self._opened_for = path
             self._read(path, workspace.profile)
         self._draw_list()
-        self._draw_tables()
-        self._draw_plots()
+        self._draw_results()
 
     @on(Resize)
     def draw_for_size(self) -> None:
@@ -649,49 +624,33 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
     @on(TabbedContent.TabActivated, "#targets")
     def _draw_details(self) -> None:
         """Draw all that the run knows of the target under the cursor, while its tab is shown."""
-        view = self.query_one("#details", TablesView)
         if self.query_one("#targets", TabbedContent).active != "target":
             return
-        if not self._rows:
-            view.show([])
-            return
-        target, results = self._edits.targets[self._index], self._results
-        known = [] if results is None else target_parts(results, target_state(target, results))
-        tables = [one for one in known if isinstance(one, Table)]
-        view.show(tables, [target_words(target, results)], [one for one in known if isinstance(one, str)])
+        parts: list[Part] = []
+        if self._rows:
+            target, results = self._edits.targets[self._index], self._results
+            known = [] if results is None else target_parts(results, target_state(target, results))
+            parts = [target_words(target, results), *known]
+        self.query_one("#details", PartsView).show_parts(parts)
 
     def _shown_rows(self) -> list[int]:
         """Return the indices of the shown targets."""
         states = target_states(self._edits.targets, self._results)
         return [row for row, state in enumerate(states) if state.needs_attention or not self._attention]
 
-    def _draw_tables(self) -> None:
-        results, view = self._results, self.query_one("#target-tables", TablesView)
-        program = [] if self._corrected is None else [correct_table(self._corrected)]
-        if results is None:
-            view.show(program)
-            return
-        verify, compensate = results.verify, results.compensate
-        measured = [] if verify is None else all_measured_tables(verify)
-        commands = [] if compensate is None else stored_tables(compensate)
-        words = [] if verify is None else [*verify.complaints(), *verify_summary(verify)]
-        if compensate is not None:
-            words += [*compensate_summary(compensate), *unknown_lines(compensate.targets)]
-        notes = [] if compensate is None else [*compensate.notes]
-        view.show([*program, *measured, *commands], words, notes)
-
-    def _draw_plots(self) -> None:
-        """Draw two of the charts of measured targets, beginning with the current one."""
+    def _draw_results(self) -> None:
+        """Draw sentences, charts and tables of the last program, of what was measured and of the commands."""
+        parts: list[Part] = [] if self._corrected is None else [correct_table(self._corrected)]
         results, profile = self._results, self.workspace.profile
-        calibrated = None if results is None else results.calibrate
-        charts = []
-        if results is not None and calibrated is not None and profile is not None:
-            known = {name: arm.tracker_mm for name, arm in calibrated.arms.items()}
-            charts = target_charts(results.verify, {name: known.get(name) for name in profile.arms})
-        self.set_class(bool(charts), "charted")
-        for pane in ("#measured", "#beside-list"):
-            for place, plot in enumerate(self.query(ChartPlot).filter(f"{pane} ChartPlot")):
-                plot.chart = charts[(self._chart + place) % len(charts)] if place < len(charts) else None
+        if results is not None and (verify := results.verify) is not None:
+            arms = {} if results.calibrate is None else results.calibrate.arms
+            names = () if profile is None else profile.arms
+            charts = target_charts(verify, {name: arms[name].tracker_mm if name in arms else None for name in names})
+            parts += [*verify.complaints(), *verify_summary(verify), *charts, *all_measured_tables(verify)]
+        if results is not None and (compensate := results.compensate) is not None:
+            words = (*compensate_summary(compensate), *unknown_lines(compensate.targets), *compensate.notes)
+            parts += [*words, *stored_tables(compensate)]
+        self.query_one("#target-results", PartsView).show_parts(parts)
 
 
 def _fitting(widths: Sequence[int], room: int) -> int:

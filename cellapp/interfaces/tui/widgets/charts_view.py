@@ -97,8 +97,8 @@ class PartsView(TablesView):
             tuple(one for one in lines if isinstance(one, Table)),
             tuple(one for one in lines if isinstance(one, str)),
         )
-        if drawn == (self._tables, self._sentences):
-            return
+        if drawn == (self._tables, self._sentences) and not any(isinstance(one, Chart) for one in shown):
+            return  # charts are drawn anew: they cannot be compared
         self._tables, self._sentences = drawn
         self.put(lambda: widgets_of(shown))
 
