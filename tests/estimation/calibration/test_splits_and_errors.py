@@ -34,7 +34,7 @@ from cellapp.estimation.readings.readings import FIRST_SAMPLE
 from cellapp.ground.grouping import grouped
 from cellapp.ground.results import ErrorSummary
 from cellapp.robot.kinematics.chain import smr_positions
-from tests.cell.run.csv_rows import import_csv
+from tests.cell.run.small_runs import import_csv
 from tests.evidence import coverage, parameter_sets
 from tests.evidence.gross_errors import disturbed
 from tests.evidence.shared.series import Entrant, load_entrant
