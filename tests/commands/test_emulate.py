@@ -263,5 +263,3 @@ def test_sweeps_are_recorded_over_the_wire(tmp_path: Path, monkeypatch: pytest.M
         track = track_of(recording, nominal_arm(profile.arms[ARM]), tool_unknown=False, seed=1)
         true_s = clocks.offset_s + 1e-6 * clocks.rate_ppm * float(joints.time_s[0])
         assert track.start.offset_s == pytest.approx(true_s, abs=5e-3)
-        assert track.trigger is not None, "pulses of both recordings belong together"
-        assert track.trigger.offset_s == pytest.approx(true_s, abs=0.010)

@@ -430,8 +430,8 @@ def test_runs_are_scored_as_approved() -> None:
     said = []
     for line in commands_of(SCORES):
         run = scored(line)
-        second = [f"{one.name}{' for the same cause' * one.same_cause}" for one in run.second_names]
-        said += [f"$ {line}", f"{run.outcome}{', in the answer set' * run.in_answer_set}"]
+        second = [f"{one.name}{' for the same cause' if one.same_cause else ''}" for one in run.second_names]
+        said += [f"$ {line}", f"{run.outcome}{', in the answer set' if run.in_answer_set else ''}"]
         said += [f"  description: {run.description or 'wrong'}"] if run.kind == "outside" else []
         said += [f"  second: {name}" for name in second]
     assert_approved(SCORES, "\n".join(said))

@@ -115,7 +115,7 @@ def _changes(tree: ast.Module) -> Iterator[tuple[str, ast.AST, str, object]]:
         elif isinstance(node, ast.BinOp | ast.BoolOp) and type(node.op) in _EXCHANGED and not _is_text(node):
             new = _EXCHANGED[type(node.op)]()
             yield f"{line}: {ast.unparse(node)} by {type(new).__name__}", node, "op", new
-        elif isinstance(node, ast.Constant) and type(node.value) in (int, float, bool):
+        elif isinstance(node, ast.Constant) and isinstance(node.value, bool | int | float):
             value = not node.value if isinstance(node.value, bool) else node.value + 1
             yield f"{line}: {node.value} becomes {value}", node, "value", value
         elif isinstance(node, ast.Return) and node.value is not None and not _is_none(node.value):

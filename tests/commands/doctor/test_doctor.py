@@ -211,13 +211,17 @@ def test_what_the_doctor_finds_is_as_approved(real: Profile, twin: Profile) -> N
     text: list[str] = []
     ready: set[Finding] = set()
     for name, (profile, said) in cells.items():
-        found = findings(profile, lambda host, _, left=said: left if host == "192.168.0.10" else one_ready(host, 0.0))
+
+        def answers(host: str, _: float, left: UrProbe = said) -> UrProbe:
+            return left if host == "192.168.0.10" else one_ready(host, 0.0)
+
+        found = findings(profile, answers)
         text.append(f"# {name}")
         found.pop("python", None)  # it is said of the computer itself
         text += [f"{one.status}: {one.subject}: {one.text}" for one in found.values() if one not in ready]
         ready = ready or set(found.values())
-    said = "\n".join(text).replace(f"this is {sys.platform}", "this is another")
-    assert_approved(Path(__file__).parent / "approved" / "findings.txt", said)
+    told = "\n".join(text).replace(f"this is {sys.platform}", "this is another")
+    assert_approved(Path(__file__).parent / "approved" / "findings.txt", told)
 
 
 def test_what_a_device_reports_is_a_value_and_no_text(real: Profile, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -104,9 +105,7 @@ def test_wrong_answers_are_refused_as_approved_and_nothing_is_written(tmp_path: 
     said = []
     for old, new in changes:
         file = written(tmp_path, ANSWERS.replace(old, new, 1).replace("POINTS", lines(joints=True)))
-        said.append(
-            f"# {old.strip()} -> {new.strip()}\n{refused(lambda file=file: write_answers(file, tmp_path), tmp_path)}"
-        )
+        said.append(f"# {old.strip()} -> {new.strip()}\n{refused(partial(write_answers, file, tmp_path), tmp_path)}")
     assert_approved(APPROVED / "answers.txt", "\n".join(said))
 
 
@@ -225,7 +224,7 @@ def test_wrong_rows_and_arms_are_refused_as_approved(tmp_path: Path) -> None:
     ):  # fmt: skip
         (tmp_path / f"rows-{number}.csv").write_text(f"{text}\n")
         own.append(OwnData(file, arm=str(tmp_path / f"rows-{number}.csv")))
-    said = [refused(lambda one=one: write_own_data(one, tmp_path), tmp_path) for one in own]
+    said = [refused(partial(write_own_data, one, tmp_path), tmp_path) for one in own]
     assert_approved(APPROVED / "arms.txt", "\n".join(said))
 
 

@@ -73,9 +73,11 @@ def as_made(run: RunFile) -> None:
 def everything(run: RunFile) -> None:
     """Every result that a run can have."""
     store_discovery(run, discovery(*run.profile.arms))
-    basis = basis_on_model(run, read_stages(run).in_force)
+    in_force = read_stages(run).in_force
+    assert in_force is not None
+    basis = basis_on_model(run, in_force)
     for name, result in ((COMPENSATE, COMPENSATED), (VERIFY, VERIFIED), (CHECK, checked()), (ISO9283, pose_test())):
-        append_stage(run, name, result, basis)  # type: ignore[arg-type]
+        append_stage(run, name, result, basis)
     session = run.begin_session()
     run.record_request(session, "suspend", EVENT)
     run.add_reference(ReferenceRow(EVENT, 0, 0.0, np.zeros(3), session))

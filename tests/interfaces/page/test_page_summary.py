@@ -17,12 +17,12 @@ from pypdf import PdfReader
 
 from cellapp.cell.profile import load_profile
 from cellapp.commands.certificate.result import (
+    SIMULATED,
     CertificateResult,
     CertifiedArm,
     CertifiedErrors,
     CertifiedInstrument,
 )
-from cellapp.commands.certificate.statement import SIMULATED
 from cellapp.commands.certificate.view import certificate_sentences, certificate_tables
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.result import RunResults
@@ -233,9 +233,8 @@ def test_a_certificate_says_what_was_approved() -> None:
             "warnings": (f"{SIMULATED}: no real arm was measured",),
         }
     )
-    parts = [[*certificate_sentences(one), *certificate_tables(one)] for one in (given, simulated)]
-    pages = [Page(certificate_page(one)).text for one in (given, simulated)]
-    shown = "\n".join([*map(text_of, parts), *pages])
+        pages = [Page(certificate_page(one)).text for one in (given, simulated)]
+    shown = "\n".join([*(text_of([*certificate_sentences(one), *certificate_tables(one)]) for one in (given, simulated)), *pages])
     assert_approved(APPROVED / "certificate.txt", shown)
 
 

@@ -90,7 +90,7 @@ def discoveries() -> Parts:
     return [
         *DISCOVER_VERB.view(result).parts,
         "--- page",
-        discovery_section(result, Discovery(), {name: ((), ()) for name in result.arms}),
+        discovery_section(result, Discovery(), {name: () for name in result.arms}),
         "--- others",
         *DISCOVER_VERB.view(DiscoverResult(arms=others)).parts,
         "--- probabilities",
@@ -255,8 +255,12 @@ def targets() -> Parts:
     results, predicted = (RunResults(run="run", compensate=COMPENSATED, verify=one) for one in (VERIFIED, None))
     edited, moved = ONE.model_copy(update={"tolerance": 1e-5}), ONE.model_copy(update={"position": (0.1, 0.2, 0.31)})
     return [
-        *("--- compensated", *compensate_lines(COMPENSATED), targets_section(COMPENSATED, None, {})),
-        *("--- measured", *verify_lines(VERIFIED), targets_section(COMPENSATED, VERIFIED, {"left": 0.02})),
+        "--- compensated",
+        *compensate_lines(COMPENSATED),
+        targets_section(COMPENSATED, None, {}),
+        "--- measured",
+        *verify_lines(VERIFIED),
+        targets_section(COMPENSATED, VERIFIED, {"left": 0.02}),
         *("--- list", target_list((ONE, BOTH, FAR), results), target_list((ONE, BOTH), predicted)),
         *(target_words(one, results) for one in (ONE, edited, moved, BOTH, FAR)),
         *(str(target_state(one, results).needs_attention) for one in (ONE, BOTH, FAR)),
