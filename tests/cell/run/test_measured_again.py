@@ -15,7 +15,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
-from tests.commands.emulated_cell import quiet_work
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.run import Outcome, RunFile, write_readings_csv
@@ -40,6 +39,7 @@ from tests.cell.run.small_runs import (
     two_arms,
     written,
 )
+from tests.commands.emulated_cell import quiet_work
 from tests.twin import PROFILES, small_twin
 
 
