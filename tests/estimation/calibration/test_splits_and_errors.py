@@ -108,9 +108,6 @@ def test_repeatability_is_that_of_the_repeats_alone():
     assert repeatability(rng.uniform(-3, 3, (40, 6)), p_M[:40]) is None
 
 
-# -- Solving with positive semi-definite matrices: agreement with numpy, well conditioned and singular -----------------
-
-
 # -- Figures that the project promises, each with its limit ------------------------------------------------------------
 
 ROOT = Path(__file__).parents[3]

@@ -31,7 +31,6 @@ from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, DISCOVER, ISO9283, VERIFY
 from cellapp.interfaces.page.page import page_text, write_page
-from cellapp.robot.model.nominal import nominal_arm
 from tests.approved import assert_approved, without_digits
 from tests.estimation.uncertainty.cases import pose_test
 from tests.interfaces.page.cases import discovery, nothing_missing
@@ -242,11 +241,3 @@ def test_distance_noise_is_that_of_two_points() -> None:
     errors = np.linalg.norm(apart + first - second, axis=1) - 1000.0
     assert distance_mm(*lengths) == pytest.approx(np.sqrt(np.mean(errors**2)), rel=0.03)
     assert distance_mm(0.1, None) is None
-
-
-def test_parameters_show_how_far_they_are_from_nominal(single: RunFile, single_text: str) -> None:
-    identified = calibration_of(single).arms["only"].identified["a2"].value
-    nominal = nominal_arm(single.profile.arms["only"]).rows[1, 2]
-    cells = (f"{nominal * 1e3:.5f}", f"{identified * 1e3:.5f}", f"{(identified - nominal) * 1e3:+.5f}")
-    expected = "".join(rf'<td class="number"[^>]*>{re.escape(cell)}</td>' for cell in cells)
-    assert re.search(f'<tr><th scope="row">a2</th>{expected}', single_text)
