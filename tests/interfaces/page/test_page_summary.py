@@ -233,8 +233,9 @@ def test_a_certificate_says_what_was_approved() -> None:
             "warnings": (f"{SIMULATED}: no real arm was measured",),
         }
     )
-        pages = [Page(certificate_page(one)).text for one in (given, simulated)]
-    shown = "\n".join([*(text_of([*certificate_sentences(one), *certificate_tables(one)]) for one in (given, simulated)), *pages])
+    parts = [text_of([*certificate_sentences(one), *certificate_tables(one)]) for one in (given, simulated)]
+    pages = [Page(certificate_page(one)).text for one in (given, simulated)]
+    shown = "\n".join([*parts, *pages])
     assert_approved(APPROVED / "certificate.txt", shown)
 
 
