@@ -215,7 +215,11 @@ def test_the_independent_chain_agrees_with_the_arm():
         ("backlash", MeasurementConditions(approach=np.zeros((40, 6), dtype=np.int8)), "no approach signs"),
         ("backlash", MeasurementConditions(approach=np.ones((40, 6))), "every joint was approached from one side only"),
         ("friction_windup", NOTHING, "no approach signs"),
-        ("friction_windup", MeasurementConditions(approach=-np.ones((40, 6))), "every joint was approached from one s"),
+        (
+            "friction_windup",
+            MeasurementConditions(approach=-np.ones((40, 6))),
+            "every joint was approached from one side only",
+        ),
         ("unsettled_measurement", NOTHING, "no last steps"),
         ("thermal_growth", NOTHING, "no temperatures and no times"),
         ("thermal_growth", MeasurementConditions(air_c=np.full(40, 20.0)), "no temperatures and no times"),
