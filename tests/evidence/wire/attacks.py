@@ -202,7 +202,7 @@ class Bench:
         for arm in cell.arms if attack.connecting else ():
             cell.control(arm, "start-delay", 0.6)
         scene = Scene(cell, self._collect(), self.run, self.other_run)
-        ready = self._connects if attack.connecting else self._moves
+        ready = self._connects if attack.connecting else self._is_at_work(int(self.random.integers(2, 7)))
         comes_about(lambda: ready() or scene.program.poll() is not None, time.monotonic() + _PATIENT_S)
         time.sleep(self.random.uniform(0.0, 0.2))
         struck_s = time.monotonic()
@@ -236,8 +236,12 @@ class Bench:
         self.sessions += 1
         return _cellapp(self.run.parent, "collect", str(self.run), *(["--resume"] if self.sessions > 1 else []))
 
-    def _moves(self) -> bool:
-        return all(one["moving"] for one in self.cell.status().values())
+    def _is_at_work(self, motions: int) -> Callable[[], bool]:
+        """Return whether both arms move, each after that many motions of this session."""
+        before = {arm: one["moves"] for arm, one in self.cell.status().items()}
+        return lambda: all(
+            one["moving"] and one["moves"] >= before[arm] + motions for arm, one in self.cell.status().items()
+        )
 
     def _connects(self) -> bool:
         return any(one["connections"]["rtde"] for one in self.cell.status().values())
