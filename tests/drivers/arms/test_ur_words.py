@@ -544,11 +544,9 @@ def test_old_positions_at_the_end_of_a_closed_path_do_not_end_it(
     """It ends where it began, and the states come late: those of before look like those of the end."""
     client, monitor = delayed
     end(client, monitor)
-    monitor(1.0)
-    client.q = list(HOME)
-    monitor(0.2)
+    monitor(1.2)
     monkeypatch.setattr(client, "tick", lambda seconds: setattr(client, "stamp", client.stamp + 1e-6))
-    monitor(0.01, PATH_OF_REST)
+    monitor(0.01, {**PATH_OF_REST, "q": [list(AWAY)] * len(LOOP)})
     stood = client.stamp
     monitor(0.2)
     assert client.stamp - stood < 0.01
