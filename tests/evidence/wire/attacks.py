@@ -17,8 +17,9 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -42,7 +43,10 @@ HOSTS, TRACKER = ("127.0.46.2", "127.0.46.3"), "socket://127.0.46.4:50946"
 KEY_MS, COMMAND_MS, LOST_MS, SILENT_MS = 50.0, 300.0, 100.0, 350.0
 _BY_WATCHDOG_MS = 350.0
 """Limit of a stop that only the watchdog gives: its period, some control cycles, and what waits for a processor."""
+_SUSPENDED_MS = 700.0
+"""Limit of a stop of a program that is silent for 0.5 s."""
 _PATIENT_S, _ENDS_WITHIN_S, _STOPS_WITHIN_S, _WATCHED_S = 120.0, 40.0, 6.0, 0.5
+_ON_THE_WAY_S = 0.5
 _UNDER_WAY_S = 0.02
 """A motion that was commanded before a stop may begin this much later."""
 _NOISE = re.compile(r"^\W*(cellapp: )?|\s+")
@@ -80,12 +84,12 @@ Strike = Callable[[Scene], None]
 class Attack:
     """What happens, and the longest time until both controllers have a stop [ms]; nan if none is to come.
 
-    ``connecting``: while the arms are connected, not while they move.
+    ``when``: while both arms move, while they are connected, or while they rest and are measured.
     """
 
     strike: Strike
     most_ms: float = math.nan
-    connecting: bool = False
+    when: Literal["moving", "connecting", "measuring"] = "moving"
 
 
 def _signal(number: signal.Signals) -> Strike:
@@ -142,10 +146,19 @@ def _kill_worker(scene: Scene) -> None:
     os.kill(scene.children[0], signal.SIGKILL)
 
 
-def _hang(scene: Scene) -> None:
-    scene.program.send_signal(signal.SIGSTOP)
-    time.sleep(2.0)
-    scene.program.send_signal(signal.SIGCONT)
+def _hang(for_s: float) -> Strike:
+    def strike(scene: Scene) -> None:
+        scene.program.send_signal(signal.SIGSTOP)
+        time.sleep(for_s)
+        scene.program.send_signal(signal.SIGCONT)
+
+    return strike
+
+
+def _push_and_back(scene: Scene) -> None:
+    _command("push", 1e-2, 0.3)(scene)
+    time.sleep(0.1)
+    _command("push", -1e-2, 0.3)(scene)
 
 
 ATTACKS: dict[str, Attack] = {
@@ -154,7 +167,7 @@ ATTACKS: dict[str, Attack] = {
     "cellapp stop": Attack(_stop_command, COMMAND_MS),
     "stop of another account, then Ctrl-C": Attack(_stop_of_another),
     "second cellapp, then Ctrl-C": Attack(_second_program),
-    "Ctrl-C while connecting, program starts 0.6 s late": Attack(_signal(signal.SIGINT), connecting=True),
+    "Ctrl-C while connecting, program starts 0.6 s late": Attack(_signal(signal.SIGINT), when="connecting"),
     "RTDE closed": Attack(_command("drop", "rtde", "fin"), LOST_MS),
     "RTDE reset": Attack(_command("drop", "rtde", "rst"), LOST_MS),
     "RTDE silent": Attack(_command("fault", "rtde", "silent"), SILENT_MS),
@@ -167,7 +180,12 @@ ATTACKS: dict[str, Attack] = {
     "driver process killed": Attack(_kill_worker, _BY_WATCHDOG_MS),
     "program killed": Attack(_signal(signal.SIGKILL), LOST_MS),
     "all processes killed": Attack(_kill_all, _BY_WATCHDOG_MS),
-    "program suspended for 2 s": Attack(_hang),
+    "program suspended for 2 s": Attack(_hang(2.0)),
+    "program suspended for 5 s while measuring": Attack(_hang(5.0), _SUSPENDED_MS, "measuring"),
+    "arm pushed by 10 mrad while measured": Attack(_command("push", 1e-2, 0.3), SILENT_MS, "measuring"),
+    "arm pushed by 10 mrad and back while measured": Attack(_push_and_back, SILENT_MS, "measuring"),
+    "arm moved by a step of 1 mrad while measured": Attack(_command("push", 1e-3, 1e3), SILENT_MS, "measuring"),
+    "arm creeps by 4 mrad/s while measured": Attack(_command("push", 1e-2, 4e-3), SILENT_MS, "measuring"),
 }
 
 
@@ -199,12 +217,14 @@ class Bench:
     def attack(self, name: str) -> Struck:
         """Collect, attack, let the program end, and repair the cell."""
         attack, cell = ATTACKS[name], self.cell
-        for arm in cell.arms if attack.connecting else ():
+        for arm in cell.arms if attack.when == "connecting" else ():
             cell.control(arm, "start-delay", 0.6)
         scene = Scene(cell, self._collect(), self.run, self.other_run)
-        ready = self._connects if attack.connecting else self._is_at_work(int(self.random.integers(2, 7)))
-        comes_about(lambda: ready() or scene.program.poll() is not None, time.monotonic() + _PATIENT_S)
-        time.sleep(self.random.uniform(0.0, 0.2))
+        before = sum(one["moves"] for one in cell.status().values())
+        moves = partial(self._moves, before + int(self.random.integers(4, 14)))  # so that there are readings to lose
+        ready = {"connecting": self._connects, "moving": moves, "measuring": partial(self._measures, before)}
+        comes_about(lambda: ready[attack.when]() or scene.program.poll() is not None, time.monotonic() + _PATIENT_S)
+        time.sleep(self.random.uniform(0.0, 1.0 if attack.when == "measuring" else 0.2))
         struck_s = time.monotonic()
         attack.strike(scene)
         stop_ms = [] if math.isnan(attack.most_ms) else [self._stop_ms(arm, struck_s) for arm in cell.arms]
@@ -218,7 +238,7 @@ class Bench:
         said = "; ".join(filter(None, (scene.words, _last_line(scene.program))))
         cell.wait_at_rest(_STOPS_WITHIN_S)
         rested_s = time.monotonic()
-        time.sleep(_WATCHED_S if not attack.connecting else 1.0)
+        time.sleep(_WATCHED_S if attack.when != "connecting" else 1.0)
         since_s = struck_s + max(stop_ms) / 1e3 + _UNDER_WAY_S if stop_ms else rested_s
         motions = 0 if math.isinf(since_s) else sum(len(cell.control(arm, "starts", since_s)) for arm in cell.arms)
         programs = sum(one["runtime_state"] != "STOPPED" for one in cell.status().values())
@@ -236,11 +256,17 @@ class Bench:
         self.sessions += 1
         return _cellapp(self.run.parent, "collect", str(self.run), *(["--resume"] if self.sessions > 1 else []))
 
-    def _is_at_work(self, motions: int) -> Callable[[], bool]:
-        """Return whether both arms move, each after that many motions of this session."""
-        before = {arm: one["moves"] for arm, one in self.cell.status().items()}
-        return lambda: all(
-            one["moving"] and one["moves"] >= before[arm] + motions for arm, one in self.cell.status().items()
+    def _moves(self, moves: int) -> bool:
+        """Return whether both arms move, after so many motions of both."""
+        now = self.cell.status().values()
+        return all(one["moving"] for one in now) and sum(one["moves"] for one in now) >= moves
+
+    def _measures(self, moves: int) -> bool:
+        """Return whether the arms have rested for longer than between two parts of a way, after ``moves`` motions."""
+        before, _, now = self.cell.status(), time.sleep(_ON_THE_WAY_S), self.cell.status()
+        moved = sum(one["moves"] for one in before.values()) > moves + 1
+        return (
+            moved and not any(one["moving"] for one in now.values()) and all(before[k]["q"] == now[k]["q"] for k in now)
         )
 
     def _connects(self) -> bool:
