@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -222,6 +222,7 @@ class Bench:
         scene = Scene(cell, self._collect(), self.run, self.other_run)
         before = sum(one["moves"] for one in cell.status().values())
         moves = partial(self._moves, before + int(self.random.integers(4, 14)))  # so that there are readings to lose
+        ready: Mapping[str, Callable[[], bool]]
         ready = {"connecting": self._connects, "moving": moves, "measuring": partial(self._measures, before)}
         comes_about(lambda: ready[attack.when]() or scene.program.poll() is not None, time.monotonic() + _PATIENT_S)
         time.sleep(self.random.uniform(0.0, 1.0 if attack.when == "measuring" else 0.2))
@@ -263,7 +264,9 @@ class Bench:
 
     def _measures(self, moves: int) -> bool:
         """Return whether the arms have rested for longer than between two parts of a way, after ``moves`` motions."""
-        before, _, now = self.cell.status(), time.sleep(_ON_THE_WAY_S), self.cell.status()
+        before = self.cell.status()
+        time.sleep(_ON_THE_WAY_S)
+        now = self.cell.status()
         moved = sum(one["moves"] for one in before.values()) > moves + 1
         return (
             moved and not any(one["moving"] for one in now.values()) and all(before[k]["q"] == now[k]["q"] for k in now)
