@@ -236,7 +236,7 @@ class Bench:
             scene.program.send_signal(signal.SIGINT)
         code = scene.program.poll()
         scene.program.kill()
-        said = "; ".join(filter(None, (scene.words, _last_line(scene.program))))
+        said = "; ".join(filter(None, (scene.words, _last_line(scene.program)))).replace(f"{self.run.parent}/", "")
         cell.wait_at_rest(_STOPS_WITHIN_S)
         rested_s = time.monotonic()
         time.sleep(_WATCHED_S if attack.when != "connecting" else 1.0)
