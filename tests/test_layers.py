@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from cellapp.interfaces.tui.screens import SCREENS
+
 ROOT = Path(__file__).parents[1]
 MODULES = sorted(path for folder in ("cellapp", "drivers") for path in (ROOT / folder).rglob("*.py"))
 GROUPS = ("interfaces", "commands", "cell", "estimation", "robot", "ground")
@@ -377,3 +379,13 @@ def test_every_package_that_is_imported_is_declared() -> None:
         name for name in others if not {one.lower().replace("_", "-") for one in brought.get(name, [name])} & declared
     }
     assert undeclared == set()
+
+
+def test_a_verb_is_known_to_no_interface_and_a_screen_to_the_list_of_screens_alone() -> None:
+    """The toy verb has a chart and a dialog, and no interface knows them."""
+    texts = {name(path): path.read_text("utf-8") for path in MODULES if name(path).startswith("cellapp/")}
+    assert [one for one, text in texts.items() if "/interfaces/" in one and "greet" in text.lower()] == []
+    screens = "cellapp/interfaces/tui/screens"
+    for entry in SCREENS:
+        naming = {one for one, text in texts.items() if re.search(rf"\b{entry.class_name}\b", text)}
+        assert naming == {f"{screens}/{entry.step}.py", f"{screens}/__init__.py"}, entry.class_name

@@ -1,4 +1,4 @@
-"""The emulated cell of a profile in a process of its own, for tests over the wire."""
+"""The emulated cell of a profile in a process of its own, for tests over the wire; work where nobody looks on."""
 
 from __future__ import annotations
 
@@ -12,10 +12,13 @@ from typing import Any, TypeVar
 import pytest
 
 from cellapp.cell.profile import profile_from_json, profile_to_json
-from cellapp.commands.emulate import EmulatedTracker, emulate, emulated_arms
+from cellapp.commands.emulate import EmulatedArm, EmulatedTracker, emulate, emulated_arms
+from cellapp.commands.record import Work
+from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
+from cellapp.ground.outputs import NEW_ONLY
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import CancelToken, ignore, ignore_words
 from drivers.trackers.bridge_settings import BridgeSettings
 from tests import latency
 from tests.waiting import WAIT_S
@@ -106,3 +109,14 @@ def emulated(
             process.kill()
             process.join(PATIENT_S)
     assert process.exitcode == 0
+
+
+def on_free_ports(profile: Profile) -> list[EmulatedArm]:
+    """The emulated arms of a profile on ports that the operating system chooses."""
+    free = dict.fromkeys(("dashboard_port", "primary_port", "script_port", "rtde_port"), 0)
+    return [arm.model_copy(update=free) for arm in emulated_arms(profile)]
+
+
+def quiet_work(say: Callable[[str], None] = ignore_words) -> Work:
+    """What a job has whose progress nobody follows: nobody can be asked, no file is replaced."""
+    return Work(ignore, JobControl(), lambda _: None, NEW_ONLY, say=say)

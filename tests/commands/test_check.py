@@ -33,7 +33,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant
 from cellapp.ground.profile.sections import Smr
 from cellapp.ground.progress import Progress
-from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER
+from cellapp.ground.results import CHECK, DISCOVER
 from drivers.trackers.simulated import SimulatedTracker
 from tests.cell.driving.test_check import SOME, away, swap_splits
 from tests.twin import PROFILES, finished_twin
@@ -308,22 +308,6 @@ def test_another_plant_is_refused_for_arms_that_are_not_simulated(run: RunFile) 
     assert plant is not None
     with pytest.raises(InputError, match="--simulated-plant changes a simulated cell"):
         _with_plant(load_profile(PROFILES / "ur10-ur5.yaml"), plant)
-
-
-def test_one_arm_alone_is_checked(tmp_path: Path) -> None:
-    twin = finished_twin(30)
-    assert twin.plant is not None
-    plant = twin.plant.model_copy(update={"effects": {}})
-    drawn = twin.plan.model_copy(update={"method": "random"})
-    alone = twin.model_copy(update={"arms": {"left": twin.arms["left"]}, "plant": plant, "plan": drawn})
-    with new_planned_run(alone, tmp_path / "run") as run:
-        collect_run(run)
-        calibrate_run(run)
-        assert check_run(run).verdict == "valid"
-        found = check_run(run, simulated_plant=other_zero(alone))
-        assert found.found_change
-        assert list(found.arms) == ["left"]
-        assert read_stages(run).in_force == read_stages(run).current[CALIBRATE]
 
 
 def test_a_probe_shows_a_change_that_positions_do_not(tmp_path: Path) -> None:

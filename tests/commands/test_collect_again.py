@@ -12,10 +12,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.measured_again import replace_stop
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.commands.collect.state import collection_state
-from cellapp.commands.collect.view import collection_tables
 from cellapp.commands.confirm import MotionNotConfirmed, asked_once, confirmation, first_path_words, require_permission
-from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.report.result import read_results
 from cellapp.commands.report.run import report_run
 from cellapp.commands.show.overview import run_overview
@@ -32,7 +29,6 @@ from cellapp.estimation.readings import Reading
 from cellapp.ground.errors import CheckFailed
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import VERIFY
-from cellapp.interfaces.cli import main
 from cellapp.interfaces.page.page import write_page
 from drivers.findings import Finding
 from tests.cell.run.small_runs import collected_run
@@ -64,54 +60,13 @@ def test_what_rests_on_readings_that_were_replaced_is_out_of_date(run: RunFile, 
     assert found == {"calibrate": "2 readings were measured again since"}
 
 
-def test_a_run_that_was_accurate_enough_stays_so(run: RunFile) -> None:
-    before = next_step(run, read_stages(run), arm_states(run))
-    measure_again(run, 1)
-    assert next_step(run, read_stages(run), arm_states(run)) == before
-    state = collection_state(run)
-    assert state is not None
-    assert state.last is not None
-    assert (state.last.outcome, state.sessions[-1].again) == ("accurate enough", "2")
-
-
-def test_the_readings_before_are_listed_beside_the_sessions(run: RunFile) -> None:
-    measure_again(run, 1)
-    measure_again(run, 1)
-    state = collection_state(run)
-    assert state is not None
-    titles = {table.title: table for table in collection_tables(state)}
-    replaced = titles["Stops measured again: the readings before, which are kept and not used"]
-    assert [row[:2] for row in replaced.rows] == [(2, "left"), (2, "left"), (2, "right"), (2, "right")]
-    sessions = titles["Sessions of collecting"]
-    assert [row[3] for row in sessions.rows] == ["accurate enough", *["complete, stops 2 again"] * 2]
-    assert {(one.stop, one.again) for one in state.stops} == {(0, 0), (1, 2)}
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--again", "a"], "'a': expected stops such as 0-9,12, or none"),
-        (["--again", "none"], "no stop is named to be measured again"),
-        (["--again", "0"], "there is no stop 0; there are 1 to 4"),
-        (["--again", "3"], "stop 3 was not measured yet"),
-        (["--again", "1", "--resume"], "--again and --resume do not go together"),
-    ],
-)
-def test_a_list_that_cannot_be_measured_is_refused(
-    run: RunFile, options: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run.close()
-    monkeypatch.setattr("sys.argv", ["cellapp", "collect", str(run.folder), *options])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    assert message in " ".join(capsys.readouterr().err.split())
-
-
 # -- What is out of date is said, and is an error where that is asked for ----------------------------------------------
 
 
-def test_a_page_is_out_of_date_as_soon_as_the_run_holds_something_newer(finished_copy: Path) -> None:
+def test_a_page_is_out_of_date_as_soon_as_the_run_holds_something_newer(
+    finished_copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cellapp.commands.next_step._missing_tests", lambda run, stages: ())
     with RunFile.open(finished_copy, write=True) as run:
         assert complaints_of(run) == []
         report_run(run, write_page)

@@ -18,16 +18,12 @@ import pytest
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.iso9283.programme import published_cell
-from cellapp.cell.driving.supervision import moving_cell
-from cellapp.cell.driving.tracked_path import INTERVAL_S, MOST_RUNS, PathDriver, TrackedPath
 from cellapp.cell.planning.plan import make_stops
 from cellapp.cell.planning.planned_stops import PlannedStops, write_planned_stops
 from cellapp.cell.planning.sweeps import SWEEPS_RESULT, PlannedSweeps, read_sweeps
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import read_recordings_of, recording_states
-from cellapp.cell.targets.path import PathSpec, plan_path
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.plan.run import new_planned_run
@@ -36,14 +32,12 @@ from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.motion.tracks import track_of
 from cellapp.estimation.readings import Readings
-from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.arms.ur_settings import UrSettings
 from drivers.plant.sweep import recorder_of
-from drivers.trackers.protocol import TargetLost
 from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.commands.emulated_cell import behind_bridge, emulated, patiently, stalled
 from tests.loopback import free_port, own_address, own_arms
@@ -214,8 +208,6 @@ HOSTS_OF_EMULATE_SWEEPS = own_arms(73)
 PERIOD_S, SHARE = 4.5, 0.2
 """Of the sweeps: what is planned takes 16 s and more."""
 ARM, RATE_HZ = "left", 200.0
-LOST_PER_MIN, MOST_DRIVEN = 20.0, 30
-"""The beam breaks in every third to fourth drive."""
 
 
 def served_cell() -> Profile:
@@ -271,46 +263,3 @@ def test_sweeps_are_recorded_over_the_wire(tmp_path: Path, monkeypatch: pytest.M
         track = track_of(recording, nominal_arm(profile.arms[ARM]), tool_unknown=False, seed=1)
         true_s = clocks.offset_s + 1e-6 * clocks.rate_ppm * float(joints.time_s[0])
         assert track.start.offset_s == pytest.approx(true_s, abs=5e-3)
-
-
-@pytest.mark.slow
-def test_a_path_on_which_the_beam_broke_is_driven_again_over_the_wire() -> None:
-    profile = served_cell()
-    model = published_cell(profile, {})
-    poses = [{"position": [-0.1, -0.75, 0.55], "rpy": ["90 deg", 0, 0]}, {"position": [0.1, -0.75, 0.55]}]
-    spec = PathSpec.model_validate({"name": "line", "arm": ARM, "tolerance": 1e-3, "speed": 0.25, "poses": poses})
-    plan = plan_path(profile, model, spec, 0.008)
-    path, trajectory = plan.path, plan.trajectory
-    assert plan.refusal == ""
-    assert path is not None
-    assert trajectory is not None
-    start_M = path.positions(np.zeros(1))[0]
-
-    def driven(_: int) -> list[TrackedPath]:
-        found: list[TrackedPath] = []
-        control = JobControl()
-        with moving_cell(at_port, model, control, slow_visits=None) as moving:
-            driver = PathDriver(moving.cell, moving.mover, moving.reaction, control)
-            moving.mover.speed = 1.0
-
-            def begin() -> None:
-                moving.mover.move({ARM: trajectory.q[0]})
-
-            for _ in range(MOST_DRIVEN):
-                try:
-                    found.append(driver.drive(ARM, trajectory, begin, start_M))
-                except TargetLost as error:  # by chance the beam breaks in one drive after the other
-                    if f"each of the {MOST_RUNS} times" not in str(error):
-                        raise
-                    continue
-                if found[-1].lost_beams:
-                    break
-        return found
-
-    with emulated(profile, HOSTS_OF_EMULATE_SWEEPS, 1.0, LOST_PER_MIN) as port:
-        at_port = behind_bridge(profile, f"socket://127.0.0.1:{port}")
-        found = patiently(driven)
-    assert found[-1].lost_beams > 0
-    for one in found:
-        assert len(one.track.p_M) >= trajectory.duration_s / INTERVAL_S - 10
-        assert path.distances(one.track.p_M).max() < 0.02, "as far as nominal arms are off"

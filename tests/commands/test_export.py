@@ -68,50 +68,6 @@ def test_the_loss_is_what_the_whole_model_predicts_beside_the_file(finished_run:
     assert np.sqrt(np.mean(off**2)) == pytest.approx(stated.rms_mm, rel=0.1)
 
 
-def test_the_geometry_of_either_stage(finished_run: Path, tmp_path: Path) -> None:
-    with RunFile.open(finished_run) as run:
-        in_force = export_as_run(run, "dh", tmp_path / "now.yaml", "left")
-        found = export_as_run(run, "dh", tmp_path / "discover.yaml", "left", "discover")
-        rigid = export_as_run(run, "dh", tmp_path / "calibrate.yaml", "left", "calibrate")
-    texts = {name: (tmp_path / f"{name}.yaml").read_text("utf-8") for name in ("now", "discover", "calibrate")}
-    assert texts["now"] == texts["discover"]
-    assert in_force.arms is not None
-    assert found.arms is not None
-    assert rigid.arms is not None
-    assert in_force.arms["left"].lost_together == found.arms["left"].lost_together
-    without, own = rigid.arms["left"].lost_together, in_force.arms["left"].lost_together
-    assert without is not None
-    assert own is not None
-    assert rigid.arms["left"].lost == {}, "one number against the whole model"
-    assert f"all that is not rigid: {without.rms_mm:.3f} mm rms" in texts["calibrate"]
-    better = [note for note in in_force.notes if "--stage calibrate" in note]
-    assert bool(better) == (without.rms_mm < own.rms_mm)
-    assert rigid.notes == ()
-
-
-@pytest.mark.parametrize("form", FORMATS)
-def test_what_exists_is_not_overwritten(finished_run: Path, tmp_path: Path, form: str) -> None:
-    there = tmp_path / "arm-right.txt"
-    there.write_text("mine", encoding="utf-8")
-    with RunFile.open(finished_run) as run:
-        with pytest.raises(InputError, match=r"arm-right\.txt exists already; nothing was written"):
-            export_as_run(run, form, tmp_path / "arm.txt")
-        assert [path.name for path in tmp_path.iterdir()] == ["arm-right.txt"]
-        export_as_run(run, form, tmp_path / "new" / "arm.txt", "right")
-        again = (tmp_path / "new" / "arm.txt").read_bytes()
-        export_as_run(run, form, tmp_path / "new" / "arm.txt", "right")
-    assert (tmp_path / "new" / "arm.txt").read_bytes() == again, "the same run makes the same file"
-
-
-def test_an_outdated_model_is_said(finished_copy: Path, tmp_path: Path) -> None:
-    with RunFile.open(finished_copy, write=True) as run:
-        words = list(run.readings("left").split or ())
-        run.assign_splits("left", [*words[1:], words[0]])
-        result = export_as_run(run, "poe", tmp_path / "arm.yaml")
-    assert "the model was used although 'calibrate' is out of date" in result.notes[0]
-    assert result.notes[0] in export_lines(result)
-
-
 def test_the_format_of_a_plugin(finished_run: Path, tmp_path: Path) -> None:
     ended = run_commands(
         [add_example(tmp_path / "plugin")],

@@ -12,7 +12,6 @@ import pytest
 from cellapp.cell.driving.iso9283 import programme
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
-from cellapp.commands.iso9283 import run as verb
 from cellapp.commands.iso9283.request import VERB, Iso9283Request
 from cellapp.commands.iso9283.run import iso9283_run, opened_run
 from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
@@ -113,28 +112,6 @@ def test_what_was_measured_before_a_fault_is_stored(finished_copy: Path, monkeyp
     (distance,) = stored.arms["right"].tests["nominal"].distance
     assert distance.accuracy.n == 2
     assert list(stored.arms) == ["right"]
-
-
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({}, "not calibrated: 'cellapp calibrate .*add --nominal"),
-        ({"arms": ["middle"], "nominal": True}, "no arm 'middle'; arms are left"),
-        ({"cycles": 1}, "--cycles: expected 2 to 1000, got 1"),
-        ({"speed": 120.0}, "--speed: expected a share above 0 % and up to 100 %, got 120 %"),
-        ({"speed": float("nan")}, "--speed"),
-        ({"also_speeds": (50.0, 0.0)}, "expected shares above 0 % and up to 100 %, got 0 %"),
-        ({"also_speeds": (float("nan"),)}, "expected shares above 0 %"),
-        ({"drift_minutes": 0.0}, "--drift-minutes"),
-        ({"tests": ["cooperative"], "nominal": True}, "needs two arms"),
-    ],
-)
-def test_bad_options_are_refused_before_anything_moves(
-    options: dict[str, Any], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(verb, "drive_tests", lambda *_, **__: pytest.fail("it moved"))
-    with RunFile.create(tmp_path / "run", left_alone()) as run, pytest.raises(InputError, match=says):
-        iso9283_run(run, asked(run, **options))
 
 
 def test_a_folder_of_another_cell_is_refused(tmp_path: Path) -> None:

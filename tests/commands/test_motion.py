@@ -1,16 +1,19 @@
-"""Recordings of motion from their files to commands: imported, shown, calibrated, used; what is refused."""
+"""Recordings of motion from their files to commands: imported, shown, calibrated, used, refused; networks from all."""
 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
+from cellapp.commands.calibrate.request import VERB
 from cellapp.commands.calibrate.request import VERB as CALIBRATE
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
@@ -20,15 +23,16 @@ from cellapp.commands.import_ import import_new_run
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import read_stages
-from cellapp.commands.view.recordings import recording_tables
 from cellapp.commands.view.table import Table
+from cellapp.estimation.calibration import learning
+from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Cancelled, CancelToken, Listener, Progress
-from cellapp.interfaces.page import write_page
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.commands.moved_arms import OFFSET_S, RATE_PPM, SIGMA_M, add_arm, true_arm, write_recording
 from tests.interfaces.page.runs import without_devices
+from tests.program import app
 
 
 def files_of(folder: Path, profile, *names: str, **options: float) -> tuple[list[Path], list[Path]]:
@@ -144,36 +148,6 @@ def _empty_export(folder: Path) -> None:
         export_run(run, None, None, recordings={"joints": folder / "out.csv"})
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({}, "the CSV of readings, or --joints and --points"),
-        ({"joints": ("a.csv",)}, "a file of --joints and one of --points"),
-        ({"csv": "a.csv", "arm": "left"}, "--arm belongs to --joints"),
-        ({"joints": ("a",), "points": ("b",), "in_order": True}, "--in-order belongs to a CSV"),
-    ],
-)
-def test_a_request_that_makes_no_sense_is_refused(given: dict[str, object], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        IMPORT.asked({"profile": "p.yaml", "folder": "run", **given})
-
-
-def test_nothing_is_shown_of_no_recordings() -> None:
-    assert recording_tables(()) == []
-
-
-def test_the_page_of_a_run_shows_clocks_and_what_is_not_determined(tmp_path: Path) -> None:
-    profile = without_devices("left")
-    import_new_run(profile, None, tmp_path / "run", recordings=files_of(tmp_path, profile, "left"))
-    with RunFile.open(tmp_path / "run", write=True) as run:
-        result = calibrate_run(run)
-        page = write_page(run).read_text("utf-8")
-    assert result.arms["left"].motion is not None
-    assert result.arms["left"].motion.undetermined
-    for said in ("the tracker&#39;s against the controller&#39;s", "what their points are worth", "not determined"):
-        assert said in page or said.replace("&#39;", "'") in page, said
-
-
 def test_long_fits_of_recordings_say_what_they_do_and_end_on_request(tmp_path: Path) -> None:
     profile = without_devices("left")
     import_new_run(profile, None, tmp_path / "run", recordings=files_of(tmp_path, profile, "left", seconds=20.0))
@@ -206,3 +180,44 @@ def test_long_fits_of_recordings_say_what_they_do_and_end_on_request(tmp_path: P
     of_discover = events_until("with backlash: step 1", discover_run)
     assert of_discover[-1].job == "discover"
     assert "arm left: recordings: with backlash: step 1" in of_discover[-1].note
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    moved = tmp_path_factory.mktemp("moved")
+    profile = without_devices("left")
+    joints, points = write_recording(moved, "left", true_arm(profile, "left"))
+    import_new_run(profile, None, moved / "run", recordings=([joints], [points]))
+    return moved / "run"
+
+
+def test_a_recording_teaches_and_the_comparison_is_said(moved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
+    monkeypatch.setattr(learning, "_FEWEST_STEPS", 60)
+    with RunFile.open(moved, write=True) as run:
+        assert run.profile.network.kind == "none"
+        result = calibrate_run(run, network="batches")
+    network = result.arms["left"].network
+    assert network is not None
+    assert network.batches is not None
+    assert network.batches.readings > 2000
+    assert network.batches.blocks == 40
+    assert ("network" in result.arms["left"].validate_) == network.used
+    assert CalibrateResult.model_validate_json(result.to_json()) == result
+    said = [part for part in VERB.view(result).parts if isinstance(part, str)]
+    assert any("readings in batches" in sentence and "the committee" in sentence for sentence in said)
+    kept = result.model_dump(by_alias=True)["arms"]["left"]["network"]
+    assert "batches" in kept
+
+
+def test_without_torch_the_command_says_what_to_install(moved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    ended = CliRunner().invoke(app, ["calibrate", str(moved), "--network", "batches"])
+    assert isinstance(ended.exception, InputError)  # which ends the program with 2 and this sentence
+    assert "pip install 'cellapp[learn]'" in str(ended.exception)
+
+
+def test_another_network_is_refused(moved: Path) -> None:
+    ended = CliRunner().invoke(app, ["calibrate", str(moved), "--network", "deep"])
+    assert ended.exit_code == 2
+    assert "batches" in ended.output

@@ -24,25 +24,18 @@ from cellapp.cell.planning.planned_stops import (
     straight_stops,
     write_planned_stops,
 )
-from cellapp.cell.programs.records import CorrectedTarget, CorrectResult
 from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.run.measured_again import reference_drifts
-from cellapp.commands.correct import view
-from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.plan.run import (
     check_plan_file,
     export_plan,
     extend_plan,
-    new_planned_run,
     plan_around_file,
     plan_from_file,
-    plan_new_run,
-    plan_result,
     replan,
     stored_plan,
 )
 from cellapp.commands.show.overview import run_overview
-from cellapp.commands.view.table import Table
 from cellapp.estimation.readings import Reading
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CheckFailed, InputError
@@ -104,14 +97,6 @@ def test_a_run_from_a_file_has_the_plan_as_it_is_written(file: Path, plan: Plann
         same_stops(read_planned_stops(other), plan)
         export_plan(other, tmp_path / "again.csv")
     assert (tmp_path / "again.csv").read_bytes() == file.read_bytes()
-
-
-def test_a_file_with_another_number_of_stops_makes_a_run_that_asks_for_these(file: Path, tmp_path: Path) -> None:
-    result = plan_from_file(quickly_planned(4, plan={"reserve": 1}), file, tmp_path / "other")
-    assert (result.stops["left"], result.reserves) == (STOPS, 0)
-    assert "the file has 6 stops" in result.notes[0]
-    with RunFile.open(tmp_path / "other") as other:
-        assert (other.profile.plan.stops, other.profile.plan.reserve) == (STOPS, 0)
 
 
 def test_offences_are_named_by_line_and_configuration_and_nothing_is_written(
@@ -199,19 +184,6 @@ def test_what_could_not_be_reached_is_replaced_and_what_is_measured_stays(run: R
         replan(run)
 
 
-def test_frozen_and_proposed_stops_survive_a_new_design(run: RunFile, plan: PlannedStops) -> None:
-    further = straight_stops({name: q[:2] + 0.01 for name, q in plan.q.items()})
-    write_planned_stops(run, joined(plan, further), proposed={6, 7})
-    replan(run)
-    stops = read_planned_stops(run)
-    assert proposed_stops(read_stop_conditions(run)) == {6, 7}
-    for name, q in stops.q.items():
-        np.testing.assert_array_equal(q[6:], further.q[name])
-        assert (q[stops.frozen] == plan.q[name][1]).all()
-        assert not np.array_equal(q[0], plan.q[name][0])
-    assert stops.frozen.sum() == 1
-
-
 def test_the_reference_stop_stays_where_it_is(
     run: RunFile, plan: PlannedStops, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -231,18 +203,6 @@ def test_the_reference_stop_stays_where_it_is(
     collect_run(run, resume=True)
     assert run.stops_done() == {1, 2, 3, 4, 5, 6}
     assert max(one.drift_mm for one in reference_drifts(run)) < 0.1
-
-
-def test_reserves_are_planned_last(tmp_path: Path) -> None:
-    with new_planned_run(quickly_planned(4, plan={"reserve": 2}), tmp_path / "run") as run:
-        before = read_planned_stops(run)
-        result = replan(run)
-        after = read_planned_stops(run)
-        assert (result.stops["left"], result.reserves, len(after)) == (4, 2, 6)
-        assert not np.array_equal(before.q["left"], after.q["left"])
-        first = after
-        replan(run)
-        assert not np.array_equal(first.q["left"], read_planned_stops(run).q["left"])
 
 
 def test_a_running_job_keeps_its_plan_and_a_cancelled_change_writes_nothing(run: RunFile, plan: PlannedStops) -> None:
@@ -268,16 +228,6 @@ def test_changes_are_the_same_for_the_same_run(plan: PlannedStops, tmp_path: Pat
             replan(run)
             added.append(read_planned_stops(run))
     same_stops(*added)
-
-
-def test_a_plan_result_counts_and_times_what_is_visited(tmp_path: Path) -> None:
-    made = plan_new_run(quickly_planned(4, plan={"reserve": 2, "method": "random"}), tmp_path / "run")
-    with RunFile.open(tmp_path / "run") as run:
-        again = plan_result(run)
-    assert made == again
-    assert (made.stops, made.reserves, made.design) == ({"left": 4, "right": 4}, 2, None)
-    assert made.time is not None
-    assert made.time.moving_s > 0.0
 
 
 @pytest.mark.parametrize(("proposed", "says"), [(set(), ""), ({5}, "too few stops can be reached")])
@@ -340,24 +290,3 @@ def test_a_new_design_changes_what_it_may_and_nothing_else(
         assert {tuple(stops.q[name][stop].tolist()) for stop in frozen - failed} <= left
         assert not {tuple(stops.q[name][stop].tolist()) for stop in replaced} & left
         assert len(left) == 9
-
-
-# -- What ``correct`` prints explains each of its columns --------------------------------------------------------------
-
-
-def test_each_size_in_the_table_is_explained_below_it_and_in_the_chapter() -> None:
-    target = CorrectedTarget(
-        line=3, command="movej", kind="pose", old=(0.1, 0.2, 0.3, 0.0, 0.0, 0.0), new=(0.1, 0.2, 0.301, 0.0, 0.0, 0.0),
-        correction_mm=1.0, correction_mrad=0.1, uncertainty_mm=0.02,
-    )  # fmt: skip
-    table, *lines = view(
-        CorrectResult(program="day.script", arm="left", targets=(target,), left=(), assumptions=(), out="out.script")
-    ).parts
-    assert isinstance(table, Table)
-    words = " ".join(map(str, lines))
-    chapter = chapter_text("programs")
-    for column in ("moves", "turns", "sigma"):
-        assert column in [one.title for one in table.columns]
-        assert column in words
-        assert f"*{column}*" in chapter
-    assert "standard uncertainty of a coordinate" in words

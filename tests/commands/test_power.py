@@ -18,9 +18,7 @@ from cellapp.commands.report.sections import power_section
 from cellapp.commands.trials.power.result import (
     NamingTrial,
     PowerResult,
-    power_chart,
     power_sentence,
-    power_table,
     stored_power,
 )
 from cellapp.commands.trials.power.rounds import PlannedCell, TrialCell, naming_trial, power_at, power_of, trial_cell
@@ -29,7 +27,6 @@ from cellapp.estimation.uncertainty.naming_curve import NamingCurve
 from cellapp.ground.errors import InputError
 from cellapp.ground.executors import Gathered, TimeLimit, Work
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import EFFECTS
 from tests.program import app
 from tests.twin import PROFILES, whole_twin
 
@@ -223,15 +220,6 @@ def test_trials_that_cannot_be_computed_are_said_and_not_asked_for_again(planned
     assert 0 < effects["left"]["target_slip"].trials < 8
     assert len(found.failed) == len(asked) - len(found.trials)
     assert not found.ended_by_time
-
-
-def test_table_and_chart_show_every_effect(result: PowerResult) -> None:
-    arm = result.arms["left"]
-    table, chart = power_table("left", arm), power_chart("left", arm)
-    assert len(table.rows) == len(arm.effects)
-    assert [row[0] for row in table.rows[: len(TRUE_MM)]] == [EFFECTS[effect].title for effect in TRUE_MM]
-    assert len(chart.categories) == len(TRUE_MM)
-    assert PowerResult.from_json(result.to_json(), "again") == result
 
 
 def test_a_run_keeps_it_and_its_report_shows_it(

@@ -31,8 +31,7 @@ from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import ignore_words
 from drivers.arms.ur_settings import UrSettings
-from tests.commands.emulated_cell import emulated, patiently, stalled
-from tests.commands.quiet_work import quiet_work
+from tests.commands.emulated_cell import emulated, patiently, quiet_work, stalled
 from tests.commands.test_emulate import CLI_HOSTS, PACE, wire_profile
 
 pytestmark = pytest.mark.waits

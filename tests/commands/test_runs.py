@@ -21,7 +21,6 @@ from typer.testing import CliRunner
 from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.run import RunFile, SessionEnd
 from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, ArmIdentity, ControllerIdentity, arm_identities
-from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compare.run import (
     GEOMETRY,
     HELD_OUT,
@@ -38,22 +37,17 @@ from cellapp.commands.runs.history import list_runs, summarise
 from cellapp.commands.runs.result import ArmHistory, RunsResult, RunSummary
 from cellapp.commands.runs.run import arm_history
 from cellapp.commands.runs.view import history_sentences, history_table, runs_sentences, runs_tables
-from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import append_stage, basis_of, read_stages
 from cellapp.commands.stored_model import comparable_arms
 from cellapp.commands.view.words import STAGE_WORDS
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.monitoring.moved import EXPANSION, CalibratedArm, determined_values, differences
-from cellapp.estimation.readings import Readings
 from cellapp.ground.asking import JOB_FILE
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Traceability, TraceableArm
 from cellapp.ground.results import DISCOVER
-from cellapp.robot.kinematics.chain import smr_positions
-from cellapp.robot.model.nominal import nominal_arm
-from tests.arms import STATION, true_geometry
 from tests.cell.run.small_runs import SPOILED, add_stop, collected_run, planned_run, set_began, spoil_cut, two_arms
 from tests.commands.measured_runs import Truth, cell, measured_run, set_month
 from tests.interfaces.page.runs import without_devices
@@ -91,18 +85,6 @@ def test_every_run_below_a_folder_newest_first_and_nothing_else(tmp_path: Path) 
     assert names(list_runs(tmp_path / "second")) == ["second"], "the folder of a run is a list of one"
 
 
-def test_a_folder_without_runs_and_none_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert list_runs().runs == ()
-    assert "no runs below logs" in runs_sentences(list_runs())[0]
-    assert runs_tables(list_runs()) == []
-    assert resumable() is None
-    (tmp_path / "file").write_text("x")
-    for path, says in (("nowhere", "folder not found"), ("file", "is not a folder")):
-        with pytest.raises(InputError, match=f"{path}.*{says}"):
-            list_runs(Path(path))
-
-
 @pytest.mark.parametrize(
     ("outcome", "measured", "interrupted", "words"),
     [
@@ -131,21 +113,6 @@ def test_a_run_whose_last_session_ended_early_can_be_resumed(
     assert (None if offer is None else offer.run) == (str(folder) if interrupted else None)
     said = "\n".join(runs_sentences(list_runs(tmp_path)))
     assert (f"cellapp collect {folder} --resume' continues it" in said) == interrupted
-
-
-def test_a_plan_alone_was_not_interrupted(tmp_path: Path) -> None:
-    planned_run(tmp_path / "run").close()
-    row = summarise(tmp_path / "run")
-    assert (row.sessions, row.last_session, row.interrupted, row.next_verb) == (0, None, False, "collect")
-
-
-def test_the_newest_interrupted_run_is_offered(tmp_path: Path) -> None:
-    for minute, (name, outcome) in enumerate((("old", "stopped"), ("newer", None), ("newest", "complete"))):
-        collected_run(tmp_path / name, outcome, 4 if outcome == "complete" else 1)  # type: ignore[arg-type]
-        set_began(tmp_path / name, minute)
-    offer = resumable(tmp_path)
-    assert offer is not None
-    assert Path(offer.run).name == "newer"
 
 
 def test_a_run_that_a_job_uses_is_not_offered_and_not_disturbed(tmp_path: Path) -> None:
@@ -238,102 +205,7 @@ def test_strange_content_is_a_row_too(tmp_path: Path, statement: str) -> None:
     assert RunsResult.from_json(list_runs(tmp_path).to_json(), "list").runs == (row,)
 
 
-def test_a_finished_run_has_its_figures(finished_run: Path) -> None:
-    row = summarise(finished_run)
-    assert row.cell == "simulated"
-    assert [stage.name for stage in row.stages] == ["calibrate", "discover", "compensate", "verify"]
-    assert (row.next_verb, row.next_step) == ("report", f"cellapp report {finished_run}")
-    for name, effect in (("left", "joint_compliance"), ("right", "backlash")):
-        figures = row.figures[name]
-        assert figures.best_stage == "effects"
-        assert effect in figures.effects
-        assert figures.heldout_mm is not None
-        assert figures.heldout_mm.after < figures.heldout_mm.before
-    verified = row.figures["left"].verified_mm
-    assert verified is not None
-    assert verified.after < verified.before
-    text = str([table.text_rows() for table in runs_tables(list_runs(finished_run))])
-    assert "joint compliance" in text
-
-
-def test_the_list_says_what_the_overview_says(finished_copy: Path) -> None:
-    def both() -> list[tuple[dict[str, str | None], str, dict[str, int]]]:
-        row = summarise(finished_copy)
-        with RunFile.open(finished_copy) as run:
-            shown = run_overview(run)
-        return [
-            (
-                {stage.name: stage.out_of_date for stage in state.stages},
-                state.next_step,
-                {name: arm.measured for name, arm in state.arms.items()},
-            )
-            for state in (row, shown)
-        ]
-
-    listed, shown = both()
-    assert listed == shown
-    with RunFile.open(finished_copy, write=True) as run:
-        left = run.readings("left")
-        rows = {name: run.readings(name).take([0]) for name in run.profile.arms}
-        for name, row in rows.items():
-            run.add_readings(name, replace(row, configuration=row.configuration + 999))
-    listed, shown = both()
-    assert listed == shown
-    assert listed[0]["calibrate"] == "2 readings were added since"
-    assert listed[2]["left"] == len(left) + 1
-    figures = summarise(finished_copy).figures["left"]
-    assert figures.best_stage != "effects", "the stage of a discovery that no longer holds is not a headline"
-
-
-def test_other_versions_of_results_are_said_to_be_unreadable(finished_copy: Path) -> None:
-    with contextlib.closing(sqlite3.connect(finished_copy / "run.sqlite")) as connection:
-        connection.execute("UPDATE stage SET text = '{\"arms\": 3}' WHERE name = 'discover'")
-        connection.commit()
-    row = summarise(finished_copy)
-    assert row.problem == ""
-    assert {stage.name: bool(stage.out_of_date) for stage in row.stages}["discover"]
-    assert row.figures["left"].verdict is None
-
-
-def test_a_run_of_an_older_schema(tmp_path: Path) -> None:
-    old = Path(__file__).parents[1] / "fixtures" / "run-schema-2"
-    folder = Path(shutil.copytree(old, tmp_path / "old"))
-    row = summarise(folder)
-    assert row.problem == ""
-    assert row.figures
-    assert all(stage.out_of_date for stage in row.stages)
-
-
 # -- Comparing two runs: what differs and by how many standard uncertainties; what cannot be compared is said ----------
-
-SIGMA_M = 20e-6
-STOPS = 60
-
-
-def calibrated_run(folder: Path, seed: int, *, shift_m: float = 0.0, profile: Profile | None = None) -> Path:
-    """Two arms of one cell, measured at stops and with noise of their own; the left base stands ``shift_m`` off."""
-    geometry_rng, rng = np.random.default_rng(0), np.random.default_rng([1, seed])
-    profile = profile or without_devices("left", "right").model_copy(update={"name": "cell", "seed": seed})
-    with RunFile.create(folder, profile) as run:
-        for place, (name, arm) in enumerate(profile.arms.items()):
-            station = STATION.copy()
-            station[0, 3] += 1.5 * place + (shift_m if name == "left" else 0.0)
-            true = true_geometry(nominal_arm(arm).with_T_M_B(station), geometry_rng)
-            q = rng.uniform(-2.5, 2.5, (STOPS, 6))
-            noise = rng.normal(0.0, SIGMA_M, (STOPS, 3))
-            run.add_readings(
-                name,
-                Readings(
-                    configuration=np.arange(STOPS, dtype=np.int64),
-                    time_s=np.arange(float(STOPS)),
-                    q=q,
-                    approach=np.zeros((STOPS, 6), np.int8),
-                    p_M=smr_positions(true, q) + noise,
-                    sigma_m=np.full(STOPS, SIGMA_M),
-                ),
-            )
-        calibrate_run(run)
-    return folder
 
 
 def compared(a: Path, b: Path) -> RunComparison:
@@ -347,7 +219,7 @@ def compared(a: Path, b: Path) -> RunComparison:
 def two_runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """The same cell, measured twice."""
     folder = tmp_path_factory.mktemp("compared")
-    return calibrated_run(folder / "a", 1), calibrated_run(folder / "b", 2)
+    return measured_run(folder / "a", 1), measured_run(folder / "b", 2)
 
 
 def geometry(values: tuple[ValueComparison, ...]) -> dict[str, ValueComparison]:
@@ -372,7 +244,7 @@ def test_two_calibrations_of_one_cell_differ_as_their_standard_errors_say(two_ru
 
 
 def test_a_base_that_moved_is_flagged(two_runs: tuple[Path, Path], tmp_path: Path) -> None:
-    moved = calibrated_run(tmp_path / "moved", 3, shift_m=2e-3)
+    moved = measured_run(tmp_path / "moved", 3, Truth((("x0", 2e-3),)))
     result = compared(two_runs[0], moved)
     values = geometry(result.arms["left"])
     assert values["x0"].differs
@@ -442,7 +314,7 @@ def test_other_arms_and_other_types_are_sentences(two_runs: tuple[Path, Path], t
     swapped = profile.model_copy(
         update={"arms": {"left": profile.arms["right"], "third": profile.arms["left"]}, "name": "other"}
     )
-    other = calibrated_run(tmp_path / "other", 4, profile=swapped)
+    other = measured_run(tmp_path / "other", 4, profile=swapped)
     result = compared(two_runs[0], other)
     assert list(result.arms) == ["left"]
     assert not geometry(result.arms["left"])
@@ -455,16 +327,6 @@ def test_other_arms_and_other_types_are_sentences(two_runs: tuple[Path, Path], t
     assert keys["name"].b == '"other"'
     assert keys["arms.left.type.model"].a == '"UR10"'
     assert any(key.startswith("arms.third.") and entry.a is None for key, entry in keys.items())
-
-
-def test_a_run_is_not_compared_with_itself(tmp_path: Path) -> None:
-    planned_run(tmp_path / "a").close()
-    with (
-        RunFile.open(tmp_path / "a") as run,
-        RunFile.open(tmp_path / "a" / ".." / "a") as same,
-        pytest.raises(InputError, match="are the same run"),
-    ):
-        compare_runs(run, same)
 
 
 # -- One arm over its runs: what moved is named with its size, what did not is not; who the arm is ---------------------
@@ -518,17 +380,6 @@ def test_the_more_runs_the_more_must_differ(worn: Path, tmp_path: Path) -> None:
         shutil.copytree(worn / f"m{month}", tmp_path / f"m{month}")
     few, many = (arm_history("left", folder).runs[1].moved[0].chance for folder in (tmp_path, worn))
     assert many == pytest.approx((MONTHS - 1) * few)
-
-
-def test_compare_judges_by_the_same_differences(worn: Path) -> None:
-    with RunFile.open(worn / "m0") as a, RunFile.open(worn / "m3") as b:
-        values = geometry(compare_runs(a, b).arms["left"])
-    (theta3,) = arm_history("left", worn).runs[3].moved
-    assert (values["theta3"].difference, values["theta3"].standard_uncertainty) == (
-        theta3.difference,
-        theta3.standard_uncertainty,
-    )
-    assert values["x0"].differs, "compare shows the base too"
 
 
 def test_a_name_that_stands_for_two_arms_is_refused_and_serial_numbers_keep_them_apart(

@@ -49,7 +49,6 @@ from cellapp.interfaces.tui.work import job_of
 from tests.commands.toys.greet import VERB as GREET
 from tests.commands.toys.greet import GreetResult
 from tests.handbook import declarations
-from tests.interfaces.page.cases import discovery
 from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
 from tests.twin import finished_twin
 
@@ -72,15 +71,6 @@ def test_every_stored_part_names_stages_that_there_are() -> None:
     assert len(set(parts)) == len(parts)
     assert {stage for one in stored for stage in one.stages} <= set(RunResults.model_fields)
     assert len({verb.name for verb in records()}) == len(records())
-
-
-def test_a_discovery_is_shown_as_its_verb_shows_it_with_its_steps_once() -> None:
-    result = discovery("left", "right")
-    shown = view(Shown(part="discovery", result=result))
-    told = list(printed(shown.parts))
-    assert told == list(printed(DISCOVER.view(result).parts))
-    words = "\n".join(part if isinstance(part, str) else part.title for part in told)
-    assert words.count("after each step") == len(result.arms)
 
 
 def test_a_part_says_that_it_is_out_of_date_and_its_json_is_its_own() -> None:
@@ -258,13 +248,6 @@ def test_a_command_with_its_options_its_output_and_its_json(run: Path) -> None:
     written = json.loads(CliRunner().invoke(app, ["greet", str(run), "--json", "-"]).stdout)
     assert written == {"schema": "toy-greet", "version": 1, "arms": ["left", "right"], "times": 1}
     assert CliRunner().invoke(app, ["greet", str(run), "--times", "4"]).exit_code == 2
-
-
-def test_a_chart_on_the_page() -> None:
-    result = GreetResult(arms=("left", "right"), times=2)
-    (figure,) = drawn_parts(GREET.view(result).parts, "greet").figures
-    assert figure.caption == "Greetings"
-    assert figure.note == "Everybody is greeted as often."
 
 
 def test_a_schema() -> None:

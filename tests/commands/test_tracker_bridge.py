@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import logging
 import os
 import sys
 import threading
@@ -16,21 +14,18 @@ import pytest
 
 from cellapp.cell.driving.cell import tracker_driver
 from cellapp.cell.driving.examination import examine
-from cellapp.cell.profile import load_profile, profile_from_json, profile_to_json
-from cellapp.commands.emulate import EmulatedTracker, emulate, emulated_arms, emulated_tracker
+from cellapp.cell.profile import load_profile
+from cellapp.commands.emulate import EmulatedTracker, emulate
 from cellapp.commands.tracker_bridge import TrackerBridgeResult, serve_tracker, view
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, CancelToken
+from cellapp.ground.progress import CancelToken
 from drivers.settings import SettingError
 from drivers.trackers.bridge import BridgeTracker
-from drivers.trackers.bridge_settings import BridgeSettings
 from drivers.trackers.bridge_token import read_token
 from drivers.trackers.protocol import Preparation, TargetLost, TrackerRefused
-from tests.commands.emulated_cell import behind_bridge
-from tests.commands.free_ports import on_free_ports
-from tests.evidence.wire.bridge import ALL_FAULTS, bridge_trial
-from tests.twin import PROFILES, small_twin, write_profile
+from tests.commands.emulated_cell import behind_bridge, on_free_ports
+from tests.twin import small_twin, write_profile
 from tests.waiting import WAIT_S
 
 pytestmark = pytest.mark.waits
@@ -163,19 +158,6 @@ def test_settings_that_cannot_be_are_refused_in_words(tmp_path: Path, driver: st
         load_profile(written(tmp_path, driver))
 
 
-@pytest.mark.parametrize(
-    "url", ["socket://192.168.0.20:50960", "socket://[::1]:50960", "rfc2217://moxa:4001", "/dev/ttyUSB0", "COM3"]
-)
-def test_settings_as_they_should_be_are_kept(tmp_path: Path, url: str) -> None:
-    rest = "token_file: ~/token, reflector: RRR 1.5 in, accuracy: precise, timeout: 10 s"
-    text = f'{{kind: bridge, url: "{url}", {rest}}}'
-    profile = load_profile(written(tmp_path, text))
-    assert profile_from_json(profile_to_json(profile)) == profile
-    driver = profile.tracker.driver
-    assert isinstance(driver, BridgeSettings)
-    assert (driver.url, driver.token_file, driver.accuracy, driver.timeout) == (url, "~/token", "precise", 10.0)
-
-
 # -- doctor, emulation -------------------------------------------------------------------------------------------------
 
 
@@ -203,24 +185,6 @@ def test_the_doctor_asks_the_tracker_behind_the_bridge() -> None:
     assert "/no/such/token" in finding.text
 
 
-def test_the_wire_profiles_are_the_twin_behind_the_wire() -> None:
-    twin = load_profile(PROFILES / "twin.yaml")
-    for name in ("twin-wire", "twin-rtde"):
-        profile = load_profile(PROFILES / f"{name}.yaml")
-        assert [arm.driver.kind for arm in profile.arms.values()] == ["ur", "ur"]
-        assert [arm.host for arm in emulated_arms(profile)] == ["127.0.0.2", "127.0.0.3"]
-        assert emulated_tracker(profile) == EmulatedTracker(host="127.0.0.1", port=50960)
-        local = twin.model_copy(update={"name": name})
-        if name == "twin-rtde":
-            local = local.model_copy(update={"plan": profile.plan, "splits": profile.splits})
-        drivers = {n: arm.model_copy(update={"driver": twin.arms[n].driver}) for n, arm in profile.arms.items()}
-        tracker = profile.tracker.model_copy(update={"driver": twin.tracker.driver})
-        assert profile.model_copy(update={"arms": drivers, "tracker": tracker}) == local
-    assert emulated_tracker(twin) is None
-    assert emulated_tracker(behind(twin, "socket://192.168.0.20:50960")) is None
-    assert emulated_tracker(behind(twin, "COM3")) is None
-
-
 def test_arms_and_tracker_are_emulated_together() -> None:
     profile = behind(small_twin(), "socket://127.0.0.1:50960")
     cancel = CancelToken()
@@ -241,28 +205,3 @@ def test_arms_and_tracker_are_emulated_together() -> None:
     )
     assert where
     assert threading.active_count() == before
-
-
-# -- trial -------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_fifty_measurements_with_every_fault(caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.CRITICAL)
-    seen: list[int] = []
-    trial = bridge_trial(small_twin(), 50, 5, seed=4, listener=lambda progress: seen.append(progress.done))
-    assert (trial.asked, trial.delivered) == (50, 50)
-    assert (trial.lost, trial.doubled, trial.strange) == (0, 0, 0)
-    assert set(trial.faults) == set(ALL_FAULTS)
-    assert all(count == 1 for count in trial.faults.values())
-    assert seen == list(range(51))
-    assert json.loads(trial.to_json())["schema"] == "cellapp-trials-bridge"
-
-
-def test_a_trial_is_cancelled_between_measurements() -> None:
-    cancel = CancelToken()
-    cancel.cancel()
-    with pytest.raises(Cancelled):
-        bridge_trial(small_twin(), 20, 10, cancel=cancel)
-    with pytest.raises(InputError, match="at least one group"):
-        bridge_trial(small_twin(), 5, 10)

@@ -25,11 +25,8 @@ from cellapp.ground.profile import Profile
 from tests.evidence.shared.cells import TWIN, bare_stops, drawn_cell, measured_by
 from tests.evidence.shared.series import draw_rows, load_entrant
 from tests.evidence.skeleton import Evidence, Limit, Table
-from tests.handbook.chart import Chart, Series, chart_svg
 
 TITLE = "Error over the number of readings"
-FIGURE = "more-readings"
-"""Stem of the figure's file in the handbook."""
 _LEAST_HELD_OUT, _HELD_OUT_OF_TWIN = 100, 500
 _PLANNED = 60
 """Stops of the plan whose ranges of joints the simulated configurations have."""
@@ -127,17 +124,3 @@ def _standard_error(draws: Sequence[dict[str, Any]]) -> float:
     errors = np.array([one["mm"][1] for one in draws])
     own = float(errors.std(ddof=1)) / math.sqrt(len(errors)) if len(errors) > 1 else 0.0
     return max(own, 0.01 * float(errors.mean()))
-
-
-def figure_svg(stated: dict[str, Any]) -> str:
-    """The figure of kept results: the error of each real robot over the number of readings."""
-    lines = grouped((row[0], row) for row in stated["tables"][0]["rows"] if not row[0].startswith("twin"))
-    series = [
-        Series(name, np.array([float(row[1]) for row in rows]), np.array([_discovered(row) for row in rows]))
-        for name, rows in lines.items()
-    ]
-    return chart_svg(Chart(TITLE, "readings to learn from", "mean held-out error [mm]", tuple(series)))
-
-
-def _discovered(row: Sequence[str]) -> float:
-    return float(row[4].split("**")[1])

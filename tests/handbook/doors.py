@@ -21,7 +21,7 @@ from cellapp.commands.registry import records
 from cellapp.commands.schema import json_schema, results_by_name, written_results
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import ArmType
-from tests.cell.run.csv_rows import read_readings_csv
+from tests.cell.run.small_runs import read_readings_csv
 from tests.handbook.chapters import EXCERPT, Example
 
 STARTER = "twin"

@@ -70,7 +70,7 @@ _NO_CLOCK = {"dwell", "integration", "duration", "settle", "settling", "wait", "
 _OF_READINGS = {"robot": "arm", "temperature": "temperature_c", "temp": "temperature_c", "payload": "payload_kg"}
 """Columns of readings at rest besides joint positions and points."""
 _GLUED = re.compile(r"([xyz])(meas|act|ist|nom|soll|ref|cmd|theo|calc)")
-_POINT = re.compile(r"((?:.*[^a-z])?(?:p|pos|position|point|smr|t)?)([xyz])([ _.\d]*)")
+_POINT = re.compile(r"((?:.*[^a-z])?(?:p|pos|position|point|smr|t)?)([xyz])([ _.\d]*|[ _]?[abcn])")
 _NO_POINT = re.compile(r"(?:^|[^a-z])(?:v|vel|velocity|r|rot|rotation|q|quat|quaternion|n|w|acc|normal|o)[ _.]?[xyz]$")
 _NO_COORDINATE = {
     "dev",
@@ -273,7 +273,7 @@ def _called(quantity: str, number: int, base: int, order: Mapping[int, tuple[int
 def _several_smrs(families: Mapping[tuple[int, str], _Family]) -> dict[str, _Family]:
     """Return the families of points by the number or letter that tells them apart; empty if something else does."""
     found = {re.fullmatch(r"(.*?)(\d+|[a-h]|)", words): its for (_, words), its in families.items()}
-    if len({match[1] for match in found if match}) > 1 or not all(len(its) == 3 for its in found.values()):
+    if None in found or len({match[1] for match in found if match}) > 1 or any(len(its) < 3 for its in found.values()):
         return {}
     return {(match[2] or "1").upper(): its for match, its in found.items() if match}
 

@@ -22,6 +22,8 @@ from cellapp.cell.safety.gate import predicted_smr
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import ControllerTable
+from cellapp.robot.kinematics.chain import nominal_geometry
+from cellapp.robot.kinematics.plain_dh import plain_geometry
 from cellapp.robot.model.nominal import published_rows
 from drivers.arms.protocol import ArmIdentity, LinkLost
 from drivers.arms.simulated import SimulatedArm
@@ -84,8 +86,10 @@ def test_a_changed_checksum_is_refused_by_name_and_noted_where_one_insists(run: 
 
 def test_another_calibration_than_that_of_the_profile_is_refused(run: RunFile, cell: Cell, tmp_path: Path) -> None:
     rows = published_rows(run.profile.arms["left"])
-    deltas = np.zeros_like(rows)
-    deltas[1:3, 1], deltas[1, 3] = (439.2, -439.2), 1e-3  # the lengths of axes that are nearly parallel cancel
+    arm = nominal_geometry(rows, np.zeros(3))
+    arm.rows[1, 4] = 1e-3
+    deltas = plain_geometry(arm).rows[:, :4] - rows  # the lengths of axes that are nearly parallel cancel
+    assert np.abs(deltas).max() > 100.0
     table = ControllerTable(**dict(zip(_DELTAS, deltas.T.tolist(), strict=True)), checksum="0000000a")
     with RunFile.create(tmp_path / "own", with_arm(run.profile, "left", factory=table)) as own:
         with pytest.raises(HardwareError, match=r"arm left: its controller has another .*arms\.left\.factory"):

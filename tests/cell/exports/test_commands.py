@@ -13,8 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.driving.push import push
-from cellapp.cell.exports.arm_commands import ArmCommands, ExportedCommand, exported_commands, final_commands
+from cellapp.cell.exports.arm_commands import ArmCommands, ExportedCommand
 from cellapp.cell.exports.command_table import urscript
 from cellapp.cell.exports.export_format import CommandFormat
 from cellapp.cell.exports.formats import export_lines, formats_of
@@ -22,9 +21,7 @@ from cellapp.cell.exports.records import ExportResult
 from cellapp.cell.profile import load_profile
 from cellapp.cell.programs.script_targets import read_script
 from cellapp.cell.run import RunFile
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.targets.command import command_record
-from cellapp.cell.targets.compensate import compensate
+from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.records import TargetCommand
 from cellapp.cell.targets.targets import Target, load_targets
@@ -32,9 +29,7 @@ from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.export.run import export_as_run, export_commands
 from cellapp.commands.push.run import push_run
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
-from cellapp.commands.stored_model import model_of
 from cellapp.ground.errors import InputError
-from cellapp.ground.results import CALIBRATE
 from cellapp.robot.model import CellModel
 from tests.twin import PROFILES
 
@@ -184,31 +179,6 @@ def test_what_verification_drove_last_is_written(finished_copy: Path, tmp_path: 
         with pytest.raises(InputError, match="other targets were compensated since; nothing was written"):
             export_as_run(run, "commands", tmp_path / "never.csv", None, "verify")
     assert not list(tmp_path.glob("never*"))
-
-
-def test_corrections_by_measuring_are_written_for_the_side_they_were_measured_from(
-    finished_copy: Path, tmp_path: Path
-) -> None:
-    """The calibration is used without the effects that were found, so that every target is corrected."""
-    with RunFile.open(finished_copy) as run:
-        model = model_of(run, read_stages(run).current[CALIBRATE])
-        targets = load_targets(PROFILES / "targets" / "twin.yaml", run.profile)[:2]
-        commands = compensate(run.profile, model, targets)
-        found = push(run.profile, model, commands, verify=True, rounds=2)
-    computed = [command_record(command) for command in commands]
-    written = final_commands(found.targets, computed)
-    assert [one.q_corrected is None for one in found.targets] == [False, False]
-    for one, before, after in zip(found.targets, computed, written, strict=True):
-        assert (after.q_compensated, after.approach) == (one.q_corrected, one.approach)
-        assert (after.q_nominal, after.position) == (before.q_nominal, before.position)
-    homes = home_positions(run.profile)
-    exported = exported_commands(written, "left", model, cell_bodies(run.profile, model), homes)
-    for one, command in zip(found.targets, exported, strict=True):
-        assert command.refusal == ""
-        back, there = command.way
-        np.testing.assert_array_equal(there, one.q_corrected)
-        assert one.approach is not None
-        assert np.array_equal(np.sign(there - back), one.approach)
 
 
 @pytest.mark.parametrize("form", COMMAND_FORMATS)

@@ -164,9 +164,6 @@ def test_what_cannot_be_measured_names_its_constraint(cause: str, monkeypatch: p
     assert first.advice in str(told.value)
 
 
-# -- Points of the workspace: clear, inside the ranges, seen by the tracker or not -------------------------------------
-
-
 # -- Candidates within easy reach: what lies behind a wall that no way passes is none, and free ways are free ----------
 
 

@@ -228,9 +228,6 @@ def test_a_new_design_leaves_what_is_frozen(tmp_path: Path) -> None:
         assert not read_planned_stops(run).frozen.any()
 
 
-# -- Conditions of planned stops: damaged ones are named ---------------------------------------------------------------
-
-
 # -- A plan in the run file: all of it comes back, old runs read the same, damaged documents are named -----------------
 
 

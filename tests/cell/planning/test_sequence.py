@@ -196,9 +196,6 @@ def test_planning_can_be_cancelled() -> None:
         planned(planned_twin(8), cancel=token)
 
 
-# -- Orders of stops: exact bookkeeping of moves, short tours, fair blocks, balanced levels ----------------------------
-
-
 # -- Distances between segments: known cases, and every case against a search over both segments -----------------------
 
 

@@ -15,9 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run import RunFile, SessionEnd
+from cellapp.cell.run.csv_import import arms_of_table, readings_from_csv
+from cellapp.cell.run.csv_text import read_csv_table
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.profile import Profile
+from tests.arms import Array
 
 Rows = list[dict[str, str]]
 
@@ -210,3 +213,16 @@ def assert_same(first: Readings, second: Readings) -> None:
             assert one[present].tobytes() == other[present].tobytes(), entry.name
         else:
             assert one == other, entry.name
+
+
+def read_readings_csv(
+    path: Path, joints: Mapping[str, int], *, in_order: bool = False, limits: Mapping[str, Array] | None = None
+) -> tuple[dict[str, Readings], list[str]]:
+    """The readings of each arm in a file, and notes."""
+    readings, _, _, notes = arms_of_table(read_csv_table(path), joints, in_order, limits or {})
+    return readings, notes
+
+
+def import_csv(profile: Profile, csv: Path, folder: Path, *, in_order: bool = False) -> RunFile:
+    """A new run of the readings in a file."""
+    return RunFile.create(folder, profile, readings_from_csv(profile, csv, in_order=in_order))

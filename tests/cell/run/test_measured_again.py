@@ -29,14 +29,17 @@ from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
 from cellapp.robot.kinematics.transforms import rotation_vectors
-<<<<<<< HEAD
-from tests.cell.run.small_runs import Rows, add_stop, assert_same, planned_run, two_arms, written
-=======
-from tests.cell.run.csv_rows import Rows, import_csv, read_readings_csv, written
-from tests.cell.run.small_runs import add_stop, planned_run
-from tests.cell.run.two_arm_cell import assert_same, two_arms
->>>>>>> 36be6cbf354f8606af9c119adafd528dbe93aaa4
-from tests.commands.quiet_work import quiet_work
+from tests.cell.run.small_runs import (
+    Rows,
+    add_stop,
+    assert_same,
+    import_csv,
+    planned_run,
+    read_readings_csv,
+    two_arms,
+    written,
+)
+from tests.commands.emulated_cell import quiet_work
 from tests.twin import PROFILES, small_twin
 
 

@@ -307,36 +307,6 @@ def test_degrees_millimetres_and_decimal_commas(
     np.testing.assert_allclose(rows, np.hstack([Q, P]), atol=2e-11)
 
 
-<<<<<<< HEAD
-=======
-def test_the_columns_of_cellapp_and_others(tmp_path: Path) -> None:
-    names = "configuration,arm,q1,q2,q3,x_m,y_m,z_m,sigma_m,split,qw,qx,qy,qz,remark"
-    rows = [f"{i},left,{i},0.5,1.5,0.1,{i},0.3,1e-5,identify,1,0,0,0,fine" for i in range(4)]
-    found = read_recorded(written(tmp_path, "\n".join([names, *rows])))
-    assert found.arms == ("left",)
-    header, cells = converted(found, "rad", "m", "robot")
-    assert header == tuple(names.replace(",q", ",quat_").replace("quat_1,quat_2,quat_3", "q1,q2,q3").split(","))
-    assert cells[2][:3] == ("2", "left", "2")
-    assert cells[2][-1] == "fine"
-
-
-@pytest.mark.parametrize(
-    ("q", "p", "angles", "lengths"),
-    [
-        (0.01 * Q, P, None, "m"),  # degrees, if the arm hardly moved
-        (4.0 * Q, P, None, "m"),  # beyond a revolution, as some controllers count
-        (Q, 1e-4 * P, "rad", None),
-        (Q, 10.0 * P, "rad", None),
-    ],
-)
-def test_what_is_not_sure_is_said_so(
-    tmp_path: Path, q: np.ndarray, p: np.ndarray, angles: str | None, lengths: str | None
-) -> None:
-    found = read_recorded(written(tmp_path, text_of("q1,q2,q3,x,y,z", q, p)))
-    assert (found.angles, found.lengths) == (angles, lengths)
-
-
->>>>>>> 36be6cbf354f8606af9c119adafd528dbe93aaa4
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -362,20 +332,7 @@ def test_files_that_cannot_be_understood(tmp_path: Path, text: str, words: str) 
         read_recorded(written(tmp_path, text))
 
 
-<<<<<<< HEAD
 # -- Recordings as other programs write them ---------------------------------------------------------------------------
-=======
-def test_measured_columns_are_preferred_and_torques_are_not_used(tmp_path: Path) -> None:
-    text = text_of("target_q_0,target_q_1,target_q_2,actual_q_0,actual_q_1,actual_q_2", Q + 1.0, Q)
-    lines = text.replace("actual_q_2", "actual_q_2,x_um,y_um,z_um,tau_0,tau_1,tau_2").splitlines()
-    rows = [f"{line},{','.join(map(repr, (1e6 * p).tolist()))},1,2,3" for line, p in zip(lines[1:], P, strict=True)]
-    found = read_recorded(written(tmp_path, "\n".join([lines[0], *rows, "# end of the table"])))
-    header, cells = converted(found, "rad", "um", "robot")
-    assert header[2:8] == ("q1", "q2", "q3", "x_m", "y_m", "z_m")
-    assert header[8:] == ("target_q_0", "target_q_1", "target_q_2", "tau_0", "tau_1", "tau_2")
-    assert found.unknown[-3:] == ("tau_0", "tau_1", "tau_2")
-    np.testing.assert_allclose(np.array([row[2:8] for row in cells], dtype=float), np.hstack([Q, P]), atol=1e-9)
->>>>>>> 36be6cbf354f8606af9c119adafd528dbe93aaa4
 
 
 J, P_STRANGE = joint_columns(), point_columns()

@@ -388,26 +388,6 @@ def test_a_file_of_the_first_schema_is_read_and_when_written_to_gets_what_it_lac
         np.testing.assert_array_equal(left.dwell_s, [np.nan, 1.5])
 
 
-def test_a_file_of_the_seventh_schema_takes_several_rows_of_a_stop(profile: Profile, folder: Path) -> None:
-    with RunFile.create(folder, profile) as run:
-        run.add_stop(1, {"left": reading(1)})
-        before = run.readings("left")
-    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as connection:
-        older_reading_table(connection, 7)
-        connection.execute("PRAGMA user_version=7")
-        connection.commit()
-    with RunFile.open(folder) as run:
-        assert_same(run.readings("left"), before)
-    with RunFile.open(folder, write=True) as run:
-        for nest in ("B", "A"):
-            run.add_stop(2, {"left": replace(reading(2), smr=nest)})
-        with pytest.raises(InputError, match="a stop is measured once"):
-            run.add_stop(2, {"left": replace(reading(3), smr="A")})
-        assert run.rows("left").smr == (None, "B", "A")
-        with pytest.raises(InputError, match="arm 'left': readings of several SMRs at a stop were removed in"):
-            run.readings("left")
-
-
 # -- Arms that were not seen at rest -----------------------------------------------------------------------------------
 
 

@@ -25,7 +25,6 @@ from cellapp.cell.targets.targets import Partner, Target, load_targets
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.robot.effects import EFFECTS, EffectTerm
-from cellapp.robot.kinematics.chain import flange_poses
 from cellapp.robot.kinematics.transforms import rotation_zyx, zyx_angles
 from cellapp.robot.model import ArmModel, CellModel
 from tests.postures import far_from_singular
@@ -51,30 +50,6 @@ def commands(run: RunFile, model: CellModel) -> tuple[Command, ...]:
 
 def with_effects(model: CellModel, name: str, *terms: EffectTerm) -> ArmModel:
     return dataclasses.replace(model.arms[name], effects=terms)
-
-
-def test_the_prediction_of_a_compensated_command_is_its_target(model: CellModel, commands: tuple[Command, ...]) -> None:
-    assert [command.target for command in commands] == list(TARGETS)
-    assert sum(not command.refusal for command in commands) >= 30
-    differences = []
-    for command in commands:
-        if command.refusal:
-            continue
-        assert command.q_compensated is not None
-        assert command.q_nominal is not None
-        assert command.expected_M is not None
-        arm = model.arms[command.target.arm]
-        T = arm.geometry.T_M_B()
-        wanted = T[:3, :3] @ np.array(command.target.position) + T[:3, 3]
-        np.testing.assert_allclose(command.expected_M, wanted, atol=1e-12)
-        predicted = arm.predict(command.q_compensated[None], conditions=command.conditions)[0]
-        np.testing.assert_allclose(predicted, wanted, atol=1e-9, err_msg="from the side that stands beside it")
-        roll, pitch, yaw = command.target.rpy or (0.0, 0.0, 0.0)
-        true = arm.true_joints(command.q_compensated[None], conditions=command.conditions)
-        rotation, _ = flange_poses(arm.geometry, true)
-        np.testing.assert_allclose(rotation[0], T[:3, :3] @ rotation_zyx(yaw, pitch, roll), atol=1e-9)
-        differences.append(np.abs(command.q_compensated - command.q_nominal).max())
-    assert 1e-4 < np.median(differences) < 0.05, "the same posture, made good"
 
 
 def test_commands_are_inside_the_limits_safe_and_seen(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import date
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from cellapp.cell.targets.records import CompensateResult, TargetCommand, UnknownCondition
 from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
 from cellapp.commands.certificate.judgements import judge_run
-from cellapp.commands.certificate.result import CertificateResult, CertifiedCharacteristic
+from cellapp.commands.certificate.result import CertificateResult
 from cellapp.commands.certificate.statement import CertificateInput, certificate_of, used_instruments
 from cellapp.commands.report.result import RunResults
 from cellapp.estimation.discovery.records import DiscoverResult, Noise
@@ -19,7 +20,8 @@ from cellapp.estimation.monitoring.check.records import CheckResult, CheckVerdic
 from cellapp.estimation.uncertainty.budget import conformity
 from cellapp.estimation.uncertainty.records import Judgement, UncertaintyParts
 from cellapp.ground.profile.sections import Instrument, Tolerances
-from cellapp.ground.results import CERTIFICATE, COMPENSATE, ISO9283, VERIFY
+from cellapp.ground.results import CERTIFICATE, CHECK, COMPENSATE, ISO9283, VERIFY
+from tests.approved import assert_approved
 from tests.estimation.uncertainty.cases import measured, pair, pose_test, profile_with, results, verification
 from tests.interfaces.page.cases import calibration, nothing_missing
 
@@ -41,60 +43,6 @@ def certified(found: RunResults, **tolerances: Any) -> CertificateResult:
             rests_on={},
         )
     )
-
-
-def test_each_characteristic_of_iso_9283_is_stated_with_its_commands() -> None:
-    found = certified(results(iso9283=pose_test())).iso9283
-    assert found is not None
-    assert found.characteristics[0] == CertifiedCharacteristic(
-        where="left", characteristic="pose_accuracy", commands="calibrated", value_mm=0.08, expanded_mm=0.01, n=30
-    )
-    assert [one.characteristic for one in found.characteristics] == ["pose_accuracy", "pose_repeatability"]
-    assert found.payload_kg == {"left": 1.0}
-
-
-def test_figures_that_are_out_of_date_are_left_out_and_marked() -> None:
-    reasons = {VERIFY: "the profile was changed since", ISO9283: "the same", CERTIFICATE: "an earlier one"}
-    outdated = results(verify=verification(LEFT), iso9283=pose_test(), out_of_date=reasons)
-    found = certified(outdated, position=1.0, decision="simple")
-    assert found.iso9283 is None
-    assert found.arms["left"].errors.left is None
-    assert found.warnings[1] == (
-        "not verified: the verification is out of date (the profile was changed since); its figures are left out"
-    )
-    assert found.out_of_date == ("verify: the profile was changed since", "iso9283: the same")
-    assert {one.conformity for one in found.judgements} == {"cannot say"}
-    assert {"verify: the profile was changed since", *found.warnings} <= set(found.complaints())
-
-
-def test_limits_name_what_was_not_measured_corrected_or_may_be_otherwise() -> None:
-    missed = [LEFT[0].model_copy(update={"name": f"m{k}", "compensated_mm": None}) for k in range(7)]
-    corrected = LEFT[1].model_copy(update={"name": "c", "corrected_mm": 0.01})
-    command = TargetCommand(
-        name="a",
-        arm="left",
-        refusal="",
-        q_nominal=None,
-        q_compensated=None,
-        unknown=(UnknownCondition(condition="approach", effects=("backlash",), mm=0.1),),
-    )
-    again = command.model_copy(
-        update={"unknown": (UnknownCondition(condition="approach", effects=("friction_windup",), mm=0.2),)}
-    )
-    found = certified(
-        results(verify=verification([*LEFT, corrected, *missed]), compensate=CompensateResult(targets=(command, again)))
-    )
-    assert found.limits[1:] == (
-        "Arm left: 7 of 10 targets were not measured: m0, m1, m2, m3, m4 and 2 more.",
-        "Arm left: 1 of 10 targets were corrected by measuring them.",
-        "Arm left: verified with the approach that the commands are made for; with another one the SMR may be"
-        " elsewhere by up to 0.200 mm (backlash, friction windup).",
-    )
-    assert "arm right: not verified" in found.warnings
-
-
-def test_a_cell_with_one_simulated_device_is_marked() -> None:
-    assert certified(results()).warnings[0].startswith("simulated cell")
 
 
 # -- Instruments whose calibration was not in force when they were used, and data that nobody gave ---------------------
@@ -120,18 +68,6 @@ def test_a_calibration_must_be_in_force_on_every_day(calibrated: date | None, du
     assert tracker.due == ("" if due is None else due.isoformat())
 
 
-def test_without_a_time_of_measuring_nothing_is_overdue() -> None:
-    profile = profile_with({}, {"tracker": Instrument(due=date(2000, 1, 1))})
-    assert used_instruments(profile, ())[0].note == ""
-
-
-def test_every_smr_and_further_instrument_is_listed() -> None:
-    thermometer = Instrument(model="T", serial="9")
-    profile = profile_with({}, {"instruments": {"thermometer": thermometer}, "smr": {"left": Instrument(serial="L")}})
-    found = {one.role: one.serial for one in used_instruments(profile, MEASURED)}
-    assert found == {"laser tracker": "SIM-1", "SMR of arm left": "L", "SMR of arm right": "", "thermometer": "9"}
-
-
 # -- Characteristics of ISO 9283 are judged with their uncertainties as the rule says ----------------------------------
 
 
@@ -154,32 +90,9 @@ def arm(accuracy_mm: float, expanded_mm: float | None, n: int) -> ArmIso9283:
     )
 
 
-@pytest.mark.parametrize(
-    ("value", "expanded", "verdict"),
-    [
-        (0.05, 0.04, "conforms"),
-        (0.08, 0.04, "cannot say"),
-        (0.15, 0.04, "does not conform"),
-        (0.05, None, "cannot say"),
-    ],
-)
-def test_the_worst_pose_as_left_is_judged(value: float, expanded: float | None, verdict: str) -> None:
-    tolerances = Tolerances(pose_accuracy=0.1e-3)
-    (found,) = judge_characteristics(tolerances, {"left": arm(value, expanded, 30)}, (), 30)
-    assert (found.characteristic, found.where, found.value_mm) == ("pose_accuracy", "left", value)
-    assert found.conformity == verdict
-    assert found.source == "ISO 9283, P2, calibrated commands, 30 cycles"
-
-
-def test_too_few_cycles_are_not_judged_unless_fewer_were_asked_for() -> None:
-    tolerances = Tolerances(pose_accuracy=0.1e-3, pose_repeatability=0.1e-3)
-    of_27 = {"left": arm(0.05, 0.01, 27)}
-    for one in judge_characteristics(tolerances, of_27, (), 30):
-        assert (one.conformity, one.n) == ("cannot say", 27)
-        assert one.source.endswith("27 of 30 cycles, too few to judge")
-    for one in judge_characteristics(tolerances, of_27, (), 27):
-        assert one.conformity == "conforms"
-        assert one.source.endswith("27 of 30 cycles")
+def test_fewer_cycles_are_judged_where_fewer_were_asked_for() -> None:
+    (found,) = judge_characteristics(Tolerances(pose_accuracy=1e-4), {"left": arm(0.05, 0.01, 27)}, (), 27)
+    assert (found.conformity, found.source) == ("conforms", "ISO 9283, P2, calibrated commands, 27 of 30 cycles")
 
 
 # -- A run against its tolerances: what was measured and holds is judged, everything else is not -----------------------
@@ -226,10 +139,6 @@ def test_decision_rules_at_a_tolerance_of_a_tenth(
     assert conformity(value, expanded, 0.1, rule) == expected  # type: ignore[arg-type]
 
 
-def test_nothing_is_judged_without_a_tolerance() -> None:
-    assert judged(results(verify=verification(LEFT_OF_JUDGEMENTS))) == {}
-
-
 def test_the_largest_verified_error_of_each_arm_is_judged_with_its_expanded_uncertainty() -> None:
     """Tracker 39 um / 2 at 4 m (4.02 m for b), SMR 3 um, air 0.8 um, model 2 um, no excess: k = 2 gives 40 um."""
     found = judged(results(verify=verification([*LEFT_OF_JUDGEMENTS, *RIGHT]), **known_uncertainty()), position=1e-4)
@@ -240,56 +149,6 @@ def test_the_largest_verified_error_of_each_arm_is_judged_with_its_expanded_unce
     )
     assert left.conformity == "conforms"
     assert right.value_mm == 0.04
-
-
-def test_an_uncertainty_with_a_gap_decides_nothing_and_names_the_gap() -> None:
-    found = results(verify=verification(LEFT_OF_JUDGEMENTS), **known_uncertainty())
-    profile = profile_with({"position": 1e-4}, {"smr_centering": None})
-    left = judge_run(profile, found)[0]
-    assert (left.conformity, left.value_mm, left.expanded_mm) == ("cannot say", 0.05, None)
-    assert left.source.endswith("uncertainty not known, as not given: SMR centering")
-
-
-def checked(verdict: CheckVerdict) -> CheckResult:
-    return CheckResult(verdict=verdict, planned=20, sure_after=6, p_value=1e-9, arms={})
-
-
-@pytest.mark.parametrize(
-    ("verdict", "conformity_after"),
-    [
-        ("valid", "conforms"),
-        ("tracker moved", "conforms"),
-        ("arm changed", "cannot say"),
-        ("base moved", "cannot say"),
-        ("smr moved", "cannot say"),
-        ("not explained", "cannot say"),
-    ],
-)
-def test_a_check_that_found_other_arms_leaves_nothing_decided(verdict: CheckVerdict, conformity_after: str) -> None:
-    known = known_uncertainty()
-    left = judged(results(verify=verification(LEFT_OF_JUDGEMENTS), check=checked(verdict), **known), position=1e-4)[
-        "position", "left"
-    ]
-    assert left.conformity == conformity_after
-    assert left.source.endswith(f"a later check found: {verdict}") is (conformity_after == "cannot say")
-    outdated = results(
-        verify=verification(LEFT_OF_JUDGEMENTS), check=checked(verdict), out_of_date={"check": "calibrated"}, **known
-    )
-    assert judged(outdated, position=1e-4)["position", "left"].conformity == "conforms"
-
-
-def test_the_simple_rule_needs_no_uncertainty() -> None:
-    found = judged(results(verify=verification(LEFT_OF_JUDGEMENTS)), position=4e-5, decision="simple")
-    assert found["position", "left"].conformity == "does not conform"
-    assert found["position", "right"].conformity == "cannot say"
-
-
-def test_targets_that_were_not_measured_and_a_stop_are_named() -> None:
-    missed = LEFT_OF_JUDGEMENTS[0].model_copy(update={"name": "m", "compensated_mm": None, "measured_M": None})
-    found = judged(
-        results(verify=verification([*LEFT_OF_JUDGEMENTS, missed], stopped="stopped by hand")), position=1e-4
-    )
-    assert found["position", "left"].source.startswith("verification, 2 of 3 targets (stopped by hand)")
 
 
 def test_distances_between_verified_targets() -> None:
@@ -321,48 +180,78 @@ def test_pairs_are_judged_and_both_arms_count() -> None:
     assert both.expanded_mm == pytest.approx(sum((one or 0.0) ** 2 for one in own) ** 0.5)
 
 
-def test_without_a_verification_the_held_out_figure_is_named_and_nothing_is_decided() -> None:
-    left = judged(results(calibrate=calibration("left", "right")), position=1.0)["position", "left"]
-    assert (left.value_mm, left.conformity, left.n) == (None, "cannot say", 0)
-    assert left.source.startswith("not verified; predicted at")
-    assert "largest" in left.source
+# -- What a certificate says of runs of every kind ---------------------------------------------------------------------
 
 
-def test_results_that_are_out_of_date_judge_nothing() -> None:
-    outdated = {VERIFY: "20 readings were added since", ISO9283: "the profile was changed since"}
-    found = judged(
-        results(
-            verify=verification([*LEFT_OF_JUDGEMENTS, *RIGHT]),
-            iso9283=pose_test(),
-            out_of_date=outdated,
-            **known_uncertainty(),
+def limited() -> RunResults:
+    """Targets that were not measured, were corrected, or may be elsewhere with another approach."""
+    missed = [LEFT[0].model_copy(update={"name": f"m{k}", "compensated_mm": None}) for k in range(7)]
+    corrected = LEFT[1].model_copy(update={"name": "c", "corrected_mm": 0.01})
+    commands = tuple(
+        TargetCommand(
+            name="a", arm="left", refusal="", q_nominal=None, q_compensated=None,
+            unknown=(UnknownCondition(condition="approach", effects=(effect,), mm=mm),),
+        )
+        for effect, mm in (("backlash", 0.1), ("friction_windup", 0.2))
+    )  # fmt: skip
+    verify = verification([*LEFT, corrected, *missed], stopped="stopped by hand")
+    return results(verify=verify, compensate=CompensateResult(targets=commands))
+
+
+def checked(verdict: CheckVerdict, **changes: Any) -> RunResults:
+    """A verified run whose arms were checked later."""
+    check = CheckResult(verdict=verdict, planned=20, sure_after=6, p_value=1e-9, arms={})
+    return results(verify=verification(LEFT_OF_JUDGEMENTS), check=check, **known_uncertainty(), **changes)
+
+
+def of_poses(value: float, expanded: float | None, n: int = 30) -> RunResults:
+    """Tested by ISO 9283."""
+    test = pose_test()
+    return results(iso9283=test.model_copy(update={"arms": {"left": arm(value, expanded, n)}}))
+
+
+def test_certificates_are_as_approved() -> None:
+    outdated = {VERIFY: "the profile was changed since", ISO9283: "the same", CERTIFICATE: "an earlier one"}
+    verified, known = verification([*LEFT_OF_JUDGEMENTS, *RIGHT]), known_uncertainty()
+    cases: dict[str, tuple[RunResults, dict[str, Any]]] = {
+        "tested by ISO 9283": (results(iso9283=pose_test()), {"pose_accuracy": 1.0}),
+        "out of date": (
+            results(verify=verified, iso9283=pose_test(), out_of_date=outdated, **known),
+            {"position": 1.0, "pose_accuracy": 1.0, "decision": "simple"},
         ),
-        position=1.0,
-        pose_accuracy=1.0,
-    )
-    assert {one.conformity for one in found.values()} == {"cannot say"}
-    assert found["position", "left"].source.startswith("the verification is out of date (20 readings were added since)")
-    assert found["pose_accuracy", "left"].source.startswith("the test by ISO 9283 is out of date")
+        "outdated commands": (results(verify=verified, out_of_date={COMPENSATE: "x"}, **known), {"position": 1e-4}),
+        "limits": (limited(), {"position": 1e-4}),
+        "verified": (results(verify=verified, **known), {"position": 1e-4}),
+        "simple rule": (results(verify=verification(LEFT)), {"position": 4e-5, "decision": "simple"}),
+        "not verified": (results(calibrate=calibration("left", "right")), {"position": 1.0}),
+        **{
+            f"then {verdict}": (checked(verdict), {"position": 1e-4})
+            for verdict in ("valid", "tracker moved", "arm changed", "base moved", "smr moved", "not explained")
+        },
+        "an outdated check": (checked("arm changed", out_of_date={CHECK: "calibrated"}), {"position": 1e-4}),
+        **{
+            f"worst pose {value} of {expanded}": (of_poses(value, expanded), {"pose_accuracy": 1e-4})
+            for value, expanded in ((0.05, 0.04), (0.08, 0.04), (0.15, 0.04), (0.05, None))
+        },
+        "27 cycles": (of_poses(0.05, 0.01, 27), {"pose_accuracy": 1e-4, "pose_repeatability": 1e-4}),
+    }
+    said = []
+    for name, (found, tolerances) in cases.items():
+        certificate = certified(found, **tolerances)
+        said.append(f"# {name}")
+        for one in certificate.judgements:
+            size, around = (None if mm is None else round(mm, 4) for mm in (one.value_mm, one.expanded_mm))
+            words = f"{one.conformity}: {size} ± {around} of {one.n}; {one.source}"
+            said.append(f"{one.where}, {one.characteristic}: {words}")
+        if certificate.iso9283 is not None:
+            said += [str(one) for one in certificate.iso9283.characteristics]
+        said += [f"limit: {text}" for text in certificate.limits[1:]]
+        said += [f"complaint: {text}" for text in certificate.complaints()]
+    assert_approved(Path(__file__).parent / "approved" / "certificates.txt", "\n".join(said))
 
 
-def test_commands_that_are_out_of_date_say_nothing_about_the_uncertainty() -> None:
-    found = results(
-        verify=verification(LEFT_OF_JUDGEMENTS),
-        out_of_date={COMPENSATE: "the profile was changed since"},
-        **known_uncertainty(),
-    )
-    assert "calibrated model" in judged(found, position=1e-4)["position", "left"].source
-
-
-def test_what_iso_9283_measured_is_judged_by_the_tolerances_of_now() -> None:
-    found = judged(results(iso9283=pose_test()), pose_accuracy=6e-5, drift=1e-4)
-    assert found["pose_accuracy", "left"].conformity == "does not conform"
-    assert found["pose_accuracy", "left"].tolerance_mm == pytest.approx(0.06)
-    assert found["pose_accuracy", "right"].source.startswith("not measured")
-    assert {found["drift", arm].conformity for arm in ("left", "right")} == {"cannot say"}
-
-
-def test_too_few_cycles_judge_nothing_by_any_tolerance() -> None:
-    found = judged(results(iso9283=pose_test(cycles=3)), pose_accuracy=0.1)
-    assert found["pose_accuracy", "left"].conformity == "cannot say"
-    assert "too few to judge" in found["pose_accuracy", "left"].source
+def test_an_uncertainty_with_a_gap_decides_nothing_and_names_the_gap() -> None:
+    found = results(verify=verification(LEFT_OF_JUDGEMENTS), **known_uncertainty())
+    left = judge_run(profile_with({"position": 1e-4}, {"smr_centering": None}), found)[0]
+    assert (left.conformity, left.value_mm, left.expanded_mm) == ("cannot say", 0.05, None)
+    assert left.source.endswith("uncertainty not known, as not given: SMR centering")

@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from cellapp.cell.run import RunFile, write_readings_csv
-from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.certificate.result import CertificateResult
 from cellapp.commands.certificate.run import PAGE_FILE, SUMS_FILE, certificate_run
 from cellapp.commands.report.result import read_results
@@ -85,17 +84,6 @@ def test_a_certificate_states_what_the_run_holds(certified: Path) -> None:
     assert CERTIFICATE not in results.out_of_date
 
 
-def test_what_is_not_given_is_named_and_a_simulation_is_marked(certified: Path) -> None:
-    found = stored(certified)
-    assert found.warnings[0].startswith("simulated cell")
-    assert "arm right: not verified" in found.warnings
-    assert "location" in found.missing
-    assert "SMR of arm left: serial number, date of calibration, date when its calibration is due" in found.missing
-    page = (certified / PAGE_FILE).read_text("utf-8")
-    assert "Simulated cell" in page
-    assert "not given" in page
-
-
 def test_the_sums_are_of_the_certificate_and_of_all_that_it_rests_on(certified: Path, tmp_path: Path) -> None:
     listed = [line.split("  ", 1)[1] for line in (certified / SUMS_FILE).read_text("utf-8").splitlines()]
     data = [f"certified/{name}" for name in ("model.json", "profile.json", "readings.csv", "verify.json")]
@@ -124,13 +112,6 @@ def test_a_changed_file_and_a_missing_one_are_found(changeable: Path, name: str)
     assert changed_files(changeable) == [name]
     path.unlink()
     assert changed_files(changeable) == [name]
-
-
-def test_later_results_of_the_run_leave_the_sums_true(changeable: Path) -> None:
-    with RunFile.open(changeable, write=True) as run:
-        calibrate_run(run)
-        run.log("info", "later")
-    assert changed_files(changeable) == []
 
 
 def test_a_changed_certificate_is_not_that_of_the_run(changeable: Path) -> None:
@@ -183,12 +164,6 @@ def test_a_certificate_names_who_how_and_where(finished_copy: Path, tmp_path: Pa
     for words in ("Client Ltd, Town", "WI-17 rev. 3", "1005.5 hPa", "40 to 45 %", "copied as a whole", "Method:"):
         assert words in page, words
     assert not {"client", "procedure", "air pressure", "relative humidity"} & set(made.missing)
-
-
-def test_nothing_is_said_to_be_complete_that_is_not(certified: Path) -> None:
-    found = stored(certified)
-    assert {"client", "procedure", "air pressure", "relative humidity"} <= set(found.missing)
-    assert "Every entry" not in (certified / PAGE_FILE).read_text("utf-8")
 
 
 @pytest.mark.parametrize(
@@ -253,13 +228,6 @@ def test_no_number_is_made_twice(changeable: Path, tmp_path: Path) -> None:
     with RunFile.open(changeable, write=True) as run:
         numbers = [certificate_run(run, certificate_page, out=tmp_path / str(one), now=NOON).number for one in range(2)]
     assert numbers == [f"{first}-2", f"{first}-3"]
-
-
-@pytest.mark.parametrize("number", ["", " 1", "a\nb", "<b>", "n" * 61, "a\tb"])
-def test_numbers_that_do_not_fit_a_heading_are_refused(finished_copy: Path, number: str) -> None:
-    with RunFile.open(finished_copy, write=True) as run, pytest.raises(InputError, match="--number"):
-        certificate_run(run, certificate_page, number=number)
-    assert not (finished_copy / CERTIFICATE_FILE).exists()
 
 
 def test_a_file_completes_the_profile_and_its_errors_have_lines(finished_copy: Path, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from drivers.arms.ur_settings import UrSettings
 from drivers.emulators.ur_controller import ControllerConfig, UrControllerServer, personality
 from drivers.findings import Finding
 from drivers.trackers.bridge_settings import BridgeSettings
-from tests.commands.quiet_work import quiet_work
+from tests.commands.emulated_cell import quiet_work
 from tests.loopback import own_address
 from tests.twin import PROFILES, small_twin
 

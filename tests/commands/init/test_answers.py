@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Callable
 from datetime import datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.profile.starters import SurveyPoint
 from cellapp.cell.run.recorded_csv import nobody
-from cellapp.commands.docs.handbook import chapter_text
-from cellapp.commands.init.answers import surveyed_base, write_answers
+from cellapp.commands.init.answers import write_answers
 from cellapp.commands.init.own_data import OwnData, write_own_data
 from cellapp.commands.init.run import InitResult, view
 from cellapp.ground.errors import InputError
@@ -22,10 +20,12 @@ from cellapp.ground.profile import Pose
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert, rotation_from_vector, transform
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
+from tests.approved import assert_approved
 from tests.arms import UR5, UR10
-from tests.cell.run.csv_rows import import_csv
+from tests.cell.run.small_runs import import_csv
 from tests.twin import PROFILES
 
+APPROVED = Path(__file__).parent / "approved"
 ANSWERS = """\
 name: hall-3
 arms:
@@ -78,29 +78,35 @@ def test_answers_make_a_profile_with_the_surveyed_base(joints: bool, tmp_path: P
     assert (tmp_path / "profiles" / "arms" / "ur10.yaml").is_file()
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("name: hall-3\n", "", "name: missing; it must be given"),
-        ("type: ur10", "type: ur11", r"arms\.left\.type: .*file not found"),
-        (", host: 192.168.0.10", "", r"arms\.left\.driver\.host: missing; it must be given"),
-        ("stops: 200", "stops: many", r"plan\.stops: expected a whole number, got 'many'"),
-        ("stops: 200", "stop: 200", r"yaml:\d+: plan\.stop: unknown key; did you mean 'stops'"),
-        ("plan:", "splits: {identfy: 3}\nplan:", r"splits\.identfy: unknown key; did you mean 'identify'"),
-        (POSE, "", r"base\.points: tracker\.pose: missing"),
-        ("offset: [0.045, 0.020, 0.060]", "offset: unknown", r"points: point 1: joint positions need the SMR offset"),
-        ("POINTS", "        - {tracker: [1, 2, 3]}", r"points\[0\]: give 'base' .* or 'joints'"),
-        ("POINTS", "        - {joints: [0], tracker: [1, 2, 3]}", "1: 1 joint positions for the 6 joints of UR10"),
-        ("POINTS", "        - {base: [1, 2, 3], tracker: [1, 2]}", r"points\[0\]\.tracker"),
-        ("POINTS", "        - {base: [0, 0, 0], tracker: [1, 2, 3]}", "1 points do not fix a base"),
-        ("      points:\n", "      position: [0, 0, 0]\n      points:\n", "points: give points or a pose, not both"),
-    ],
-)
-def test_a_wrong_answer_is_refused_and_nothing_is_written(old: str, new: str, words: str, tmp_path: Path) -> None:
-    text = ANSWERS.replace(old, new, 1).replace("POINTS", lines(joints=True))
-    with pytest.raises(InputError, match=words):
-        write_answers(written(tmp_path, text), tmp_path)
+def refused(call: Callable[[], object], tmp_path: Path) -> str:
+    """What a refusal says."""
+    with pytest.raises(InputError) as caught:
+        call()
     assert not (tmp_path / "profiles").exists()
+    return str(caught.value).replace(f"{tmp_path}/", "")
+
+
+def test_wrong_answers_are_refused_as_approved_and_nothing_is_written(tmp_path: Path) -> None:
+    changes = [
+        ("name: hall-3\n", ""),
+        ("type: ur10", "type: ur11"),
+        (", host: 192.168.0.10", ""),
+        ("stops: 200", "stops: many"),
+        ("stops: 200", "stop: 200"),
+        ("plan:", "splits: {identfy: 3}\nplan:"),
+        (POSE, ""),
+        ("offset: [0.045, 0.020, 0.060]", "offset: unknown"),
+        ("POINTS", "        - {tracker: [1, 2, 3]}"),
+        ("POINTS", "        - {joints: [0], tracker: [1, 2, 3]}"),
+        ("POINTS", "        - {base: [1, 2, 3], tracker: [1, 2]}"),
+        ("POINTS", "        - {base: [0, 0, 0], tracker: [1, 2, 3]}"),
+        ("      points:\n", "      position: [0, 0, 0]\n      points:\n"),
+    ]
+    said = []
+    for old, new in changes:
+        file = written(tmp_path, ANSWERS.replace(old, new, 1).replace("POINTS", lines(joints=True)))
+        said.append(f"# {old.strip()} -> {new.strip()}\n{refused(partial(write_answers, file, tmp_path), tmp_path)}")
+    assert_approved(APPROVED / "answers.txt", "\n".join(said))
 
 
 def test_a_second_time_is_refused(tmp_path: Path) -> None:
@@ -108,25 +114,6 @@ def test_a_second_time_is_refused(tmp_path: Path) -> None:
     write_answers(path, tmp_path)
     with pytest.raises(InputError, match=r"hall-3\.yaml exists already; nothing was written"):
         write_answers(path, tmp_path)
-
-
-def test_points_by_joints_and_by_coordinates_agree() -> None:
-    arm = load_profile(PROFILES / "ur10-ur5.yaml").arms["left"]
-    p_B = smr_positions(nominal_arm(arm), JOINTS).tolist()
-    p_M = apply(invert(pose_matrix(TRACKER)) @ pose_matrix(TRUE_BASE), np.array(p_B)).tolist()
-    by_joints = [SurveyPoint(tracker=m, joints=q) for q, m in zip(map(tuple, JOINTS.tolist()), p_M, strict=True)]
-    by_place = [SurveyPoint(tracker=m, base=b) for b, m in zip(p_B, p_M, strict=True)]
-    poses = [surveyed_base(arm, points, TRACKER).pose for points in (by_joints, by_place)]
-    assert poses[0].position == pytest.approx(poses[1].position, abs=1e-12)
-    assert poses[0].rpy == pytest.approx(TRUE_BASE.rpy, abs=1e-9)
-
-
-def test_the_handbook_s_answers_make_a_profile(tmp_path: Path) -> None:
-    blocks = re.findall(r"^```yaml\n(.*?)^```", chapter_text("cell"), re.M | re.S)
-    (block,) = [part for part in blocks if "points:" in part]
-    result = write_answers(written(tmp_path, block), tmp_path)
-    assert result.path.name == "my-cell.yaml"
-    assert result.notes[0].endswith("; good")
 
 
 def test_any_key_of_a_profile_is_an_answer_and_units_stay_as_written(tmp_path: Path) -> None:
@@ -139,7 +126,6 @@ def test_any_key_of_a_profile_is_an_answer_and_units_stay_as_written(tmp_path: P
 
 # -- From somebody's own table to a profile and a calibrated run: units, arm, messages; nothing is asked twice ---------
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 FIVE = np.array(
     [[0.0, 0.15, 0.03, np.pi / 2], [np.pi / 2, 0.0, 0.16, 0.0], [0.0, 0.0, 0.14, 0.0], [np.pi / 2, 0.0, 0.0, np.pi / 2],
      [0.0, 0.22, 0.0, 0.0]]
@@ -225,49 +211,30 @@ def test_d_h_rows_of_a_table(tmp_path: Path, modified: bool) -> None:
     assert len(load_profile(written.profile).arms["robot"].type.joints) == 5
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("theta,d,a,alpha\n0,0,0,0\n", "expected a column theta_UNIT with deg or rad"),
-        ("theta_deg,d_mm,a_mm,alpha_mm\n0,0,0,0\n", "the unit does not fit"),
-        ("theta_deg,d_mm,a_mm,alpha_deg\n0,0,zero,0\n", "rows.csv:2: a_mm: expected a number, got 'zero'"),
-        ("theta_deg,d_mm,a_mm,alpha_deg\n0,0,0,0\n", "at least 2 joints"),
-    ],
-)
-def test_wrong_rows(tmp_path: Path, text: str, words: str) -> None:
-    (tmp_path / "rows.csv").write_text(text)
+def test_wrong_rows_and_arms_are_refused_as_approved(tmp_path: Path) -> None:
     file = table(tmp_path / "r.csv", *simulated(FIVE))
-    with pytest.raises(InputError, match=words):
-        write_own_data(OwnData(file, arm=str(tmp_path / "rows.csv")), tmp_path)
-    assert not (tmp_path / "profiles").exists()
+    own = [
+        *(OwnData(table(tmp_path / "six.csv", *simulated(UR5)), arm=arm) for arm in ("ur99", "panda", "x.yaml")),
+        OwnData(table(tmp_path / "eight.csv", *simulated(np.tile(UR5[:1], (8, 1))))),
+    ]
+    header = "theta_deg,d_mm,a_mm,alpha_deg"
+    for number, text in enumerate(
+        ("theta,d,a,alpha\n0,0,0,0", header.replace("alpha_deg", "alpha_mm") + "\n0,0,0,0", header + "\n0,0,zero,0",
+         header + "\n0,0,0,0")
+    ):  # fmt: skip
+        (tmp_path / f"rows-{number}.csv").write_text(f"{text}\n")
+        own.append(OwnData(file, arm=str(tmp_path / f"rows-{number}.csv")))
+    said = [refused(partial(write_own_data, one, tmp_path), tmp_path) for one in own]
+    assert_approved(APPROVED / "arms.txt", "\n".join(said))
 
 
-def test_wrong_arms_and_existing_files(tmp_path: Path) -> None:
+def test_existing_files_stay(tmp_path: Path) -> None:
     file = table(tmp_path / "r.csv", *simulated(UR5))
-    for arm, words in (
-        ("ur99", "no arm that comes with cellapp"),
-        ("panda", "has 7 joints"),
-        ("x.yaml", "cannot be read"),
-    ):
-        with pytest.raises(InputError, match=words):
-            write_own_data(OwnData(file, arm=arm), tmp_path)
-    with pytest.raises(InputError, match="8 joints, and no arm"):
-        write_own_data(OwnData(table(tmp_path / "e.csv", *simulated(np.tile(UR5[:1], (8, 1))))), tmp_path)
     write_own_data(OwnData(file, arm="ur5"), tmp_path)
     (tmp_path / "profiles" / "r.yaml").write_text("mine: yes\n")
     with pytest.raises(InputError, match="exists already"):
         write_own_data(OwnData(file, arm="ur5"), tmp_path)
     assert (tmp_path / "profiles" / "r.yaml").read_text() == "mine: yes\n"
-
-
-def test_real_readings_of_both_arms_keep_their_names_and_splits(tmp_path: Path) -> None:
-    written = write_own_data(OwnData(FIXTURES / "ur5-real" / "readings.csv", arm="ur5", name="real"), tmp_path)
-    assert list(load_profile(written.profile).arms) == ["left"]
-    content = yaml.safe_load(written.profile.read_text("utf-8"))
-    assert content["tracker"] == {"driver": {"kind": "none"}}
-    assert written.readings is not None
-    with import_csv(load_profile(written.profile), written.readings, tmp_path / "run") as run:
-        assert set(run.readings("left").split or ()) == {"identify", "validate"}
 
 
 def test_joint_positions_of_a_motion_give_a_profile_for_recordings(tmp_path: Path) -> None:

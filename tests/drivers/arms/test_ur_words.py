@@ -546,7 +546,7 @@ def test_old_positions_at_the_end_of_a_closed_path_do_not_end_it(
     end(client, monitor)
     monitor(1.2)
     monkeypatch.setattr(client, "tick", lambda seconds: setattr(client, "stamp", client.stamp + 1e-6))
-    monitor(0.01, {**PATH_OF_REST, "q": [list(AWAY)] * len(LOOP)})
+    monitor(0.01, {**PATH_OF_REST, "q": [client.q] * 5})
     stood = client.stamp
     monitor(0.2)
     assert client.stamp - stood < 0.01

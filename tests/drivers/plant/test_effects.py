@@ -149,9 +149,6 @@ def test_given_steps_agree_with_executed_steps(make_arm, make_plant):
         before = q
 
 
-# -- creep -------------------------------------------------------------------------------------------------------------
-
-
 # -- drives that turn unevenly -----------------------------------------------------------------------------------------
 
 GEAR = {
@@ -168,9 +165,6 @@ GEAR = {
 
 
 CURVE = {"mode": "curve", "joints": [2, 3], "rms": [5e-5, 2e-5], "seed": 5, "lowest": 5, "highest": 40}
-
-
-# -- bearings ----------------------------------------------------------------------------------------------------------
 
 
 # -- laws outside the catalogue ----------------------------------------------------------------------------------------
@@ -194,15 +188,6 @@ def test_an_uncatalogued_effect_rotates_one_joint_by_others(make_arm, make_plant
     joints[:, joint] += law(Q)
     found = _positions(make_arm, make_plant, {name: values})
     assert np.abs(found - make_plant().smr_positions("left", joints)).max() < 1e-13
-
-
-# -- Under load: analytic springs, beams and columns -------------------------------------------------------------------
-
-
-# -- springs in the joints ---------------------------------------------------------------------------------------------
-
-
-# -- beams -------------------------------------------------------------------------------------------------------------
 
 
 # -- what the arm stands on --------------------------------------------------------------------------------------------

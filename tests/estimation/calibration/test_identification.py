@@ -21,7 +21,6 @@ from cellapp.estimation.calibration.identification import (
     start_from_nominal,
 )
 from cellapp.estimation.calibration.least_squares import LeastSquares, Linearised, Minimum, minimise
-from cellapp.estimation.calibration.normal_equations import EffectColumns
 from cellapp.estimation.calibration.parameters import auto_set, candidate_columns, full_set, paper_set
 from cellapp.estimation.calibration.registration import better_reading, explained
 from cellapp.estimation.readings import Readings
@@ -154,27 +153,6 @@ def test_the_tool_and_base_are_found_without_a_guess():
     start = start_from_nominal(unknown, q, smr_positions(truth, q), tool_unknown=True)
     np.testing.assert_allclose(start.tool, truth.tool, atol=1e-7)
     np.testing.assert_allclose(start.T_M_B(), truth.T_M_B(), atol=1e-7)
-
-
-def test_effects_are_identified_with_the_geometry():
-    rng = np.random.default_rng(11)
-    nominal = at_station(UR10, OFF_AXIS)
-    truth = true_geometry(nominal, rng)
-    q = rng.uniform(-3, 3, (300, 6))
-    offsets, shift = np.stack([np.sin(3.0 * q[:, 1]), np.cos(2.0 * q[:, 2])]), np.zeros((1, 3, 300))
-    shift[0, 2, 150:] = 1.0
-    turned = q.copy()
-    turned[:, 1] += 2e-3 * offsets[0]
-    turned[:, 0] -= 1e-3 * offsets[1]
-    p_M = smr_positions(truth, turned) + 5e-4 * shift[0].T + rng.normal(0, SIGMA, (300, 3))
-    start = start_from_nominal(nominal, q, p_M, tool_unknown=False)
-    columns = EffectColumns(("one", "two", "step"), ("rad", "rad", "m"), np.array([1, 0]), offsets, shift)
-    found = identify(start, q, p_M, effects=columns)
-    assert found.converged
-    off = found.effect_values - [2e-3, -1e-3, 5e-4]
-    assert np.all(np.abs(off) < 5 * found.standard_errors[-3:])
-    assert found.standard_errors[-3:].max() < 5e-6
-    assert found.scale == pytest.approx(SIGMA, rel=0.1)
 
 
 def test_too_few_readings_are_refused_with_the_number_needed():

@@ -11,7 +11,6 @@ import pytest
 
 from cellapp.estimation.calibration import learning
 from cellapp.estimation.calibration.learning import (
-    Perceptron,
     Shape,
     candidate_shapes,
     learn,
@@ -126,25 +125,6 @@ def test_the_network_grows_with_the_readings_up_to_a_limit():
     hidden = [candidate_shapes(readings)[0].hidden for readings in (10, 60, 200, 300, 12_000, 1_000_000)]
     assert hidden == sorted(hidden)
     assert hidden[2] < hidden[3] < hidden[4] == hidden[5]
-
-
-def test_normal_equations_are_those_of_automatic_derivatives():
-    import torch  # an independent check of the closed form
-
-    net, rng = Perceptron(12, 7, 3), np.random.default_rng(2)
-    p, x, e = net.start(rng), rng.normal(size=(9, 12)), rng.normal(size=(9, 3))
-    n_W = net.sizes[0]
-
-    def outputs(parameters):
-        W, V = parameters[:n_W].reshape(net.hidden, -1), parameters[n_W:].reshape(net.outputs, -1)
-        ones = torch.ones(len(x), 1, dtype=torch.float64)
-        hidden = torch.tanh(torch.cat([torch.from_numpy(x), ones], dim=1) @ W.T)
-        return (torch.cat([hidden, ones], dim=1) @ V.T).reshape(-1)
-
-    J = torch.autograd.functional.jacobian(outputs, torch.from_numpy(p)).numpy()
-    gram, slope = net.normal_equations(p, x, e)
-    np.testing.assert_allclose(gram, J.T @ J, atol=1e-12)
-    np.testing.assert_allclose(slope, J.T @ e.ravel(), atol=1e-12)
 
 
 # -- A network from all readings in batches: used where it predicts left-out blocks of time better, and only there -----

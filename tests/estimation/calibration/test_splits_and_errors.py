@@ -34,7 +34,7 @@ from cellapp.estimation.readings.readings import FIRST_SAMPLE
 from cellapp.ground.grouping import grouped
 from cellapp.ground.results import ErrorSummary
 from cellapp.robot.kinematics.chain import smr_positions
-from tests.cell.run.csv_rows import import_csv
+from tests.cell.run.small_runs import import_csv
 from tests.evidence import coverage, parameter_sets
 from tests.evidence.gross_errors import disturbed
 from tests.evidence.shared.series import Entrant, load_entrant
@@ -106,9 +106,6 @@ def test_repeatability_is_that_of_the_repeats_alone():
     assert found.mean == pytest.approx(1.596 * 0.020 * np.sqrt(0.9), rel=0.05)
     assert found.rp > found.mean
     assert repeatability(rng.uniform(-3, 3, (40, 6)), p_M[:40]) is None
-
-
-# -- Solving with positive semi-definite matrices: agreement with numpy, well conditioned and singular -----------------
 
 
 # -- Figures that the project promises, each with its limit ------------------------------------------------------------

@@ -28,9 +28,6 @@ from cellapp.estimation.design.block_design import (
     reference_errors,
     without_turns,
 )
-from cellapp.estimation.design.information import (
-    Discrimination,
-)
 from cellapp.ground.progress import CancelToken
 
 P, M, COUNT = 8, 300, 20
@@ -122,42 +119,6 @@ def test_the_first_stops_tell_most() -> None:
     mixed = [criterion.value(candidates.covariance(rng.permutation(chosen)[:5])) for _ in range(30)]
     assert criterion.value(candidates.covariance(ordered[:5])) < np.median(mixed)
     np.testing.assert_array_equal(most_informative_first(candidates, chosen[:1], criterion), chosen[:1])
-
-
-# -- T-optimality: stops added one by one give the non-centrality of the refit with all of them ------------------------
-
-
-def a_discrimination(seed: int, p: int = 6, d: int = 40, m: int = 15) -> Discrimination:
-    rng = np.random.default_rng(seed)
-    return Discrimination(
-        run_columns=rng.normal(size=(p, d)) * np.geomspace(1.0, 1e4, p)[:, None],
-        precision=np.array([0.0, 0.0, 0.0, 0.0, 2.0, 0.0]),
-        run_signals=rng.normal(size=(1, d)),
-        candidate_columns=rng.normal(size=(p, m, 3)) * np.geomspace(1.0, 1e4, p)[:, None, None],
-        candidate_signals=rng.normal(size=(1, m, 3)),
-    )
-
-
-def test_stops_added_one_by_one_are_the_refit_with_all_of_them() -> None:
-    one = a_discrimination(0)
-    design = one.start_design()
-    added: list[int] = []
-    for stop in (3, 7, 3, 14):
-        promised = design.noncentrality + design.gains()[stop]
-        design.add(stop)
-        added.append(stop)
-        columns = (one.candidate_columns[:, k] for k in added)
-        rows = np.hstack([one.run_columns, *columns, np.diag(np.sqrt(one.precision))])
-        signals = (one.candidate_signals[0, k] for k in added)
-        signal = np.concatenate([one.run_signals[0], *signals, np.zeros(len(rows))])
-        fitted = np.linalg.lstsq(rows.T, signal, rcond=None)[0]
-        truth = float(np.sum((signal - fitted @ rows) ** 2))
-        assert promised == pytest.approx(truth, rel=1e-8)
-        assert design.noncentrality == pytest.approx(truth, rel=1e-8)
-        assert one.noncentrality(np.array(added)) == pytest.approx(truth, rel=1e-8)
-
-
-# -- Information beside nuisance parameters: the projection is the joint regression, with priors generalised -----------
 
 
 # -- The same seed chooses the same stops on any processor: OpenBLAS has kernels for each, which round differently -----

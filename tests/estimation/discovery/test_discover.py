@@ -38,13 +38,9 @@ from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import suggest
 from tests.arms import true_geometry
-<<<<<<< HEAD
+from tests.cell.run.small_runs import import_csv
 from tests.estimation.discovery.problems import calibrated_and_searched
 from tests.evidence.shared.series import draw_rows, load_entrant
-=======
-from tests.cell.run.csv_rows import import_csv
-from tests.estimation.discovery.searched import calibrated_and_searched
->>>>>>> 36be6cbf354f8606af9c119adafd528dbe93aaa4
 from tests.series import twin
 
 ROOT = Path(__file__).parents[3]

@@ -27,7 +27,6 @@ from cellapp.estimation.discovery.joint_fit import (
     ProjectedResidual,
     cross_validated_gain,
     fit_terms,
-    refit,
 )
 from cellapp.estimation.discovery.plan_forecast import (
     ArmDesign,
@@ -45,16 +44,13 @@ from cellapp.estimation.discovery.process import (
     fit_process,
     log_evidence,
     most_evident,
-    process_terms,
 )
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.terms import has_smooth_terms
 from cellapp.estimation.discovery.verdict import CHANCE, has_structure, pearson3_tail, structure_left
 from cellapp.estimation.readings import Readings
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import Channel, EffectColumn, LawForm
 from cellapp.robot.effects.context import Wave
-from cellapp.robot.effects.law import circle_variances
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.model import network_to_json
@@ -428,27 +424,6 @@ def test_hyperparameters_of_a_simulated_curve_are_recovered():
 
 SIGMA_M_OF_PROCESS = 12e-6
 NEEDED = 30.0
-LENGTH, AMPLITUDE = np.radians(12.0), 1.5e-4
-CURVED = (0, 2)
-
-
-def curves(rng):
-    """Joint offsets that are draws of a smooth function of the joint's own angle, at two joints.
-
-    One cycle per revolution is left out: that is an eccentric encoder, another effect.
-    """
-    k = np.arange(2, 81)
-    sd = AMPLITUDE * np.sqrt(circle_variances(LENGTH, 80)[1:])
-    weights = {joint: rng.normal(size=(2, len(k))) * sd for joint in CURVED}
-
-    def bend(q):
-        bent = np.zeros_like(q)
-        for joint, (a, b) in weights.items():
-            waves = np.outer(q[:, joint], k)
-            bent[:, joint] = np.cos(waves) @ a + np.sin(waves) @ b
-        return bent
-
-    return bend
 
 
 def data_of(bend, *, N=300, stated=True, seed=7):
@@ -468,32 +443,6 @@ def data_of(bend, *, N=300, stated=True, seed=7):
     up = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
     model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(profile.arms["left"]), up_M=up)
     return ArmData.of(profile, model, readings, measurement_conditions(readings))
-
-
-@pytest.mark.parametrize("stated", [True, False])
-def test_a_curve_of_two_joints_is_found_with_its_hyperparameters(stated):
-    data = data_of(curves(np.random.default_rng(3)), stated=stated)
-    assert (data.stated is not None) == stated
-    found = fit_process(data, fit_terms(data, ()), NEEDED)
-    assert found is not None
-    process, scatter = found
-    (one,) = process.components
-    assert one.slug == "transmission_error"
-    amplitudes = dict(zip(one.amplitude_keys, process.values.amplitudes[0], strict=True))
-    curved = [amplitudes.pop(f"amplitude{joint + 1}") for joint in CURVED]
-    np.testing.assert_allclose(curved, AMPLITUDE, rtol=0.5)
-    assert max(amplitudes.values(), default=0.0) < 0.05 * AMPLITUDE
-    assert process.values.lengths[0] == pytest.approx(LENGTH, rel=0.4)
-    # all of the scatter where no uncertainty is stated, nearly nothing beyond it where it is
-    assert scatter.m < 0.5 * SIGMA_M_OF_PROCESS if stated else scatter.m == pytest.approx(SIGMA_M_OF_PROCESS, rel=0.1)
-    (term,) = process_terms(process, scatter)
-    assert term.smooth is not None
-    assert term.smooth.evidence > NEEDED
-    assert term.smooth.hyperparameters == len(one.amplitude_keys) + 1
-    _, after = refit(data, (term,))
-    assert has_smooth_terms(after.terms)
-    # geometry and curves take some 150 of the 900 coordinates
-    assert np.std(after.identification.residuals) == pytest.approx(SIGMA_M_OF_PROCESS * np.sqrt(750.0 / 900.0), rel=0.1)
 
 
 @pytest.mark.parametrize("stated", [True, False])

@@ -17,14 +17,13 @@ from cellapp.estimation.motion.discovery import SearchWithRecordings
 from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
-from cellapp.estimation.motion.joint_path import Fading, joint_path
+from cellapp.estimation.motion.joint_path import joint_path
 from cellapp.estimation.motion.steps import State, Step, effects_of
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.motion.terms import (
     JointTerm,
     Law,
     of_all_joints,
-    state_at_rest,
     state_in_motion,
 )
 from cellapp.estimation.readings import Readings
@@ -33,13 +32,12 @@ from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.effects import (
     EFFECTS,
     EffectContext,
-    EffectTerm,
     Linear,
     MeasurementConditions,
     motion_laws,
     own_law,
 )
-from cellapp.robot.effects.effect import displacement, term_from_json, term_to_json
+from cellapp.robot.effects.effect import displacement
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.statics import Bodies
 from tests.estimation.motion.simulated import UR10, Arm, corners, record, sweep, true_arm
@@ -206,30 +204,6 @@ def test_nothing_is_found_where_nothing_is(seed):
 
 
 # -- Lost motion that joints take up gradually: its history along a path, its reach from a fit, and the same at rest ---
-
-REACH = 0.15
-
-
-@pytest.mark.parametrize(("constant", "bell"), [("reach2", False), ("bell_reach2", True)])
-def test_at_rest_the_law_is_that_of_the_fit_and_survives_its_file(constant, bell):
-    rng = np.random.default_rng(4)
-    q, step = rng.uniform(-1.0, 1.0, (50, 6)), rng.uniform(-0.8, 0.8, (50, 6))
-    step[0], step[1] = 0.0, np.nan
-    approach = np.sign(np.nan_to_num(step, nan=1.0))
-    law = EFFECTS["backlash"].law("gradual", {constant: REACH})
-    names, values = ("half_play1", "half_play2", "fresh_half_play2"), np.array([30e-6, 80e-6, -60e-6])
-    term = EffectTerm("backlash", names, values, np.zeros(3), ("rad",) * 3, law)
-    term = term_from_json(term_to_json(term), EFFECTS)
-    bodies = Bodies(np.ones(6), np.zeros((6, 3)), 0.0, np.zeros(3))
-    conditions = MeasurementConditions(approach=approach, step=step)
-    context = EffectContext(q, conditions, NOMINAL, bodies, np.array([0.0, 0.0, 1.0]))
-    moved = displacement([term], EFFECTS, context).joints
-    state = state_at_rest(q, approach, None, step)
-    left = state.left(1, Fading(REACH, kept=not bell, bell=bell))
-    assert (left[:2] == 0.0).all()
-    np.testing.assert_allclose(moved[:, 0], -30e-6 * approach[:, 0], rtol=1e-12)
-    np.testing.assert_allclose(moved[:, 1], -80e-6 * approach[:, 1] + 60e-6 * left, rtol=1e-12)
-    assert "deg by joint 2" in law.words([1])
 
 
 def test_an_arm_that_rests_after_a_gap_shows_no_side_until_it_moves():

@@ -31,12 +31,8 @@ from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
-<<<<<<< HEAD
 from cellapp.robot.kinematics.transforms import rotation_vectors
-=======
-from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_vectors, transform
-from tests.cell.run.csv_rows import import_csv
->>>>>>> 36be6cbf354f8606af9c119adafd528dbe93aaa4
+from tests.cell.run.small_runs import import_csv
 from tests.estimation.prior.conftest import ELSEWHERE, SimulatedArm, earlier_of
 
 TOOL = np.array([-0.03, 0.05, 0.11])

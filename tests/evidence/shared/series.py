@@ -14,7 +14,7 @@ from cellapp.cell.run.csv_import import joint_limits
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from tests.cell.run.csv_rows import read_readings_csv
+from tests.cell.run.small_runs import read_readings_csv
 from tests.evidence.skeleton import ROOT
 
 Rows = int | str

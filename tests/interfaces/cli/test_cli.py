@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import functools
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import sqlite3
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +22,11 @@ import jsonschema
 import numpy as np
 import pytest
 
-from cellapp.cell.exports.export_format import ExportFormat
-from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.planning.planned_stops import straight_stops, write_planned_stops
 from cellapp.cell.run import RunFile
 from cellapp.interfaces import cli
 from drivers.findings import Finding
+from tests.approved import assert_approved, commands_of, without_digits
 from tests.loopback import own_address
 from tests.twin import PROFILES, write_profile
 from tests.waiting import WAIT_S, until, within
@@ -211,42 +212,6 @@ def test_doctor(work: Path, call: Any) -> None:
     assert "checks failed" in ended.err
 
 
-def test_plan_and_collect_to_standard_output(work: Path, call: Any) -> None:
-    assert call("plan", "twin.yaml", "--run", "new", "--json", "-").json["stops"] == {"left": 30, "right": 30}
-    with RunFile.open(work / "new") as new, RunFile.open(work / "planned") as first:
-        for name, q in first.read_plan().items():
-            np.testing.assert_array_equal(new.read_plan()[name], q)
-    ended = call("collect", "new", "--json", "-")
-    assert ended.json["stops"] == 30
-    assert "30 stops stored" in ended.err, "what a person reads goes elsewhere"
-
-
-def test_calibrate_discover_compensate_push_report_to_standard_output(work: Path, call: Any) -> None:
-    assert call("calibrate", "collected", "--json", "-").json["schema"] == "cellapp-calibrate"
-    assert call("discover", "collected", "--json", "-").json["schema"] == "cellapp-discover"
-    found = call("compensate", "collected", "targets.yaml", "--json", "-").json
-    assert found["targets"][-1]["refusal"].startswith("out of reach: ")
-    assert {len(entry["q_compensated"]) for entry in found["targets"] if not entry["refusal"]} == {6}
-    assert call("push", "collected", "targets.yaml", "--json", "-").json["arms"] == {}
-    assert call("push", "collected", "targets.yaml", "--verify", "--json", "-").json["arms"]["left"]
-    found = call("report", "collected", "--json", "-").json
-    assert set(found) >= {"schema", "version", "page", "calibrate", "discover", "compensate", "verify"}
-    assert (work / "collected" / "report.html").read_text("utf-8").lstrip().lower().startswith("<!doctype html>")
-
-
-def test_what_a_person_sees_without_json(work: Path, call: Any) -> None:
-    ended = call("calibrate", "collected", "--parameters")
-    assert ended.code == 0
-    assert "Arm left: held-out errors [mm]" in ended.out
-    assert "Arm right: identified parameters" in ended.out
-    ended = call("push", "done", "targets.yaml", "--verify")
-    assert "left, compensated" in ended.out
-    assert "target far: out of reach" in ended.out
-    ended = call("push", "done", "targets.yaml")
-    assert re.match(r"(\d+) of \d+ targets reached\n", ended.out)
-    assert call("show", "planned", "log").out == "no log lines to show\n"
-
-
 PATHS = """\
 schema: cellapp-paths
 version: 1
@@ -285,95 +250,24 @@ def test_the_whole_run_in_one_command(work: Path, call: Any) -> None:
     assert not [path for path in (work / "all/of/it").iterdir() if path.name.startswith("run.sqlite-")]
 
 
-SHOWN = {
-    "overview": ("next: cellapp report done", "cellapp-overview"),
-    "calibration": ("Arm left: held-out errors [mm]", "cellapp-calibrate"),
-    "parameters": ("Arm right: identified parameters", "cellapp-calibrate"),
-    "discovery": ("Arm left: held-out error after each step", "cellapp-discover"),
-    "plan": ("Arm left: planned stops", "cellapp-stops"),
-    "collection": ("Sessions of collecting", "cellapp-collection"),
-    "targets": ("out of reach", "cellapp-compensate"),
-    "verification": ("left, compensated", "cellapp-verify"),
-    "log": ("warning  the first line", "cellapp-log"),
-    "profile": ('"name": "twin"', "cellapp-profile"),
-    "history": ("rests on: profile", "cellapp-history"),
-}
-
-
-def test_all_about_one_target_is_shown(work: Path, call: Any) -> None:
-    ended = call("show", "done", "targets", "--target", "left-01", "--json", "one.json")
-    assert ended.code == 0, ended.err
-    assert "standard uncertainty of a coordinate" in ended.out
-    assert "mm with the nominal command" in ended.out
-    assert [target["name"] for target in json.loads((work / "one.json").read_text("utf-8"))["targets"]] == ["left-01"]
-    one_sentence(call("show", "done", "targets", "--target", "nobody"), "no compensated target 'nobody' is stored")
-    one_sentence(call("show", "done", "plan", "--target", "left-01"), "--target belongs to 'targets'")
-
-
-def test_looking_changes_no_byte(work: Path, call: Any) -> None:
-    with RunFile.open(work / "done", write=True) as run:
-        run.log("warning", "the first line")
-        run.log("info", "the last line")
-    before = bytes_below(work / "done")
-    for part, (says, schema) in SHOWN.items():
-        ended = call("show", "done", part)
-        assert ended.code == 0, ended.err
-        assert says in ended.out, part
-        assert call("show", "done", part, "--json", "-").json["schema"] == schema
-    found = call("runs", ".", "--json", "-").json
-    assert {Path(run["run"]).name for run in found["runs"]} == {"planned", "collected", "calibrated", "done"}
-    assert call("compare", "done", "calibrated", "--json", "-").json["arms"].keys() == {"left", "right"}
-    assert bytes_below(work / "done") == before
-    lines = call("show", "done", "log", "--level", "info", "--last", "1", "--json", "-").json["lines"]
-    assert [line["level"] for line in lines] == ["info"]
-
-
-def test_runs_are_listed_and_compared(work: Path, call: Any) -> None:
-    listed = call("runs", ".")
-    assert listed.code == 0, listed.err
-    for text in ("Runs below .", "simulated", "next in the newest run: cellapp "):
-        assert text in " ".join(listed.out.split())
-    compared = call("compare", "calibrated", "done")
-    assert compared.code == 0, compared.err
-    for text in ("the profiles are the same", "calibrated was not searched for missing effects", "a: calibrated"):
-        assert text in compared.out
-    empty = call("runs")
-    assert (empty.code, empty.out) == (0, "no runs below logs; 'cellapp run PROFILE' makes one\n")
-
-
-def test_what_is_out_of_date_is_shown_and_not_pushed(work: Path, call: Any) -> None:
-    with RunFile.open(work / "done", write=True) as run:
-        for name in run.profile.arms:
-            words = list(run.readings(name).split or ())
-            run.assign_splits(name, [*words[1:], words[0]])
-    assert "the discovery is out of date" in call("calibrate", "done").out
-    assert "calibrated again since" in " ".join(call("show", "done").out.split())
-    assert "out of date: " in call("show", "done", "verification").out
-    before = bytes_below(work / "done")
-    one_sentence(call("push", "done", "targets.yaml"), "'discover' is out of date", "Run 'cellapp discover done' first")
-    assert bytes_below(work / "done") == before
-    insisted = call("push", "done", "targets.yaml", "--verify", "--out-of-date", "--json", "-")
-    assert "was used although 'discover' is out of date" in insisted.json["notes"][0]
-    assert call("discover", "done").code == 0
-    assert call("push", "done", "targets.yaml", "--verify").code == 0
-
-
-def test_a_verification_that_measured_nothing_leaves_the_earlier_one(work: Path, call: Any) -> None:
-    before = call("show", "done", "verification", "--json", "-").json
-    targets = "schema: cellapp-targets\nversion: 1\ntargets:\n"
-    turned_away = "  - {name: away, arm: left, position: [-0.0284, 0.7304, 0.7779], rpy: [1.6177, 0.5759, 2.5395]}\n"
-    (work / "away.yaml").write_text(targets + turned_away, "utf-8")
-    ended = call("push", "done", "away.yaml", "--verify")
-    assert ended.code == 1
-    assert "nothing is stored, an earlier verification still counts" in ended.out
-    assert call("show", "done", "verification", "--json", "-").json == before
+SHOWN = (
+    "overview",
+    "calibration",
+    "parameters",
+    "discovery",
+    "plan",
+    "collection",
+    "targets",
+    "verification",
+    "history",
+)
 
 
 def test_results_are_valid_by_the_exported_schemas(made: Path, work: Path, call: Any) -> None:
     schemas = call("schema", "--json", "-").out
     schemas = json.loads(schemas)
     results = [json.loads(path.read_text("utf-8")) for path in made.glob("*-*.json")]
-    results += [call("show", "done", part, "--json", "-").json for part in SHOWN if part != "profile"]
+    results += [call("show", "done", part, "--json", "-").json for part in SHOWN]
     results += [call("runs", ".", "--json", "-").json, call("compare", "collected", "done", "--json", "-").json]
     results += [call("report", "done", "--json", "-").json, call("doctor", "twin.yaml", "--json", "-").json]
     assert len({result["schema"] for result in results}) >= 10
@@ -382,18 +276,6 @@ def test_results_are_valid_by_the_exported_schemas(made: Path, work: Path, call:
     assert json.loads(call("schema", "cellapp-calibrate").out) == schemas["cellapp-calibrate"]
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate({**results[0], "unknown": 1}, schemas[results[0]["schema"]])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["--host", "0.0.0.0"], "reachable from other machines: give a token"),
-        (["--token-file", "a", "--token-env", "B"], "give --token-file or --token-env, not both"),
-        (["--token-env", "CELLAPP_NO_SUCH_TOKEN"], "CELLAPP_NO_SUCH_TOKEN is not set"),
-    ],
-)
-def test_a_bridge_that_would_stand_open_is_refused(work: Path, call: Any, arguments: list[str], says: str) -> None:
-    one_sentence(call("tracker-bridge", "twin.yaml", *arguments), says)
 
 
 def test_a_verification_that_does_not_hold_exits_with_one(
@@ -409,34 +291,6 @@ def test_a_verification_that_does_not_hold_exits_with_one(
 
 
 # -- readings out and in ----------------------------------------------------------------------------------------------
-
-
-def test_the_identified_arms_for_other_programs(work: Path, call: Any) -> None:
-    out = call("export", "done", "--geometry", "arms.json")
-    assert out.code == 0
-    arms = json.loads((work / "arms.json").read_text("utf-8"))["arms"]
-    assert set(arms) == {"left", "right"}
-    assert [len(arm["urdf"]) for arm in arms.values()] == [7, 7]
-    assert set(arms["left"]["ur_deltas"]["lost"]["beta_rad"]) == {"beta2", "beta3"}
-    assert "lose" in out.out
-    assert "--as writes a file for each program" in out.out
-    refused = call("export", "done")
-    assert refused.code == 2
-    assert "--csv FILE" in refused.err
-
-
-def test_the_calibrated_arms_in_every_format(work: Path, call: Any) -> None:
-    listed = call("export", "--help").out
-    for form in formats_of(ExportFormat):
-        assert form in listed
-        ended = call("export", "done", "--as", form, "--out", f"{form}.txt", "--json", "-")
-        assert ended.code == 0
-        assert ended.json["format"] == form
-        for name, arm in ended.json["arms"].items():
-            assert (work / arm["file"]).is_file()
-            assert arm["conversion_mm"] < 1e-3
-            for part, loss in arm["lost"].items():
-                assert f"{part}: {loss['rms_mm']:.3f} mm rms" in ended.err, name
 
 
 def test_export_then_import_gives_the_same_readings(work: Path, call: Any) -> None:
@@ -504,89 +358,68 @@ def damaged_model(work: Path) -> None:
     spoil_run(work / "done", "UPDATE stage SET model = '[1]' WHERE name = 'calibrate'")
 
 
-BAD = [
-    # what is spoilt, the command, what is said
-    (misspelt_key, "doctor twin.yaml", ["twin.yaml:", ": arms.left.payloud", "did you mean 'payload'?"]),
-    (misspelt_key, "plan twin.yaml --run new", ["twin.yaml:", ": arms.left.payloud"]),
-    (misspelt_key, "run twin.yaml --run new", ["twin.yaml:", ": arms.left.payloud"]),
-    (None, "plan nowhere.yaml --run new", ["nowhere.yaml"]),
-    (None, "doctor targets", ["targets"]),
-    (None, "plan twin.yaml --run collected", ["collected already holds a run", "choose a new folder"]),
-    (None, "run twin.yaml --run collected", ["collected already holds a run"]),
-    (None, "plan twin.yaml --run targets", ["targets is not empty"]),
-    (None, "plan twin.yaml --run twin.yaml", ["twin.yaml is a file"]),
-    (None, "collect nothing", ["nothing: run folder not found", "'cellapp plan'"]),
-    (None, "calibrate targets", ["targets holds no run"]),
-    (None, "collect collected", ["30 stops are stored already", "--resume"]),
-    (truncated, "calibrate collected", ["run.sqlite is cut off: 5000 bytes of"]),
-    (truncated, "collect collected --resume", ["run.sqlite is cut off"]),
-    (newer, "report collected", ["written by a newer cellapp (schema 99"]),
-    (None, "calibrate planned", ["arm 'left' has no readings", "collect or import"]),
-    (None, "discover planned", ["not calibrated yet; run 'cellapp calibrate' first"]),
-    (None, "discover collected", ["not calibrated yet; run 'cellapp calibrate' first"]),
-    (None, "push collected targets.yaml", ["not calibrated yet; run 'cellapp calibrate' first"]),
-    (None, "compensate collected targets.yaml", ["not calibrated yet; run 'cellapp calibrate' first"]),
-    (
-        lambda work: (work / "holes.csv").write_text("name,arm,x_mm,y_m,z_mm\none,left,1,2,3\n"),
-        "compensate done holes.csv",
-        ["holes.csv:1: y_m: column x_mm is in mm; give all coordinates of a file in one unit"],
-    ),
-    (
-        lambda work: (work / "holes.csv").write_text("name,arm,frame,x_mm,y_mm,z_mm\none,left,plate,1,2,3\n"),
-        "push done holes.csv --verify",
-        ["holes.csv:2: target 'one': no frame 'plate'; frames are base, tracker, left, right"],
-    ),
-    (None, "export collected --geometry out.json", ["not calibrated yet; run 'cellapp calibrate' first"]),
-    (None, "export collected --as urdf --out out.urdf", ["not calibrated yet; run 'cellapp calibrate' first"]),
-    (None, "export done --as jpeg --out out.urdf", ["no format 'jpeg'; --as takes ur-calibration, ur-description, "]),
-    (None, "export done --as urdf", ["--as FORMAT and --out FILE belong together"]),
-    (None, "export done --out out.urdf", ["--as FORMAT and --out FILE belong together"]),
-    (None, "export done --as urdf --out out.urdf --csv out.csv", ["without the options of single files"]),
-    (None, "export done --as urdf --out out.urdf --arm third", ["no calibrated arm 'third'; arms are left, right"]),
-    (None, "export done --as urdf --out targets", ["--out targets is a folder; give the path of a file"]),
-    (None, "export done --as urdf --out .", ["--out . is a folder; give the path of a file"]),
-    (None, "export done --as urdf --out out.urdf --stage plan", ["no model of a stage 'plan'; there are calibrate, "]),
-    (None, "export done --as dh --out twin.yaml --arm left", ["twin.yaml is a profile; such a file is never replaced"]),
-    (None, "export done --as dh --out twin.yaml/dh.yaml", ["cannot be written"]),
-    (damaged_model, "export done --as dh --out dh.yaml", ['expected a file with "schema": "cellapp-calibration"']),
-    (None, "show planned calibration", ["no calibration is stored; run 'cellapp calibrate' first"]),
-    (None, "show planned targets", ["no compensated targets are stored; run 'cellapp compensate' first"]),
-    (damaged_basis, "show done", ["run.sqlite is damaged (basis of stage "]),
-    (damaged_model, "show done", ["the stored model of 'calibrate' is damaged; run 'cellapp calibrate' again"]),
-    (None, "show planned overview --last 3", ["--level and --last belong to 'log'"]),
-    (None, "show nothing", ["nothing: run folder not found"]),
-    (None, "runs nowhere", ["nowhere: folder not found; give a folder that holds runs"]),
-    (None, "runs twin.yaml", ["twin.yaml is not a folder"]),
-    (None, "compare done done", ["done and done are the same run"]),
-    (None, "compare done nothing", ["nothing: run folder not found"]),
-    (newer, "compare done collected", ["written by a newer cellapp (schema 99"]),
-    (None, "schema nonsense", ["'nonsense' is not a result; results are cellapp-run, "]),
-    (None, "push done targets.yaml --verify --iterate 0", ["--iterate: expected 1 to 20 rounds, got 0"]),
-    (None, "push done targets.yaml --iterate 2", ["--iterate corrects what was measured; add --verify"]),
-    (None, "push done nowhere.yaml", ["nowhere.yaml: cannot be read"]),
-    (None, "push done twin.yaml", ["twin.yaml:7: schema: "]),
-    (None, "export planned --csv out.csv", ["holds no readings yet"]),
-    (None, "import twin.yaml nowhere.csv --run new", ["nowhere.csv: file not found"]),
-    (None, "export done --csv nowhere/out.csv", ["--csv: nowhere/out.csv: folder not found"]),
-    (None, "calibrate collected --json targets", ["--json: targets is a folder"]),
-    (None, "calibrate collected --json nowhere/out.json", ["nowhere/out.json: folder not found"]),
-    (None, "emulate ur10-ur5.yaml", ["no controller to emulate"]),
-    (None, "run ur10-ur5.yaml --run new", ["this moves real arms (left, right)", "--allow-motion"]),
-    (None, "stop nothing", ["nothing: no run is here"]),
-    *((None, f"{verb} done", ["no job runs in done"]) for verb in ("pause", "resume", "stop", "abort")),
-]
+def other_splits(work: Path) -> None:
+    with RunFile.open(work / "done", write=True) as run:
+        for name in run.profile.arms:
+            words = list(run.readings(name).split or ())
+            run.assign_splits(name, [*words[1:], words[0]])
 
 
-@pytest.mark.parametrize(("spoil", "command", "says"), BAD, ids=[f"{n}: {case[1]}" for n, case in enumerate(BAD)])
-def test_bad_input_gets_one_sentence_and_nothing_is_touched(
-    work: Path, call: Any, spoil: Any, command: str, says: list[str]
+SPOILS = {one.__name__: one for one in (other_splits, misspelt_key, truncated, newer, damaged_basis, damaged_model)}
+TRANSCRIPTS = sorted((Path(__file__).parent / "transcripts").glob("*.txt"))
+
+
+def keys_of(value: Any, depth: int = 0) -> list[str]:
+    """The keys of JSON, one a line; of lists the length."""
+    if isinstance(value, dict):
+        return [line for key, one in value.items() for line in ("  " * depth + key, *keys_of(one, depth + 1))]
+    return ["  " * depth + f"{len(value)} values"] if isinstance(value, list) else []
+
+
+def bare(text: str) -> str:
+    """Without digits and the widths of columns."""
+    return re.sub(r"[ ─]+", " ", without_digits(text))
+
+
+@pytest.mark.parametrize("path", TRANSCRIPTS, ids=lambda path: path.stem)
+def test_a_transcript_says_what_was_approved(
+    path: Path, work: Path, call: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    if spoil is not None:
-        spoil(work)
-    before = bytes_below(work)
-    one_sentence(call(*command.split()), *says)
-    assert bytes_below(work) == before
-    assert not (work / "new").exists()
+    """``cellapp WORDS``; ``does WORDS``, of which only the exit code is kept; ``refused WORDS`` and ``looks WORDS``,
+    which fail or not, and change no byte; ``spoil WHAT``; ``log``; ``write FILE TEXT``; ``edit FILE OLD NEW``;
+    ``keys FILE``; ``same FILE FILE``. Below stands what is printed, marked if on standard error, and an exit code that
+    is not 0. Digits are compared where commands are refused.
+    """
+    monkeypatch.setenv("COLUMNS", "100")
+    shown = []
+    for command in commands_of(path):
+        shown.append(f"$ {command}")
+        what, *words = shlex.split(command)
+        before = bytes_below(work)
+        match what:
+            case "spoil":
+                SPOILS[words[0]](work)
+            case "log":
+                with RunFile.open(work / "done", write=True) as run:
+                    run.log("warning", "the first line")
+                    run.log("info", "the last line")
+            case "write":
+                (work / words[0]).write_text(words[1].replace("\\n", "\n"), "utf-8")
+            case "edit":
+                edit(work / words[0], words[1].replace("\\n", "\n"), words[2])
+            case "keys":
+                shown += keys_of(json.loads((work / words[0]).read_text("utf-8")))
+            case "same":
+                assert (work / words[0]).read_bytes() == (work / words[1]).read_bytes()
+            case _:
+                ended = call(*words)
+                if what != "does":
+                    shown += [*ended.out.splitlines(), *(f"! {line}" for line in ended.err.splitlines() if line)]
+                shown += [f"exit code {ended.code}"] if ended.code else []
+                assert what in ("cellapp", "does") or (ended.code > 0) == (what == "refused"), command
+                assert what in ("cellapp", "does") or bytes_below(work) == before, command
+    exact = path.stem.startswith("refused")
+    assert_approved(path, "\n".join(shown).replace(str(work), "HERE"), str if exact else bare)
 
 
 def write_csv(work: Path, rows: list[dict[str, str]]) -> None:
@@ -607,39 +440,6 @@ def table(work: Path, call: Any) -> list[dict[str, str]]:
     return rows_of(work / "good.csv")
 
 
-def test_a_missing_column_a_number_that_is_none_and_a_missing_arm(
-    work: Path, call: Any, table: list[dict[str, str]]
-) -> None:
-    def refused(rows: list[dict[str, str]], *says: str) -> None:
-        write_csv(work, rows)
-        before = bytes_below(work)
-        one_sentence(call("import", "twin.yaml", "bad.csv", "--run", "new"), *says)
-        assert bytes_below(work) == before
-        assert not (work / "new").exists()
-
-    for column in ("z_m", "q3"):
-        refused(
-            [{key: value for key, value in row.items() if key != column} for row in table],
-            f"bad.csv:1: {column}: the column is missing",
-        )
-    for column, value in (("q2", "nan"), ("x_m", "inf"), ("y_m", "")):
-        changed = [dict(row) for row in table]
-        changed[3][column] = value
-        refused(changed, f"bad.csv:5: {column}: ")
-    refused([row for row in table if row["arm"] == "left"], "bad.csv: arm: ", "no reading of arm right")
-    refused([table[0]], "no reading of arm right")
-
-
-@pytest.mark.parametrize("stops", [1, 2, 5])
-def test_fewer_readings_than_can_be_calibrated_from(
-    work: Path, call: Any, table: list[dict[str, str]], stops: int
-) -> None:
-    write_csv(work, table[: 2 * stops])
-    assert call("import", "twin.yaml", "bad.csv", "--run", "few").code == 0
-    one_sentence(call("calibrate", "few"), "arm 'left': ", "measure more configurations")
-    assert not (work / "few" / "calibration.json").exists()
-
-
 def test_fewer_readings_than_parameters(work: Path, call: Any, table: list[dict[str, str]]) -> None:
     """Priors complete what the readings do not determine: 18 coordinates improve the nominal geometry, pairs wait."""
     rows = [{**row, "split": "identify" if int(row["configuration"]) < 6 else "validate"} for row in table[:20]]
@@ -651,24 +451,6 @@ def test_fewer_readings_than_parameters(work: Path, call: Any, table: list[dict[
         shown = {stage: errors["position_mm"]["rms"] for stage, errors in arm["validate"].items()}
         assert shown["geometry"] < 0.9 * shown["nominal"]
     assert "pair: skipped, 10 common stops leave 6 to identify and 4 to validate" in " ".join(ended.json["notes"])
-
-
-def test_a_plan_that_cannot_be_made_leaves_no_run_behind(work: Path, call: Any) -> None:
-    text = (work / "twin.yaml").read_text("utf-8")
-    (work / "twin.yaml").write_text(re.sub(r"(?m)^  floor: .*$", "  floor: 0.4", text), "utf-8")
-    before = bytes_below(work)
-    one_sentence(call("plan", "twin.yaml", "--run", "new/one"), "arm left: none of", "the floor")
-    assert bytes_below(work) == before
-    assert not (work / "new").exists()
-    (work / "twin.yaml").write_text(text.replace("  stops: 30", "  stops: 3"), "utf-8")
-    assert call("plan", "twin.yaml", "--run", "new/one").code == 0
-
-
-def test_a_target_list_that_is_wrong_is_found_before_anything_moves(work: Path, call: Any) -> None:
-    edit(work / "targets" / "twin.yaml", "arm: right", "arm: middle")
-    before = bytes_below(work)
-    one_sentence(call("run", "twin.yaml", "--run", "new"), "target 'right-01': no arm 'middle'")
-    assert bytes_below(work) == before
 
 
 def test_a_controller_that_is_not_there_is_named_and_nothing_is_stored(work: Path, call: Any) -> None:
@@ -692,22 +474,6 @@ def test_real_arms_move_only_where_it_is_allowed_and_the_doctor_is_green_now(
     one_sentence(call("collect", "real"), "this moves real arms (left, right)", "--allow-motion")
     one_sentence(call("collect", "real", "--allow-motion"), "arm left: link: no answer", "nothing was moved", code=1)
     assert bytes_below(work) == before
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (["nonsense"], "Usage"),
-        (["collect", "--unknown", "done"], "Usage"),
-        (["plan"], "cellapp: plan: PROFILE is missing"),
-        (["plan", "twin.yaml"], "cellapp: plan: --run DIR is missing"),
-    ],
-)
-def test_bad_usage(work: Path, call: Any, arguments: list[str], says: str) -> None:
-    ended = call(*arguments)
-    assert ended.code == 2
-    assert ended.out == ""
-    assert says in ended.err
 
 
 # -- processes --------------------------------------------------------------------------------------------------------
@@ -756,20 +522,6 @@ def test_what_takes_long_to_load_is_loaded_by_no_command_that_needs_it_not(work:
     assert done.returncode == 0, done.stderr
 
 
-def test_help_names_every_command(tmp_path: Path) -> None:
-    ended = shell("--help", cwd=tmp_path)
-    assert ended.code == 0
-    for command in ("run", "doctor", "plan", "collect", "import", "export", "calibrate", "discover",
-                    "compensate", "push", "report", "show", "schema", "docs", "trials", "emulate", "tracker-bridge",
-                    "pause", "resume", "stop", "abort", "runs", "compare", "correct"):  # fmt: skip
-        assert f" {command} " in ended.out
-
-
-def test_bad_input_in_a_process_of_its_own(work: Path) -> None:
-    misspelt_key(work)
-    one_sentence(shell("plan", "twin.yaml", "--run", "new", cwd=work), "twin.yaml:", ": arms.left.payloud")
-
-
 @pytest.fixture
 def long_run(work: Path) -> Path:
     """A run of many stops between two that were planned, long enough to be interrupted."""
@@ -791,34 +543,38 @@ def wait_for_stops(run: Path, process: subprocess.Popen[str]) -> None:
     until(some, "the first stops")
 
 
-def interrupted(run: Path, number: int) -> subprocess.CompletedProcess[str]:
-    """Collect as a process, and send it a signal when some stops are stored."""
+@contextlib.contextmanager
+def started(*words: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
+    """The program as a process, which does not outlive its test."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "cellapp", "collect", run.name],
-        cwd=run.parent,
-        env={**environment(), "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        [sys.executable, "-m", "cellapp", *words],
+        cwd=cwd, env={**environment(), "PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         text=True,
-    )
+    )  # fmt: skip
     try:
-        wait_for_stops(run, process)
-        process.send_signal(number)
-        out, err = process.communicate(timeout=WAIT_S)
+        yield process
     finally:
         if process.poll() is None:
             process.kill()
             process.communicate(timeout=WAIT_S)
-    return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
-def check_resumes(run: Path, collect: Callable[..., Ended]) -> None:
+def interrupted(run: Path, number: int) -> tuple[int, str]:
+    """Collect as a process, and send it a signal when some stops are stored; exit code and standard error."""
+    with started("collect", run.name, cwd=run.parent) as process:
+        wait_for_stops(run, process)
+        process.send_signal(number)
+        _, err = process.communicate(timeout=WAIT_S)
     with RunFile.open(run) as seen:
         stored = seen.stops_done()
         assert 5 <= len(stored) < 120
         assert stored == set(range(len(stored)))
         for name in ("left", "right"):
             np.testing.assert_array_equal(seen.readings(name).configuration, np.arange(len(stored)))
+    return process.returncode, err
+
+
+def check_resumes(run: Path, collect: Callable[..., Ended]) -> None:
     ended = collect("collect", run.name, "--resume", "--json", "-")
     assert ended.code == 0, ended.err
     assert ended.json["stops"] == 120
@@ -831,21 +587,12 @@ def check_resumes(run: Path, collect: Callable[..., Ended]) -> None:
 
 
 def test_killed_in_the_middle_it_is_resumed(long_run: Path) -> None:
-    ended = interrupted(long_run, signal.SIGKILL)
-    assert ended.returncode == -signal.SIGKILL
+    assert interrupted(long_run, signal.SIGKILL)[0] == -signal.SIGKILL
     check_resumes(long_run, functools.partial(shell, cwd=long_run.parent))
 
 
 def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path, call: Any) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cellapp", "collect", long_run.name],
-        cwd=long_run.parent,
-        env={**environment(), "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
+    with started("collect", long_run.name, cwd=long_run.parent) as process:
         assert process.stderr is not None
         wait_for_stops(long_run, process)
         paused = shell("pause", long_run.name, cwd=long_run.parent)
@@ -857,10 +604,6 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
         assert stopped.json["answer"].startswith("stopped: all arms brake")
         process.communicate(timeout=WAIT_S)
         assert process.returncode == 4
-    finally:
-        if process.poll() is None:
-            process.kill()
-            process.communicate(timeout=WAIT_S)
     one_sentence(call("stop", long_run.name), "no job runs in planned")
     with RunFile.open(long_run) as run:
         (session,) = run.sessions()
@@ -878,17 +621,14 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
     ],
     ids=["Ctrl-C", "SIGTERM", "closed terminal"],
 )
-def test_interrupted_it_exits_with_four_says_by_what_and_is_resumed(
-    long_run: Path, call: Any, number: int, cause: str
-) -> None:
-    ended = interrupted(long_run, number)
-    assert ended.returncode == 4, ended.stderr
-    assert "Traceback" not in ended.stderr
-    assert "'cellapp collect DIR --resume'" in ended.stderr
+def test_interrupted_it_exits_with_four_says_by_what(long_run: Path, number: int, cause: str) -> None:
+    code, err = interrupted(long_run, number)
+    assert code == 4, err
+    assert "Traceback" not in err
+    assert "'cellapp collect DIR --resume'" in err
     assert not (long_run / "run.sqlite-wal").exists(), "the file is whole"
     with RunFile.open(long_run) as run:
         assert cause in run.sessions()[-1].requests[-1][-1]
-    check_resumes(long_run, call)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -914,23 +654,11 @@ def test_interrupted_before_the_command_begins_it_exits_with_four(
 )
 def test_what_serves_does_so_until_it_is_interrupted(tmp_path: Path, command: list[str], begins: str) -> None:
     write_profile(tmp_path)
-    process = subprocess.Popen(
-        [sys.executable, "-m", "cellapp", *command],
-        cwd=tmp_path,
-        env={**environment(), "PYTHONPATH": str(ROOT)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
+    with started(*command, cwd=tmp_path) as process:
         assert process.stdout is not None
         first = within(process.stdout.readline, "the first line")
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=WAIT_S)
-    finally:
-        if process.poll() is None:
-            process.kill()
-            process.communicate(timeout=WAIT_S)
     if process.returncode == 3 and "in use" in err:
         pytest.skip("another emulator listens here")
     assert process.returncode == 0, err

@@ -82,6 +82,11 @@ CASES = {
     "which of two": Case(
         table([*J, *"xyz", "px", "py", "pz"], DEG, MM, MM + 1.0), ("x = x_m",), options=("--column", "x")
     ),
+    "which of two letters": Case(
+        table([*J, *(f"{axis}{kind}" for kind in "NA" for axis in "XYZ")], DEG, MM + 1.0, MM),
+        ("XA = x_m", "kept and not used: XN"),
+        options=("--column", "XA"),
+    ),
     "counted from 0 and from 1": Case(
         table(
             [*numbered("actual_q_{}", 0), *numbered("target_q_{}"), *numbered("joint_temperature{}"),

@@ -25,6 +25,7 @@ from cellapp.interfaces import cli
 from cellapp.interfaces.cli.command_outputs import written_by
 from tests.cell.run.small_runs import two_arms
 from tests.program import app
+from tests.twin import write_profile
 
 ROOT = Path(__file__).parents[3]
 OLD = b"what a person wrote\n"
@@ -241,11 +242,13 @@ def test_two_options_with_one_file(run_file: Path, monkeypatch: pytest.MonkeyPat
     assert not Path("a.csv").exists()
 
 
-def test_a_journal_of_a_run_is_neither_a_store_nor_a_file(run_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_journal_of_a_run_is_neither_a_store_nor_a_file(
+    run_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for suffix in ("-wal", "-journal", "-shm"):
         name = f"R/run.sqlite{suffix}"
         assert called(monkeypatch, "show", "R", "--json", name, "--force") == 2
-        words = ("trials", "power", str(ROOT / "profiles/twin.yaml"))
+        words = ("trials", "power", str(write_profile(tmp_path / "small")))
         assert called(monkeypatch, *words, "--results", name) == 2
         assert called(monkeypatch, *words, "--results", "R/run.sqlite") == 2
 
@@ -303,7 +306,7 @@ def test_devices_pipes_and_standard_output_are_written_to_as_they_are(run_file: 
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell with pipes")
-@pytest.mark.parametrize("words", ["schema --json -", "schema --json /dev/stdout", "docs effects"])
+@pytest.mark.parametrize("words", ["schema --json -", "docs effects"])
 def test_who_reads_one_line_ends_it_well(words: str, run_file: Path) -> None:
     line = f"set -o pipefail; {sys.executable} -m cellapp {words} | head -1"
     done = subprocess.run(["bash", "-c", line], capture_output=True, env=surroundings(), timeout=60, check=False)

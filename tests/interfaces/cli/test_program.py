@@ -1,4 +1,4 @@
-"""The program around its commands: version, help, errors as JSON, the demonstration."""
+"""The program around its commands: version, help, errors as JSON, what earlier versions had, the report."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import jsonschema
 import numpy as np
@@ -25,25 +25,21 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.export.run import export_run
-from cellapp.commands.record import Asked, Request, Verb, View, Work
 from cellapp.commands.registry import records
-from cellapp.commands.run.run import WholeRunResult
 from cellapp.commands.runs.history import summarise
 from cellapp.commands.schema import json_schema
 from cellapp.commands.show.overview import run_history, run_overview
 from cellapp.commands.show.view import overview_sentences, overview_tables
-from cellapp.commands.stages import append_stage, basis_of
+from cellapp.commands.stages import DATA_MARK, append_stage, basis_of, data_mark
 from cellapp.estimation.readings import Reading
 from cellapp.ground import removed
-from cellapp.ground.errors import InputError
-from cellapp.ground.results import ErrorResult, Result
-from cellapp.interfaces.cli.command_outputs import Commands
-from cellapp.interfaces.cli.derived import command_of
-from cellapp.interfaces.cli.program import wants_json
+from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.ground.results import ErrorResult
+from cellapp.interfaces.page import page
 from cellapp.interfaces.page.page import page_text
 from cellapp.interfaces.tui.workspace import load_workspace
 from drivers.findings import Finding
-from tests.cell.run.csv_rows import import_csv
+from tests.cell.run.small_runs import import_csv
 from tests.interfaces.cli.test_cli import call, exit_code  # noqa: F401 - a fixture
 from tests.interfaces.page.cases import calibration
 from tests.interfaces.page.parsed_page import NOON
@@ -139,101 +135,6 @@ def test_an_unexpected_error_is_an_object(
     assert "out of order" in Path("cellapp-error.log").read_text("utf-8")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [("plan --json -", True), ("plan --json=-", True), ("plan --json file -", False), ("plan - --json", False)],
-)
-def test_when_json_is_wanted(arguments: str, expected: bool) -> None:
-    assert wants_json(arguments.split()) is expected
-
-
-@pytest.mark.slow
-def test_the_demonstration(call: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
-    """Profile and run go below the folder; a profile that is there is used as it is. The run itself is tested apart."""
-    started: list[tuple[Path, Path]] = []
-    swept: list[int | None] = []
-
-    def run_whole(
-        profile: Path, folder: Path, *more: object, ask: object, sweeps: int | None, hung: object
-    ) -> WholeRunResult:
-        assert ask is None
-        started.append((profile, folder))
-        swept.append(sweeps)
-        return WholeRunResult(run=str(folder))
-
-    monkeypatch.setattr("cellapp.commands.run.run.run_whole", run_whole)
-    assert "written: " in call("demo", "here").out
-    assert "is used as it is" in call("demo", "here").out
-    call("demo", "--full")
-    call("demo", "here", "--sweeps")
-    assert swept == [None, None, None, 20]
-    assert [profile for profile, _ in started] == [
-        Path("here/profiles/twin-small.yaml"),
-        Path("here/profiles/twin-small.yaml"),
-        Path("profiles/twin.yaml"),
-        Path("here/profiles/twin-small.yaml"),
-    ]
-    assert started[0][1].parent == Path("here/logs")
-    assert all(profile.is_file() for profile, _ in started)
-
-
-# -- What a command that is made from a record shows: announced results, refusals, results that are JSON themselves ----
-
-
-class ToyRequest(Request):
-    """Say what kind of result it is."""
-
-    kind: Annotated[Literal["served", "refused", "json"], Asked("Which.", argument=True)]
-
-
-class ToyResult(Result, schema="cellapp-toy"):
-    """What was asked for."""
-
-    kind: str
-
-
-class Toy(Verb):
-    """A verb without a folder of its own."""
-
-    def run(self, request: Request, work: Work) -> ToyResult:
-        assert isinstance(request, ToyRequest)
-        result = ToyResult(kind=request.kind)
-        if request.kind == "served":
-            work.announce(result)
-            work.say("serving")
-        return result
-
-    def view(self, result: Result, request: Request | None = None) -> View:
-        assert isinstance(result, ToyResult)
-        refused = "not done" if result.kind == "refused" else ""
-        return View((f"kind {result.kind}",), refused=refused, is_json=result.kind == "json")
-
-
-def called(*arguments: str) -> tuple[str, BaseException | None]:
-    app = Commands()
-    app.command("toy")(command_of(Toy("toy", ToyRequest, chapter="")))
-    ended = CliRunner().invoke(app, arguments)
-    return ended.output, ended.exception
-
-
-def test_a_result_that_was_announced_is_not_shown_again(tmp_path: Path) -> None:
-    file = tmp_path / "served.json"
-    assert called("served", "--json", str(file)) == ("kind served\nserving\n", None)
-    assert json.loads(file.read_text("utf-8"))["kind"] == "served"
-
-
-def test_a_refusal_that_the_work_showed_comes_after_the_result(tmp_path: Path) -> None:
-    file = tmp_path / "refused.json"
-    output, error = called("refused", "--json", str(file))
-    assert (output, type(error), str(error)) == ("kind refused\n", InputError, "not done")
-    assert file.is_file()
-
-
-def test_a_result_that_is_json_is_shown_or_written(tmp_path: Path) -> None:
-    assert called("json") == ("kind json\n", None)
-    assert called("json", "--json", str(tmp_path / "new.json")) == ("", None)
-
-
 # -- What a finished run says, on the terminal and on the page: no double stop, one spelling of units, words for keys --
 
 FAULTS = {
@@ -251,20 +152,6 @@ def faults_of(text: str) -> Iterator[str]:
     for name, pattern in FAULTS.items():
         for found in pattern.finditer(text):
             yield f"{name}: ...{text[max(found.start() - 50, 0) : found.end() + 30]}..."
-
-
-@pytest.mark.parametrize(
-    ("text", "name"),
-    [
-        ("that is it.. U is", "a double full stop"),
-        ("of 1 targets", "one of several"),
-        ("27 um rms", "micro without its sign"),
-        ("method_1 0.39", "a key for people"),
-    ],
-)
-def test_the_faults_are_found(text: str, name: str) -> None:
-    (found,) = faults_of(text)
-    assert found.startswith(name)
 
 
 def test_a_finished_run_is_shown_without_them(finished_run: Path) -> None:
@@ -396,3 +283,34 @@ def test_an_import_of_what_was_exported_of_sockets_is_refused(tmp_path):
     (tmp_path / "out.csv").write_text("configuration,arm,q1,x_m,y_m,z_m,point\n0,left,0.1,,,,cup\n", "utf-8")
     with pytest.raises(InputError, match=r"out\.csv:1: point: readings of a ball in sockets were removed"):
         import_csv(small_twin(), tmp_path / "out.csv", tmp_path / "again")
+
+
+RUNNER = CliRunner()
+
+
+@pytest.fixture(autouse=True)
+def blank_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What stands on the page is tested with the page; here it is only written."""
+
+    def write(run: RunFile) -> Path:
+        page = run.folder / "report.html"
+        page.write_text(f'<meta name="{DATA_MARK}" content="{data_mark(run)}">', encoding="utf-8")
+        return page
+
+    monkeypatch.setattr(page, "write_page", write)
+
+
+def test_strict_fails_only_where_something_is_out_of_date(finished_copy: Path) -> None:
+    assert RUNNER.invoke(app, ["report", str(finished_copy), "--strict"]).exit_code == 0
+    with RunFile.open(finished_copy, write=True) as run:
+        name = run.arms()[0]
+        readings = run.readings(name)
+        again = readings.take([0])
+        run.add_readings(name, type(again)(**{**vars(again), "configuration": again.configuration + 10_000}))
+    assert RUNNER.invoke(app, ["report", str(finished_copy)]).exit_code == 0
+    ended = RUNNER.invoke(app, ["report", str(finished_copy), "--strict", "--json", str(finished_copy / "r.json")])
+    assert isinstance(ended.exception, CheckFailed)
+    assert "'calibrate' is out of date (1 reading" in str(ended.exception)
+    assert "'verify' is out of date" in str(ended.exception)
+    assert "calibrate" in json.loads((finished_copy / "r.json").read_text("utf-8"))["out_of_date"]
+    assert (finished_copy / "report.html").is_file(), "the page is written all the same"

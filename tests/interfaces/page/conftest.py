@@ -54,9 +54,9 @@ def whole_page(whole_text: str) -> Page:
 
 @pytest.fixture(scope="session")
 def calibrated_folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Runs without devices that are calibrated and no more: ``single`` of one arm, ``double`` of two."""
+    """Runs without devices that are calibrated and no more: ``single`` of one arm, ``double`` and ``pair`` of two."""
     folder = tmp_path_factory.mktemp("calibrated")
-    for name, arms in (("single", ["only"]), ("double", [LEFT, RIGHT])):
+    for name, arms in (("single", ["only"]), ("double", [LEFT, RIGHT]), ("pair", ["left", "right"])):
         with RunFile.create(folder / name, without_devices(*arms)) as run:
             fill(run)
             calibrate_run(run)

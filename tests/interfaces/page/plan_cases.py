@@ -9,13 +9,8 @@ from cellapp.cell.planning.records import (
     FactorCorrelation,
     ObservabilityIndices,
     PlanDesignResult,
-    PlannedTime,
     PlanQuality,
     TravelTime,
-)
-
-TIME = PlannedTime(
-    total_s=5400.0, moving_s=1800.0, resting_s=600.0, measuring_s=2400.0, references_s=300.0, warm_up_s=300.0
 )
 
 

@@ -18,9 +18,9 @@ from drivers.no_driver import NoDriver
 from tests.arms import STATION, true_geometry
 from tests.twin import PROFILES, whole_twin
 
-LEFT = "<script>alert('left')</script>"
+LEFT = "<script>alert('left')"
 RIGHT = '右"><img src=x onerror=alert(2)> & $x_'
-NAME = "</title></style><script src='https://evil.example/x.js'></script>"
+NAME = "<title><style><script onload=alert(1)>"
 TARGET = "<b onclick=alert(3)>t</b>"
 UNREACHABLE = "far <it>"
 EVENT = "<iframe src='http://evil.example'></iframe> &amp; more"

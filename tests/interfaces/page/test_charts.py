@@ -1,94 +1,50 @@
-"""Charts: the values that the results have, limits, and a message that says what a person should see."""
+"""Charts: values that the results have, maps, curves of models; whatever the numbers and names, they can be drawn."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from pydantic import TypeAdapter
 
-from cellapp.cell.planning.records import PlanDesignResult
-from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.records import ReferenceDrift
 from cellapp.commands.calibrate.charts_accuracy import (
     error_histogram_chart,
 )
+from cellapp.commands.calibrate.charts_vectors import scale_length_mm, vector_chart
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.collect.charts import (
-    drift_chart,
-    live_residual_chart,
-    standard_error_chart,
+    residual_drift_chart,
 )
-from cellapp.commands.discover.charts import picture_chart
-from cellapp.commands.plan.charts import coverage_chart, design_charts
+from cellapp.commands.discover.charts import is_line
+from cellapp.commands.plan.charts_obstacles import (
+    cell_map_chart,
+    outlined_obstacles,
+    surface_points,
+)
+from cellapp.commands.plan.result import PlannedStop
 from cellapp.commands.report.data import ReportData, read_report_data
-from cellapp.commands.view.charts import Axis, Chart, Limit, mm, series
+from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, bar_chart, mm, series
+from cellapp.estimation.discovery.records import Picture
 from cellapp.ground.profile import Profile
+from cellapp.ground.profile.sections import AnyObstacle
 from cellapp.ground.progress import StopReport
-from cellapp.interfaces.page.drawn import chart_figure
-from cellapp.interfaces.render.chart import Look
+from cellapp.interfaces.page.drawn import chart_svg
+from cellapp.interfaces.render.chart import scale_of
+from cellapp.robot.model.nominal import pose_matrix
 from tests.interfaces.page.cases import picture
-from tests.interfaces.page.plan_cases import TIME, plan_design
-from tests.twin import PROFILES
-
-
-def values(chart: Chart, name: str) -> list[tuple[float, float]]:
-    (one,) = [one for one in chart.series if one.name == name]
-    return list(zip(one.x.tolist(), one.y.tolist(), strict=True))
-
-
-# -- the dataclasses --------------------------------------------------------------------------------------------------
-
+from tests.twin import whole_twin
 
 # -- collection -------------------------------------------------------------------------------------------------------
 
 
 def report(stop: int, arm: str, residual_mm: float, standard_error_mm: float = 0.1) -> StopReport:
     return StopReport(stop, arm, residual_mm, standard_error_mm)
-
-
-REPORTS = [report(0, "left", 0.02, 0.4), report(0, "right", 0.03), report(1, "left", 0.06, 0.2)]
-
-
-def test_residuals_and_standard_errors_of_each_arm_over_the_stops() -> None:
-    chart = live_residual_chart(REPORTS)
-    assert values(chart, "left") == [(1.0, 0.02), (2.0, 0.06)]
-    assert values(chart, "right") == [(1.0, 0.03)]
-    assert "left 0.060 mm at stop 2 (median 0.040 mm) and right 0.030 mm at stop 1" in chart.message
-    chart = standard_error_chart(REPORTS)
-    assert values(chart, "left") == [(1.0, 0.4), (2.0, 0.2)]
-    assert "left 0.200 mm (at stop 1: 0.400 mm)" in chart.message
-
-
-def test_drift_of_the_references_against_the_limit() -> None:
-    rows = [
-        ReferenceDrift(name=name, stops_done=stops, drift_mm=drift)
-        for name, stops, drift in [("nest", 0, 0.0), ("left", 0, 0.0), ("nest", 20, 0.011), ("left", 20, 0.004)]
-    ]
-    chart = drift_chart(rows, 0.05)
-    assert values(chart, "nest") == [(0.0, 0.0), (20.0, 0.011)]
-    assert [limit.value for limit in chart.limits] == [0.05]
-    assert chart.message == "nest moved farthest, 0.011 mm from its first measurement; the limit is 0.050 mm."
-    beyond = drift_chart(rows, 0.01)
-    assert "beyond the limit of 0.010 mm" in beyond.message
-
-
-# -- discovery --------------------------------------------------------------------------------------------------------
-
-
-def test_a_picture_has_its_curve_with_a_band_of_two_standard_deviations() -> None:
-    shown = picture("transmission_error", 1, curve=True)
-    chart = picture_chart("left", shown)
-    measured, computed = chart.series
-    assert (measured.kind, computed.kind) == ("points", "line")
-    assert shown.curve is not None
-    assert computed.band is not None
-    assert computed.band.tolist() == [2.0 * sigma for sigma in shown.curve.band]
-    assert chart.x == Axis("joint 1", "deg")
-    assert chart.y == Axis("offset of joint 1", "µrad")
-    assert chart.message.startswith("The effect is 212 µrad rms at these readings, which scatter 20 µrad rms about it.")
-    assert "No reading was taken from 128° to -170°." in chart.message
 
 
 # -- accuracy ---------------------------------------------------------------------------------------------------------
@@ -105,16 +61,8 @@ def test_a_histogram_counts_every_error_once() -> None:
         assert np.all(np.diff(one.x) >= 0.0)
     assert [one.style for one in chart.series] == [0, 3]
     assert [(limit.axis, limit.value) for limit in chart.limits] == [("x", 0.02)]
-    medians = [mm(float(np.nanmedian(values))) for values in errors.values()]
+    medians = [mm(float(np.nanmedian(one))) for one in errors.values()]
     assert f"Median error: {medians[0]} (nominal), {medians[1]} (geometry and effects)." in chart.message
-
-
-# -- maps -------------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def twin() -> Profile:
-    return load_profile(PROFILES / "twin.yaml")
 
 
 # -- Charts of held-out errors over joints and in space, of a small calibrated run -------------------------------------
@@ -130,43 +78,166 @@ def held_out(data: ReportData) -> HeldOutArm:
     return data.held_out["only"]
 
 
-def test_the_histogram_of_a_run(data: ReportData, held_out: HeldOutArm) -> None:
-    chart = error_histogram_chart("only", held_out.errors_mm, data.calibrate.arms["only"].tracker_mm)
-    assert [one.y.sum() for one in chart.series] == [len(held_out.readings)] * 2
-    assert chart.limits[0].value == pytest.approx(np.sqrt(3.0) * 0.02)
+READ: TypeAdapter[dict[str, AnyObstacle]] = TypeAdapter(dict[str, AnyObstacle])
+PILLAR = {"shape": "cylinder", "radius": 0.08, "length": 2.4, "pose": {"position": [2.4, 0.9, 1.0]}}
+HOME = np.radians([0.0, -90.0, 0.0, -90.0, 0.0, 0.0])
 
 
-# -- Charts of a designed plan: what they draw, what their messages say, and that the page draws the same --------------
+def with_obstacles(**obstacles: dict[str, Any]) -> Profile:
+    return whole_twin().model_copy(update={"obstacles": READ.validate_python(obstacles)})
 
 
-def test_the_page_draws_the_same_charts_with_names_escaped() -> None:
-    design: PlanDesignResult = plan_design(arms=("<left>", "right"))
-    q = np.radians(np.random.default_rng(1).uniform(-90.0, 90.0, (40, 6)))
-    charts = [*design_charts(design, TIME), coverage_chart("<left>", np.tile([-3.2, 3.2], (6, 1)), q)]
-    for number, chart in enumerate(charts):
-        figure = chart_figure(f"plan{number}", chart)
-        drawing = ElementTree.fromstring(figure.svg)
-        assert drawing.tag.endswith("svg")
-        assert "<left" not in figure.svg
-        assert (figure.caption, figure.note) == (chart.title, chart.message)
-        assert len(figure.legend) == (0 if chart.categories else len(chart.series))
-        assert "".join(drawing.itertext()).count("left") == sum("left" in name for name in chart.categories)
-        assert figure == chart_figure(f"plan{number}", chart)
-
-
-def test_maps_limits_and_steps_are_drawn_too() -> None:
-    drawn = (
-        series("rays", [0.0, 1.0], [0.0, 1.0], style=4, mark="·"),
-        series("base", [0.0], [0.0], "points", style=4, mark="B"),
-        series("stops", np.arange(100.0), np.arange(100.0), "points"),
-        series("level", [0.0, 50.0], [1.0, 2.0], "steps", style=1),
-    )
-    chart = Chart("A map", Axis("x", "m"), Axis("y", "m"), drawn, "", (Limit("floor", 2.0),), equal=True)
-    looks = [(entry.text, entry.look) for entry in chart_figure("map", chart).legend]
-    assert looks == [
-        ("rays", Look("soft", "dot")),
-        ("base", Look("ink", "square")),
-        ("stops", Look("arm1", "round")),
-        ("level", Look("arm2", "line")),
-        ("floor", Look("ink", "limit")),
+def stops(count: int = 3) -> list[PlannedStop]:
+    turned = [HOME + 0.6 * k * np.eye(6)[0] for k in range(count)]
+    return [
+        PlannedStop(configuration=k, measured=False, q={"left": tuple(q), "right": tuple(q)})
+        for k, q in enumerate(turned)
     ]
+
+
+def named(chart: Chart, name: str) -> Series | None:
+    return next((one for one in chart.series if one.name == name), None)
+
+
+def test_a_mesh_is_drawn_as_its_hull_and_a_missing_one_is_left_out(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((1000.0, 2000.0, 3000.0)).export(tmp_path / "box.stl")
+    mesh = {"shape": "mesh", "file": str(tmp_path / "box.stl"), "scale": 0.001}
+    points = surface_points(READ.validate_python({"guard": mesh})["guard"])
+    assert np.allclose(np.ptp(points, axis=0), (1.0, 2.0, 3.0))
+    missing = with_obstacles(guard={**mesh, "file": "nowhere.stl"})
+    assert named(cell_map_chart(missing, stops()), "obstacles") is None
+
+
+def test_a_pillar_blocks_the_directions_behind_it() -> None:
+    profile = with_obstacles(pillar=PILLAR)
+    chart = cell_map_chart(profile, stops())
+    shadow = named(chart, "blocked directions")
+    assert shadow is not None
+    assert "Beams are blocked by pillar from azimuth" in chart.message
+    tracker = pose_matrix(profile.tracker.pose)[:2, 3] if profile.tracker.pose else np.zeros(2)
+    ends = np.column_stack([shadow.x, shadow.y])[[0, 1]]
+    away = np.linalg.norm(ends - tracker, axis=1)
+    assert away[1] > away[0] == pytest.approx(1.58, abs=0.05), "from the pillar outwards"
+    seen = named(cell_map_chart(profile, stops(), "tracker"), "obstacles")
+    assert seen is not None
+    low, high = (float(text) for text in chart.message.split("azimuth ")[1].split(" deg")[0].split(" to "))
+    assert (np.nanmin(seen.x), np.nanmax(seen.x)) == pytest.approx((low, high), abs=0.51)
+
+
+def test_what_is_mounted_on_a_flange_is_drawn_where_the_arm_stands_at_home() -> None:
+    knob = {"shape": "sphere", "radius": 0.05, "fixed_to": "flange", "arm": "left"}
+    profile = with_obstacles(knob=knob, foot={**knob, "fixed_to": "base"})
+    found = {one.name: one.p_C.mean(axis=0) for one in outlined_obstacles(profile)}
+    base = profile.arms["left"].base
+    assert base is not None
+    assert np.allclose(found["foot"], base.position, atol=0.01)
+    assert 0.3 < np.linalg.norm(found["knob"] - found["foot"]) < 2.0
+    assert "knob" not in cell_map_chart(profile, stops()).message, "what moves blocks no direction for all stops"
+
+
+# -- residuals over the run -------------------------------------------------------------------------------------------
+
+
+def test_a_drift_is_told_from_noise() -> None:
+    rng = np.random.default_rng(0)
+    time_s, noise = np.linspace(0.0, 7200.0, 400), rng.normal(scale=2e-5, size=(400, 3))
+    still = residual_drift_chart("left", time_s, noise)
+    assert "do not drift" in still.message
+    assert (len(still.series), still.x.unit, len(still.series[0].x)) == (3, "h", 20)
+    slow = noise + np.outer(time_s / 7200.0 - 0.5, [5e-5, 0.0, 0.0])
+    moving = residual_drift_chart("left", time_s, slow)
+    assert "left drift:" in moving.message
+    assert moving.series[0].y[-1] - moving.series[0].y[0] == pytest.approx(0.05, abs=0.02)
+
+
+def test_the_bands_hold_what_they_promise() -> None:
+    rng = np.random.default_rng(1)
+    outside = 0
+    for _ in range(40):
+        chart = residual_drift_chart("left", np.arange(200.0), rng.normal(size=(200, 3)))
+        outside += sum(int(np.count_nonzero(np.abs(one.y) > one.band)) for one in chart.series if one.band is not None)
+    assert 0.03 < outside / (40 * 30) < 0.07
+
+
+HOSTILE = "</script><b onclick='x'>%{y} & 'it'</b>\u2028"
+
+
+def cloud_or_line(x: np.ndarray, y: np.ndarray) -> Picture:
+    values = tuple(y.tolist())
+    return Picture(title="", effect="", x_label="", y_label="", x=tuple(x.tolist()), measured=values, computed=values)
+
+
+def test_a_line_is_drawn_through_a_function_and_none_through_a_cloud() -> None:
+    x = np.linspace(0.0, 5.0, 200)
+    rng = np.random.default_rng(0)
+    for function in (np.sin(12.0 * x), np.sign(x - 2.0), x**2, np.ones(200)):
+        assert is_line(cloud_or_line(x, function))
+    for cloud in (rng.uniform(0.0, 1.0, 200), x * rng.uniform(0.5, 1.0, 200)):
+        assert not is_line(cloud_or_line(x, cloud))
+    assert is_line(picture("transmission_error", 1, curve=True))
+
+
+# -- any numbers ------------------------------------------------------------------------------------------------------
+
+numbers = st.one_of(st.floats(min_value=-1e9, max_value=1e9), st.just(float("nan")))
+values = st.lists(numbers, min_size=1, max_size=80)
+
+
+@example(y=[5e-324], kind="line", logarithmic=True, equal=False, band=False)
+@example(y=[0.0, 5e-324], kind="points", logarithmic=False, equal=True, band=False)
+@given(
+    y=values,
+    kind=st.sampled_from(("line", "points", "steps")),
+    logarithmic=st.booleans(),
+    equal=st.booleans(),
+    band=st.booleans(),
+)
+def test_whatever_the_numbers_a_chart_can_be_drawn(
+    y: list[float], kind: Kind, logarithmic: bool, equal: bool, band: bool
+) -> None:
+    width = np.abs(y) if band and kind == "line" else None
+    drawn = series("a", np.arange(float(len(y))), y, kind, band=width)
+    equal = equal and not logarithmic
+    chart = Chart("t", Axis("x"), Axis("y", "mm", logarithmic), (drawn,), "m", (Limit("l", 1.0),), equal=equal)
+    svg = chart_svg(chart)
+    ElementTree.fromstring(svg)
+    assert "nan" not in svg
+    assert "inf" not in svg
+
+
+@given(
+    low=st.floats(min_value=-1e6, max_value=1e6),
+    span=st.floats(min_value=1e-3, max_value=1e6),
+    logarithmic=st.booleans(),
+)
+def test_every_axis_has_some_ticks_inside_of_it_and_not_too_many(low: float, span: float, logarithmic: bool) -> None:
+    ends = np.array([abs(low) + 1e-3, abs(low) + 1e-3 + span] if logarithmic else [low, low + span])
+    scale = scale_of(Axis("x", "", logarithmic), ends, 50.0, 350.0)
+    pixels = [pixel for pixel, _ in scale.labels(6)]
+    assert 2 <= len(pixels) <= 21
+    assert pixels == sorted(pixels)
+    assert pixels[0] >= 49.9
+    assert pixels[-1] <= 350.1
+    assert scale.place(ends)[0] < scale.place(ends)[1]
+
+
+# -- data for the script ----------------------------------------------------------------------------------------------
+
+
+def test_names_that_a_person_wrote_are_no_markup() -> None:
+    drawn = series(HOSTILE, [1.0], [2.0], "points")
+    chart = Chart(HOSTILE, Axis(HOSTILE), Axis("y"), (drawn,), HOSTILE, (Limit(HOSTILE, 1.0),))
+    assert "<b" not in chart_svg(chart)
+    assert "<b" not in chart_svg(bar_chart("t", {HOSTILE: (1.0, HOSTILE)}, Axis("y"), "m"))
+
+
+def test_arrows_have_a_round_scale() -> None:
+    vectors = np.array([[3.0e-4, 0.0, 0.0]] * 9 + [[0.0, 9.0e-4, 0.0]])
+    assert scale_length_mm(vectors) == pytest.approx(0.2)
+    assert scale_length_mm(np.zeros((2, 3))) > 0.0
+    chart = vector_chart("t", np.eye(3), vectors[:3], 2)
+    arrows, _, scale = chart.series
+    assert scale.name == "scale: 0.2 mm"
+    assert arrows.x[1] - arrows.x[0] == pytest.approx(1.5 * (scale.x[1] - scale.x[0]))
+    assert "most point the same way" in chart.message

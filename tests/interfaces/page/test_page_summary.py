@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterator
 from datetime import date
 from pathlib import Path
 from types import SimpleNamespace
@@ -22,23 +23,26 @@ from cellapp.commands.certificate.result import (
     CertifiedErrors,
     CertifiedInstrument,
 )
-from cellapp.commands.certificate.view import budget_table, certificate_sentences, certificate_tables, errors_table
+from cellapp.commands.certificate.view import certificate_sentences, certificate_tables
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.result import RunResults
 from cellapp.commands.report.sections import SECTIONS, placed
 from cellapp.commands.report.summary import judged_matrix, summary, verdict
 from cellapp.commands.view.parts import Section
 from cellapp.commands.view.table import Column, Interval, Number, Table, number_column
-from cellapp.commands.view.words import CHARACTERISTIC_WORDS, judged_sentence, judgement_table
+from cellapp.commands.view.words import judged_sentence, judgement_table
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement, UncertaintyContribution
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Instrument, Tolerances, Traceability
 from cellapp.ground.results import ErrorSummary
 from cellapp.interfaces.page.page import certificate_page
+from tests.approved import assert_approved, text_of
 from tests.interfaces.page.cases import discovery
+from tests.interfaces.page.parsed_page import Page
 from tests.twin import PROFILES
 
+APPROVED = Path(__file__).parent / "approved"
 TWIN = load_profile(PROFILES / "twin.yaml")
 TODAY = date(2026, 6, 1)
 STATES: tuple[Conformity, ...] = ("conforms", "does not conform", "cannot say")
@@ -94,36 +98,6 @@ def test_the_verdict_is_the_worst_of_all(states: list[Conformity]) -> None:
         )
 
 
-def test_what_does_not_conform_is_named() -> None:
-    sentence = judged_sentence(
-        [
-            judged("position", "left", "does not conform"),
-            judged("position", "right", "does not conform"),
-            judged("pose_accuracy", "left", "cannot say"),
-            judged("drift", "left", "cannot say", None),
-            judged("distance", "left", "conforms"),
-        ]
-    )
-    assert "2 do not: position error of left and right" in sentence
-    assert "1 not decided within the uncertainty; 1 not measured." in sentence
-
-
-def test_without_tolerances_it_says_how_to_give_them() -> None:
-    profile = TWIN.model_copy(update={"tolerances": Tolerances()})
-    found = verdict(data_of(profile), ())
-    assert found.state is None
-    assert "no tolerances" in found.title
-    assert "'tolerances'" in found.sentence
-
-
-def test_nothing_is_judged_on_a_calibration_that_is_out_of_date() -> None:
-    found = verdict(
-        data_of(out_of_date={"calibrate": "5 readings were added since"}), [judged("position", "left", "conforms")]
-    )
-    assert found.state == "cannot say"
-    assert "out of date" in found.sentence
-
-
 @given(
     st.lists(st.tuples(st.sampled_from(["position", "drift"]), st.sampled_from(["left", "right", "left and right"])))
 )
@@ -135,66 +109,7 @@ def test_no_judgement_is_lost_in_the_matrix(which: list[tuple[Characteristic, st
     assert len(judgement_table(judgements).rows) == len(judgements)
 
 
-def test_arms_stand_beside_each_other() -> None:
-    matrix = judged_matrix(
-        [
-            judged("position", "left", "conforms"),
-            judged("position", "right", "conforms"),
-            judged("cooperative", "left and right", "conforms"),
-        ],
-        ["left", "right"],
-    )
-    assert matrix.arms == ("left", "right")
-    assert [(row.label, list(row.by_arm)) for row in matrix.rows] == [
-        ("Position error", ["left", "right"]),
-        (CHARACTERISTIC_WORDS["cooperative"], []),
-    ]
-
-
-# -- before and after -------------------------------------------------------------------------------------------------
-
-
 # -- findings and next steps ------------------------------------------------------------------------------------------
-
-
-def test_effects_are_named_with_their_cause_and_what_to_check() -> None:
-    found = summary(data_of(discover=discovery("left", "right")), (), TODAY)
-    headings = [one.heading for one in found.found]
-    assert any(heading.startswith("Arm left: joint compliance, joints 2-4, 6") for heading in headings)
-    assert "Arm left: unknown effect" in headings
-    assert "Arm right: nothing missing" in headings
-    assert any("The gears of joints 2, 3, 4 and 6 twist." in one.text for one in found.found)
-    steps = {step.text: step.command for step in found.steps}
-    assert steps["Arm left: measure stops that decide what discovery left open:"] == "cellapp discover DIR --propose 30"
-
-
-def test_steps_do_not_show_whose_folder_it_is() -> None:
-    data = data_of(next_step="cellapp discover /cells/run")
-    assert summary(data, (), TODAY).steps[0].command == "cellapp discover DIR"
-
-
-@pytest.mark.parametrize(
-    ("verb", "outdated", "words"),
-    [
-        ("collect", {}, "Measure the planned stops that are left, then calibrate and discover again:"),
-        ("discover", {}, "Go on with:"),
-        ("discover", {"discover": "5 readings were added since"}, "Repeat what is out of date:"),
-    ],
-    ids=["stops were added", "missing", "out of date"],
-)
-def test_the_first_step_is_what_the_run_lacks(verb: str, outdated: dict[str, str], words: str) -> None:
-    data = data_of(next_step=f"cellapp {verb} /cells/run", out_of_date=outdated)
-    first = summary(data, (), TODAY).steps[0]
-    assert (first.text, first.command) == (words, f"cellapp {verb} DIR")
-
-
-def test_what_has_a_tolerance_and_was_not_measured_is_asked_for() -> None:
-    judgements = [
-        judged("cooperative", "left and right", "cannot say", None),
-        judged("drift", "left", "cannot say", None),
-    ]
-    commands = [step.command for step in summary(data_of(), judgements, TODAY).steps]
-    assert commands[:2] == ["cellapp push DIR TARGETS --verify", "cellapp iso9283 PROFILE --run DIR"]
 
 
 @pytest.mark.parametrize(("day", "due"), [(TODAY, False), (date(2028, 1, 1), True)], ids=["before", "after"])
@@ -203,6 +118,32 @@ def test_a_tracker_whose_calibration_is_due_is_named(day: date, due: bool) -> No
     profile = TWIN.model_copy(update={"traceability": Traceability(tracker=tracker)})
     steps = [step.text for step in summary(data_of(profile), (), day).steps]
     assert any("2027-03-02" in step for step in steps) == due
+
+
+def summaries() -> Iterator[object]:
+    """What the first screen says of runs that lack, outdated, found or were not asked for something."""
+    outdated = {"discover": "5 readings were added since"}
+    position = [judged("position", "left", "conforms")]
+    missing = [judged("cooperative", "left and right", "cannot say", None), judged("drift", "left", "cannot say", None)]
+    cases = {
+        "no tolerances": (data_of(TWIN.model_copy(update={"tolerances": Tolerances()})), []),
+        "out of date": (data_of(out_of_date={"calibrate": "5 readings were added since"}), position),
+        "effects": (data_of(discover=discovery("left", "right")), position),
+        "stops were added": (data_of(next_step="cellapp collect /cells/run"), []),
+        "missing": (data_of(next_step="cellapp discover /cells/run"), []),
+        "to be repeated": (data_of(next_step="cellapp discover /cells/run", out_of_date=outdated), []),
+        "not measured": (data_of(), missing),
+    }
+    for name, (data, judgements) in cases.items():
+        found = summary(data, judgements, TODAY)
+        yield f"--- {name}"
+        yield verdict(data, judgements)
+        yield judged_sentence(judgements) if judgements else ""
+        yield from (*found.found, *found.steps, judged_matrix(judgements, ["left", "right"]))
+
+
+def test_the_summary_says_what_was_approved() -> None:
+    assert_approved(APPROVED / "summary.txt", "\n".join(map(str, summaries())))
 
 
 # -- sections and tables ----------------------------------------------------------------------------------------------
@@ -245,20 +186,6 @@ AFTER = ErrorSummary(mean=0.026, rms=0.03, std=0.01, max=0.054, p95=0.041, n=20)
 SOURCES = ("tracker", "SMR centering", "air temperature", "arm repeatability", "calibrated model", "station")
 
 
-def judgement(where: str) -> Judgement:
-    return Judgement(
-        characteristic="position",
-        where=where,
-        value_mm=0.054,
-        expanded_mm=0.043,
-        tolerance_mm=0.1,
-        rule="guarded",
-        conformity="conforms",
-        source="verification, 20 targets",
-        n=20,
-    )
-
-
 def line(source: str, where: str, value: float | None) -> UncertaintyContribution:
     return UncertaintyContribution(
         source=source, standard_mm=value, evaluation="B", basis="as its certificate states it", where=where
@@ -279,7 +206,7 @@ def certificate(*arms: str) -> CertificateResult:
         arms={name: CertifiedArm(type="UR10", readings=400, errors=errors, payload_kg=(0.3, 0.3)) for name in arms},
         pair=CertifiedErrors(predicted_found=BEFORE, predicted_left=AFTER),
         instruments=tuple(CertifiedInstrument(role=role, serial="7") for role in ("laser tracker", "SMR", "bar")),
-        judgements=tuple(judgement(name) for name in arms),
+        judgements=tuple(judged("position", name, "conforms") for name in arms),
         contributions=tuple(line(source, name, 0.01) for name in arms for source in SOURCES),
         limits=("The as-left figures are of the verified targets.",),
         missing=("location", arms[0]),
@@ -297,36 +224,19 @@ def test_names_that_a_user_wrote_are_text() -> None:
     assert "http" not in text
 
 
-def test_a_contribution_that_is_not_given_leaves_the_sum_open() -> None:
+def test_a_certificate_says_what_was_approved() -> None:
+    """With a contribution that is not given, the sum stays open; a simulated cell is called so in the first line."""
     given = certificate("left", "right")
-    changed = given.model_copy(update={"contributions": (*given.contributions, line("SMR", "left", None))})
-    rows = {row[0]: row for row in budget_table(changed).text_rows()}
-    assert rows["SMR"][1:3] == ("not given", "")
-    assert rows["expanded, U"][1:3] == ("not given", f"{2.0 * 0.01 * 6**0.5:.4f}")
-
-
-def test_measured_errors_stand_before_predicted_ones() -> None:
-    rows = [row[:2] for row in errors_table(certificate("left")).text_rows()]
-    assert rows == [
-        ("Arm left, position", "verified targets"),
-        ("Arm left, position", "predicted, held out"),
-        ("Both arms, distance between them", "predicted, held out"),
-    ]
-
-
-def test_marks_come_first_and_the_rule_is_said() -> None:
-    said = certificate_sentences(certificate("left"))
-    assert said[0].startswith("MARK: not verified")
-    assert said[1].startswith("MARK: out of date")
-    assert any("not given: location; left" in one for one in said)
-    assert len(certificate_tables(certificate("left"))) == 4
-
-
-def test_a_simulated_cell_is_called_so_in_the_first_line() -> None:
-    simulated = certificate("left").model_copy(update={"warnings": (f"{SIMULATED}: no real arm was measured",)})
-    first = "Simulated cell: no calibration of real arms."
-    assert certificate_page(simulated).split('<p class="soft">')[1].startswith(first)
-    assert first not in certificate_page(certificate("left"))
+    simulated = given.model_copy(
+        update={
+            "contributions": (*given.contributions, line("SMR", "left", None)),
+            "warnings": (f"{SIMULATED}: no real arm was measured",),
+        }
+    )
+    parts = [text_of([*certificate_sentences(one), *certificate_tables(one)]) for one in (given, simulated)]
+    pages = [Page(certificate_page(one)).text for one in (given, simulated)]
+    shown = "\n".join([*parts, *pages])
+    assert_approved(APPROVED / "certificate.txt", shown)
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")

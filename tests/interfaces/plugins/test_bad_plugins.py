@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,17 +13,16 @@ from pydantic import TypeAdapter, ValidationError
 
 from cellapp.cell.exports.formats import format_named
 from cellapp.commands.discover.run import discover_result
-from cellapp.commands.doctor.run import installed_plugins
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.device_plugins import ARM_TYPES
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import CellModel
-from cellapp.robot.plugins import in_words
 from drivers.arms.registry import ARMS
 from drivers.arms.settings import ArmSettings
 from drivers.plugins import Registry
 from drivers.settings import OneOf
+from tests.approved import assert_approved
 from tests.interfaces.plugins.installed import REGISTRIES, add_distribution, add_example, installed, run_commands
 from tests.twin import PROFILES, write_profile
 
@@ -64,35 +64,30 @@ class Greedy(Mute):
     forms = (LawForm("", "words"),)
     def __init__(self, size): ...
 """
-CASES = {
-    "import": (ARM, "far", "nowhere:Far", "cannot be imported (ModuleNotFoundError: No module named 'nowhere')"),
-    "raises": (ARM, "far", "raises:Far", "cannot be imported (RuntimeError: no licence xxx"),
-    "exits": (ARM, "far", "exits:Far", "cannot be imported (SystemExit: 3)"),
-    "attribute": (ARM, "far", "settings:Far", "module 'settings' has no attribute 'Far'"),
-    "target": (ARM, "far", "settings Far", "'settings Far' is not of the form MODULE:OBJECT"),
-    "class": (ARM, "far", "formats:NOTE", "expected a class made from drivers.arms.settings.ArmSettings, got CellF"),
-    "abstract": (ARM, "half", "settings:Half", "class Half lacks open, probe"),
-    "kind": (ARM, "far", "settings:Whole", 'class Whole needs the line \'kind: Literal["far"] = "far"\''),
-    "literal": (ARM, "loose", "settings:Loose", 'class Loose needs the line \'kind: Literal["loose"]'),
-    "annotation": (ARM, "unresolved", "settings:Unresolved", "'Port' is not defined"),
-    "built in": (ARM, "ur", "settings:Whole", "'ur' is built in and stays as it is; the plug-in needs another name"),
-    "no effect": (
-        EFFECT,
-        "far",
-        "settings:Whole",
-        "expected a class made from cellapp.robot.effects.Effect, got <class",
-    ),
-    "undeclared": (EFFECT, "bare", "effects:Bare", "class Bare lacks columns, title, meaning, variables, forms"),
-    "no words": (EFFECT, "mute", "effects:Mute", "effect mute: no words for people for law"),
-    "constructor": (EFFECT, "mute", "effects:Greedy", "TypeError: Greedy.__init__() missing 1 required"),
-    "slug": (EFFECT, "far", "effects:Greedy", "class Greedy has the slug 'mute'; the entry point must have the same"),
-    "built-in effect": (EFFECT, "unknown", "effects:Mute", "'unknown' is built in and stays as it is"),
-    "no format": (EXPORT, "far", "settings:Whole", "expected an ExportFormat, a CellFormat or a CommandFormat"),
-    "format": (EXPORT, "far", "formats:NOTE", "the format is called 'note'; the entry point must have the same name"),
-    "file": (TYPE, "far.yaml", "package", "package package holds no file far.yaml; it must be listed as package data"),
-    "path": (TYPE, "arms/far.yaml", "package", "'arms/far.yaml' must be the name of a file"),
-    "package": (TYPE, "far.yaml", "settings:Whole", "expected a package that holds the file far.yaml, got <class"),
-}
+CASES = [
+    (ARM, "far", "nowhere:Far"),
+    (ARM, "far", "raises:Far"),
+    (ARM, "far", "exits:Far"),
+    (ARM, "far", "settings:Far"),
+    (ARM, "far", "settings Far"),
+    (ARM, "far", "formats:NOTE"),
+    (ARM, "half", "settings:Half"),
+    (ARM, "far", "settings:Whole"),
+    (ARM, "loose", "settings:Loose"),
+    (ARM, "unresolved", "settings:Unresolved"),
+    (ARM, "ur", "settings:Whole"),
+    (EFFECT, "far", "settings:Whole"),
+    (EFFECT, "bare", "effects:Bare"),
+    (EFFECT, "mute", "effects:Mute"),
+    (EFFECT, "mute", "effects:Greedy"),
+    (EFFECT, "far", "effects:Greedy"),
+    (EFFECT, "unknown", "effects:Mute"),
+    (EXPORT, "far", "settings:Whole"),
+    (EXPORT, "far", "formats:NOTE"),
+    (TYPE, "far.yaml", "package"),
+    (TYPE, "arms/far.yaml", "package"),
+    (TYPE, "far.yaml", "settings:Whole"),
+]
 
 
 def bad_distribution(folder: Path, groups: Mapping[str, Mapping[str, str]], name: str = "bad-one") -> Path:
@@ -113,21 +108,18 @@ def registry_of(group: str) -> Registry[Any]:
     return next(registry for registry in REGISTRIES if registry.group == group)
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_a_bad_entry_is_refused_in_one_sentence_and_the_rest_works(tmp_path: Path, case: str) -> None:
-    group, name, target, problem = CASES[case]
-    registry = registry_of(group)
-    before = list(registry)
-    with installed(bad_distribution(tmp_path / "bad", {group: {name: target}}), add_example(tmp_path / "good")):
-        (bad,) = (one for one in registry.plugins if one.problem)
-        assert problem in bad.problem
-        where = f"plug-in bad-one 1.0, {registry.what} '{name}' = {target} of [{group}]: "
-        assert bad.refusal.startswith(where)
-        assert bad.refusal.endswith("it is not used: correct it, or remove it with 'pip uninstall bad-one'")
-        assert "\n" not in bad.refusal
-        assert registry.refusal(name) == ("" if name in before else bad.refusal)
-        assert set(registry) - set(before) == {one.name for one in registry.plugins if not one.problem} != set()
-    assert list(registry) == before
+def test_bad_entries_are_refused_as_approved_and_the_rest_works(tmp_path: Path) -> None:
+    said = []
+    for number, (group, name, target) in enumerate(CASES):
+        registry, here = registry_of(group), tmp_path / str(number)
+        before = list(registry)
+        with installed(bad_distribution(here / "bad", {group: {name: target}}), add_example(here / "good")):
+            (bad,) = (one for one in registry.plugins if one.problem)
+            assert registry.refusal(name) == ("" if name in before else bad.refusal)
+            assert set(registry) - set(before) == {one.name for one in registry.plugins if not one.problem} != set()
+            said.append(re.sub(r" at 0x\w+|/\d\.\d+(?=/u/)", "", bad.refusal))
+        assert list(registry) == before
+    assert_approved(Path(__file__).parent / "approved" / "refusals.txt", "\n".join(said))
 
 
 def test_of_two_plugins_with_one_name_neither_is_used(tmp_path: Path) -> None:
@@ -165,19 +157,6 @@ def test_the_first_of_two_installations_counts(tmp_path: Path) -> None:
     old = add_distribution(tmp_path / "old", "cellapp_example", {EFFECT: {"old_pull": "old:Pull"}}, version="0.9")
     with installed(add_example(tmp_path / "new"), old):
         assert [(one.name, one.version) for one in EFFECTS.plugins] == [("hose_pull", "1.0")]
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_the_order_is_that_of_distributions_and_names(tmp_path: Path, turned: bool) -> None:
-    text = "from cellapp.cell.exports.export_format import CellFormat as F\n" + "".join(
-        f'{name.upper()} = F("{name}", "", "", lambda arms, lines: "")\n' for name in "pqrs"
-    )
-    one = add_distribution(tmp_path / "1", "Zeta", {EXPORT: {"q": "zeta:Q", "p": "zeta:P"}}, {"zeta.py": text})
-    two = add_distribution(tmp_path / "2", "alpha", {EXPORT: {"s": "alpha:S", "r": "alpha:R"}}, {"alpha.py": text})
-    built_in = list(registry_of(EXPORT))
-    with installed(*((two, one) if turned else (one, two))):
-        assert list(registry_of(EXPORT)) == [*built_in, "r", "s", "p", "q"]
-        assert in_words(installed_plugins()) == {"Zeta 1.0": "export p, export q", "alpha 1.0": "export r, export s"}
 
 
 def test_who_names_a_bad_plugin_is_told_why(tmp_path: Path) -> None:

@@ -133,17 +133,6 @@ def test_a_controller_of_another_arm_is_not_taken(settings: ArmSettings) -> None
             wrong.open(arm_context("left", twin.arms["left"])).connect()
 
 
-def test_disconnecting_is_no_doubt(arm: Arm) -> None:
-    doubts: queue.Queue[ArmError] = queue.Queue()
-    arm.watch(doubts.put)
-    arm.disconnect()
-    with pytest.raises(LinkLost, match="not connected"):
-        arm.state()
-    arm.connect()
-    assert not arm.state().moving
-    assert doubts.empty()
-
-
 def test_the_safety_gate_keeps_it_from_colliding(profile: Profile, controller: LineController) -> None:
     assert profile.moves_hardware, "no motion without consent"
     down = np.array([0.0, math.pi / 2.0, 0.0, 0.0, 0.0, 0.0])

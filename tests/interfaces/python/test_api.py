@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,22 +19,13 @@ from cellapp.ground.errors import InputError
 from cellapp.interfaces.python import dataframes
 from cellapp.interfaces.python.api import Run, open_run
 from cellapp.robot.kinematics.chain import parameter_names
-from cellapp.robot.model.arguments import configurations, require_radians
+from tests.approved import assert_approved
 from tests.twin import small_twin
 
 
 @pytest.fixture(scope="module")
 def run(finished_run: Path) -> Run:
     return open_run(finished_run)
-
-
-def test_the_run_is_a_snapshot_of_the_file(run: Run, finished_run: Path) -> None:
-    with RunFile.open(finished_run) as file:
-        for arm in file.arms():
-            assert np.array_equal(run.readings(arm).q, file.readings(arm).q)
-        assert run.profile == file.profile
-    assert list(run.measured) == ["left", "right"]
-    assert run.results.discover is not None
 
 
 def test_residuals_are_as_small_as_the_report_says(run: Run) -> None:
@@ -42,57 +35,6 @@ def test_residuals_are_as_small_as_the_report_says(run: Run) -> None:
         mean_mm = np.linalg.norm(run.residuals(arm)[held_out], axis=1).mean() * 1e3
         stated = run.results.calibrate.arms[arm].validate_["effects"].position_mm.mean
         assert mean_mm == pytest.approx(stated, rel=1e-9)
-
-
-def test_one_configuration_or_many(run: Run) -> None:
-    q = run.readings("left").q[:3]
-    p_M = run.predict("left", q)
-    assert p_M.shape == (3, 3)
-    assert np.allclose(run.predict("left", q[:1].tolist()), p_M[:1], rtol=0.0, atol=1e-12)
-
-
-MISTAKES: dict[str, tuple[Any, str]] = {
-    "one-dimensional": (np.zeros(6), r"q has shape \(6,\), expected \(n, 6\): one row a configuration; .*np.newaxis"),
-    "seven joints": (np.zeros((5, 7)), r"q has shape \(5, 7\), expected \(n, 6\): n configurations of 6 joints"),
-    "columns": (np.zeros((6, 5)), r"q has shape \(6, 5\), expected \(n, 6\)"),
-    "degrees": (np.full((4, 6), 90.0), r"q reaches 90 and most rows .* expected radians"),
-    "words": ([["a"] * 6], r"q is no array of numbers; expected shape \(n, 6\)"),
-    "ragged": ([[0.0] * 6, [0.0] * 5], r"q is no array of numbers; expected shape \(n, 6\)"),
-}
-
-
-@pytest.mark.parametrize("case", MISTAKES)
-def test_a_mistaken_q_is_explained(run: Run, case: str) -> None:
-    q, message = MISTAKES[case]
-    with pytest.raises(InputError, match=f"^arm left: {message}"):
-        run.predict("left", q)
-
-
-@pytest.mark.parametrize("method", ["predict", "true_joints", "flange", "uncertainty", "measured_uncertainty"])
-def test_the_model_of_an_arm_explains_a_mistaken_shape(run: Run, method: str) -> None:
-    ask = getattr(run.calibrated_model().arms["left"], method)
-    for q in (np.zeros(6), np.zeros((5, 7))):
-        with pytest.raises(InputError, match=r"^q has shape \(.*\), expected \(n, 6\)"):
-            ask(q)
-
-
-def test_a_single_wide_row_is_not_taken_for_degrees() -> None:
-    q = np.zeros((3, 6))
-    q[1, 2] = 90.0
-    require_radians(q, "left")
-    assert configurations(q, 6) is q
-
-
-def test_a_misspelt_arm_is_named_with_those_that_there_are(run: Run) -> None:
-    message = "no arm 'lefft'; arms of this {}: left, right; did you mean 'left'?"
-    q = np.zeros((1, 6))
-    for call in (run.readings, run.residuals):
-        with pytest.raises(InputError) as caught:
-            call("lefft")
-        assert str(caught.value) == message.format("run")
-    with pytest.raises(InputError) as caught:
-        run.predict("lefft", q)
-    assert str(caught.value) == message.format("model")
 
 
 def test_readings_are_those_of_the_exported_csv(run: Run, finished_run: Path, tmp_path: Path) -> None:
@@ -125,19 +67,6 @@ def test_targets_show_what_was_measured(run: Run) -> None:
     assert frame.target.tolist() == [target.name for target in run.results.verify.targets]
     assert (frame.compensated_mm < frame.nominal_mm).all()
     assert frame.attrs["units"]["within_mm"] == "mm"
-
-
-def test_what_a_run_does_not_have_yet_is_said_with_the_command(tmp_path: Path, run: Run) -> None:
-    early = Run(tmp_path, run.profile, {}, type(run.results)(run=str(tmp_path)), None)
-    with pytest.raises(InputError, match="not calibrated yet; run 'cellapp calibrate"):
-        early.predict("left", np.zeros((1, 6)))
-    for table in (dataframes.readings, dataframes.residuals):
-        with pytest.raises(InputError, match="holds no readings yet"):
-            table(early)
-    with pytest.raises(InputError, match="no targets yet; run 'cellapp compensate'"):
-        dataframes.targets(early)
-    with pytest.raises(InputError, match="run folder not found"):
-        open_run(tmp_path / "nowhere")
 
 
 def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -195,57 +124,69 @@ def rows(*changed: tuple[int, Any], of: Any = 1.0) -> list[Any]:
     return values
 
 
-DEGREES = np.full((N, 6), 90.0)
-CASES: dict[str, tuple[Any, str]] = {
-    "nothing": ({}, "readings: no arm is given; expected arrays of left, right"),
-    "a number": (3.0, "readings: expected the path of a CSV file, a data frame, or arrays by arm .*, got float"),
-    "no file": ("nowhere.csv", "nowhere.csv: file not found; give a CSV file of readings"),
-    "misspelt arm": (
-        {"lefft": arm(), "right": arm()},
-        "no arm 'lefft'; arms of profile twin: left, right; did you mean 'left'\\?",
-    ),
-    "one arm": ({"left": arm()}, "readings: arm: no reading of arm right of the profile; add its readings, or remove"),
-    "no mapping": ({"left": np.zeros((N, 6)), "right": arm()}, "arm left: expected names with arrays"),
-    "no points": ({"left": {"q": np.zeros((N, 6))}}, r"arm left: p_M is missing; expected an array \(n, 3\) \[m\]"),
-    "unknown quantity": (both(p_m=1.0), "arm left: no quantity is called 'p_m'; did you mean 'p_M'\\?"),
-    "five joints": (
-        both(q=np.zeros((N, 5))),
-        r"arm left: q has shape \(6, 5\), expected \(n, 6\) \[rad\] with n = 6",
-    ),
-    "one row": (both(q=np.zeros(6)), r"arm left: q has shape \(6,\), .*; a single row is array\[np.newaxis\]"),
-    "columns of points": (both(p_M=np.zeros((3, N))), r"arm left: p_M has shape \(3, 6\), expected \(n, 3\) \[m\]"),
-    "fewer points": (both(p_M=np.ones((4, 3))), r"arm left: p_M has shape \(4, 3\), .* with n = 6, the rows of q"),
-    "words": (both(q=[["a"] * 6] * N), r"arm left: q is no array of numbers; expected shape \(n, 6\) \[rad\]"),
-    "rows differ": (
-        {"left": arm(), "right": {name: values[:4] for name, values in arm().items()}},
-        r"readings: 6 of arm left, 4 of arm right; give 'configuration' \(n,\)",
-    ),
-    "NaN in q": (with_cell(2, 3, np.nan), "arm left, row 2: q4: the value is missing"),
-    "infinite point": (
-        with_cell(1, 0, np.inf, "p_M"),
-        "arm left, row 1: x_m: expected a finite number such as 0.25, got 'inf'",
-    ),
-    "degrees": (both(q=DEGREES), "arm left, row 0: q1: expected radians, got 90, and most rows are beyond two turns"),
-    "one in degrees": (with_cell(4, 1, 120.0), "arm left, row 4: q2: expected -6.283 to 6.283 rad .*; degrees\\?"),
-    "millimetres": (both(p_M=np.full((N, 3), 1500.0)), "arm left, row 0: x_m: expected metres, got 1500"),
-    "approach": (both(approach=np.full((N, 6), 2)), r"arm left, row 0: approach1: expected -1, 0 \(unknown\) or 1"),
-    "twice": (
-        both(configuration=[0, 1, 2, 3, 4, 4]),
-        "configuration: 4 .* in arm left, row 4 already",
-    ),
-    "half a stop": (both(configuration=np.arange(N) + 0.5), "configuration: expected a whole number, got '0.5'"),
-    "sigma": (both(sigma_m=-1e-6), "arm left, row 0: sigma_m: expected an uncertainty above 0 m"),
-    "split": (both(split=["test"] * N), "arm left, row 0: split: expected identify, train, validate or nothing"),
-    "no column": (frame(x_m=None), "^data frame: x_m: the column is missing$"),
-    "column in mm": (
-        frame(x_m=None).assign(x_mm=1.0),
-        "^data frame: x_m: the column is missing; is 'x_mm' meant\\? Its name and unit must be as written here",
-    ),
-    "no joint": (frame(q6=None), "data frame: q6: the column is missing; arm left has 6 joints"),
-    "NaN in a frame": (frame(y_m=rows((7, None))), "data frame, row 7: y_m: the value is missing"),
-    "arm in a frame": (frame(arm=rows((3, "middle"), of="left")), "data frame, row 3: arm: arm 'middle' is not in the"),
-    "empty frame": (frame().iloc[:0], "data frame: there is a header row but no reading"),
+READINGS: dict[str, Any] = {
+    "nothing": {},
+    "a number": 3.0,
+    "no file": "nowhere.csv",
+    "misspelt arm": {"lefft": arm(), "right": arm()},
+    "one arm": {"left": arm()},
+    "no mapping": {"left": [1.0], "right": arm()},
+    "no points": {"left": {"q": np.zeros((N, 6))}},
+    "unknown quantity": both(p_m=1.0),
+    "five joints": both(q=np.zeros((N, 5))),
+    "one row": both(q=np.zeros(6)),
+    "columns of points": both(p_M=np.zeros((3, N))),
+    "fewer points": both(p_M=np.ones((4, 3))),
+    "words": both(q=[["a"] * 6] * N),
+    "rows differ": {"left": arm(), "right": {name: values[:4] for name, values in arm().items()}},
+    "NaN in q": with_cell(2, 3, np.nan),
+    "infinite point": with_cell(1, 0, np.inf, "p_M"),
+    "degrees": both(q=np.full((N, 6), 90.0)),
+    "one in degrees": with_cell(4, 1, 120.0),
+    "millimetres": both(p_M=np.full((N, 3), 1500.0)),
+    "approach": both(approach=np.full((N, 6), 2)),
+    "twice": both(configuration=[0, 1, 2, 3, 4, 4]),
+    "half a stop": both(configuration=np.arange(N) + 0.5),
+    "sigma": both(sigma_m=-1e-6),
+    "a large sigma": both(sigma_m=0.02),
+    "heavier than the arm": both(payload_kg=300.0),
+    "too few": {name: {key: values[:3] for key, values in arm().items()} for name in ("left", "right")},
+    "split": both(split=["test"] * N),
+    "no column": frame(x_m=None),
+    "column in mm": frame(x_m=None).assign(x_mm=1.0),
+    "no joint": frame(q6=None),
+    "NaN in a frame": frame(y_m=rows((7, None))),
+    "arm in a frame": frame(arm=rows((3, "middle"), of="left")),
+    "empty frame": frame().iloc[:0],
 }
+CONFIGURATIONS: dict[str, Any] = {
+    "one-dimensional": np.zeros(6),
+    "seven joints": np.zeros((5, 7)),
+    "columns": np.zeros((6, 5)),
+    "degrees": np.full((4, 6), 90.0),
+    "words": [["a"] * 6],
+    "ragged": [[0.0] * 6, [0.0] * 5],
+}
+CONDITIONS: dict[str, dict[str, Any]] = {
+    "misspelt": {"payload": 2.0},
+    "too few": {"payload_kg": [1.0, 2.0]},
+    "of one joint each": {"approach": np.ones(3)},
+    "no direction": {"approach": 2.0},
+    "heavier than the arm": {"payload_kg": 300.0},
+    "kelvin": {"temperature_c": 293.0},
+    "beside an arm": {"other_q": np.zeros(5)},
+}
+TARGETS: dict[str, Any] = {
+    "none": [],
+    "no position": [{"name": "A", "arm": "left"}],
+    "misspelt arm": [{"name": "A", "arm": "lefft", "position": [0.5, 0.0, 0.5]}],
+    "in millimetres": [{"name": "A", "arm": "left", "position": [500, 0, 500]}],
+    "misspelt key": [{"name": "A", "arm": "left", "positon": [0.5, 0.0, 0.5]}],
+    "no unit": pd.DataFrame({"name": ["A"], "arm": ["left"], "x": [1.0]}),
+    "a number": 7,
+    "no file": "nowhere.yaml",
+}
+METHODS = ("predict", "true_joints", "flange", "uncertainty", "measured_uncertainty")
 
 
 @pytest.fixture(scope="module")
@@ -253,17 +194,33 @@ def cell() -> cellapp.Cell:
     return cellapp.Cell(small_twin())
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_mistaken_readings_are_explained(cell: cellapp.Cell, case: str) -> None:
-    source, message = CASES[case]
-    with pytest.raises(cellapp.InputError, match=message):
-        cell.calibrate(source)
-
-
-def test_rows_of_a_frame_are_named_by_its_index(cell: cellapp.Cell) -> None:
-    named = frame(z_m=rows((2, 4000.0))).set_axis([f"stop {row}" for row in range(2 * N)])
-    with pytest.raises(cellapp.InputError, match="data frame, row stop 2: z_m: expected metres, got 4000"):
-        cell.readings(named)
+def test_every_mistake_is_explained_as_approved(run: Run, cell: cellapp.Cell, tmp_path: Path) -> None:
+    fit, left = run.calibration, run.calibrated_model().arms["left"]
+    early = Run(Path("early"), run.profile, {}, type(run.results)(run="early"), None)
+    calls: dict[str, Callable[[], object]] = {
+        **{f"readings: {name}": partial(cell.calibrate, given) for name, given in READINGS.items()},
+        **{f"q: {name}": partial(run.predict, "left", q) for name, q in CONFIGURATIONS.items()},
+        **{f"q of {name}": partial(getattr(left, name), np.zeros((5, 7))) for name in METHODS},
+        **{f"row of {name}": partial(getattr(left, name), np.zeros(6)) for name in METHODS},
+        **{f"{name} of no arm": partial(getattr(run, name), "lefft") for name in ("readings", "residuals")},
+        "prediction of no arm": lambda: run.predict("lefft", np.zeros((1, 6))),
+        **{
+            f"condition: {name}": partial(fit.predict, "left", np.zeros((4, 6)), **given)
+            for name, given in CONDITIONS.items()
+        },
+        **{f"targets: {name}": partial(fit.compensate, given) for name, given in TARGETS.items()},
+        "not calibrated": lambda: early.predict("left", np.zeros((1, 6))),
+        "no readings": lambda: dataframes.readings(early),
+        "no residuals": lambda: dataframes.residuals(early),
+        "no targets": lambda: dataframes.targets(early),
+        "no folder": lambda: open_run("nowhere"),
+    }
+    said = []
+    for name, call in calls.items():
+        with pytest.raises(InputError) as caught:
+            call()
+        said.append(f"{name}: {caught.value}".replace(str(run.folder), "RUN"))
+    assert_approved(Path(__file__).parent / "approved" / "mistakes.txt", "\n".join(said))
 
 
 def test_unknown_columns_are_kept_and_reported(cell: cellapp.Cell) -> None:
@@ -271,57 +228,3 @@ def test_unknown_columns_are_kept_and_reported(cell: cellapp.Cell) -> None:
     assert readings.notes == ("data frame: column 'operator' is unknown; it is kept and not used",)
     assert readings["left"].extras == {"operator": ("A. N.",) * N}
     assert readings.notes[0] in readings.report()
-
-
-def test_too_few_readings_are_refused_with_their_number(cell: cellapp.Cell) -> None:
-    few = {name: {key: values[:3] for key, values in arm().items()} for name in ("left", "right")}
-    with pytest.raises(cellapp.InputError, match=r"arm 'left': 3 readings leave .* measure more configurations"):
-        cell.calibrate(few)
-    same = {name: {key: np.repeat(values[:1], 80, axis=0) for key, values in its.items()} for name, its in few.items()}
-    with pytest.raises(cellapp.InputError, match="1 different configuration to identify"):
-        cell.calibrate(same)
-    for key, value, words in (
-        ("payload_kg", 300.0, "own mass"),
-        ("sigma_m", 0.02, "expected 1e-10 to 0.01 m, got 0.02"),
-    ):
-        with pytest.raises(cellapp.InputError, match=words):
-            cell.readings({name: {**arm(), key: value} for name in ("left", "right")})
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        ({"payload": 2.0}, "arm left: no condition is called 'payload'; known are .*; did you mean 'payload_kg'\\?"),
-        ({"payload_kg": [1.0, 2.0]}, r"arm left: payload_kg: expected shape \(4,\) or one number for all"),
-        ({"approach": np.ones(3)}, r"arm left: approach: expected shape \(4, 6\) or one number for all"),
-        ({"approach": 2.0}, "approach: expected -1, 0 \\(unknown\\) or 1, got 2"),
-        ({"payload_kg": 300.0}, "payload_kg: expected at most the arm's own mass, .* kg, got 300"),
-        ({"temperature_c": 293.0}, "temperature_c: expected -100 to 200 degC, not kelvin"),
-        ({"other_q": np.zeros(5)}, r"arm beside left: q has shape \(1, 5\), expected \(n, 6\)"),
-    ],
-)
-def test_mistaken_conditions_are_explained(finished_run: Path, given: dict[str, Any], message: str) -> None:
-    fit = cellapp.open_run(finished_run).calibration
-    with pytest.raises(cellapp.InputError, match=message):
-        fit.predict("left", np.zeros((4, 6)), **given)
-    with pytest.raises(cellapp.InputError, match=r"q\[0, 0\] is nan; expected a finite number"):
-        fit.uncertainty("left", np.full((1, 6), np.nan))
-
-
-@pytest.mark.parametrize(
-    ("targets", "message"),
-    [
-        ([], "targets: .*at least 1"),
-        ([{"name": "A", "arm": "left"}], "target 'A': position: missing"),
-        ([{"name": "A", "arm": "lefft", "position": [0.5, 0.0, 0.5]}], "target 'A': no arm 'lefft'; arms are left,"),
-        ([{"name": "A", "arm": "left", "position": [500, 0, 500]}], "position"),
-        ([{"name": "A", "arm": "left", "positon": [0.5, 0.0, 0.5]}], "did you mean 'position'\\?"),
-        (pd.DataFrame({"name": ["A"], "arm": ["left"], "x": [1.0]}), "data frame: x: has no unit; name it x_mm or x_m"),
-        (7, "targets: expected a path, a list, keys with values or a data frame, got 7"),
-        ("nowhere.yaml", "nowhere.yaml: .*not found"),
-    ],
-)
-def test_mistaken_targets_are_explained(finished_run: Path, targets: Any, message: str) -> None:
-    fit = cellapp.open_run(finished_run).calibration
-    with pytest.raises(cellapp.InputError, match=message):
-        fit.compensate(targets)

@@ -153,19 +153,6 @@ def assert_same(one: Any, other: Any) -> None:
         assert one == other
 
 
-def test_the_order_of_rows_gives_approach_and_step(run: cellapp.Run) -> None:
-    cell = cellapp.Cell(run.profile)
-    few: dict[str, dict[str, Any]] = {
-        name: {"q": arm.q[:9], "p_M": arm.p_M[:9], "sigma_m": 6e-6} for name, arm in run.measured.items()
-    }
-    assert not cell.readings(few)["left"].approach.any()
-    ordered = cell.readings(few, in_order=True)
-    assert np.array_equal(ordered["left"].approach[1:], np.sign(np.diff(few["left"]["q"], axis=0)))
-    assert_same(ordered["left"].sigma_m, np.full(9, 6e-6))
-    assert ordered["right"].configuration.tolist() == list(range(9))
-    assert "measured in the order of the rows" in ordered.report()
-
-
 def test_targets_may_be_mappings_or_a_data_frame(found: cellapp.Discovery) -> None:
     listed: list[Mapping[str, Any]] = [
         {"name": "A", "arm": "left", "position": np.array([0.6, 0.2, 0.4]), "tolerance": "0.2 mm"},

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
 
 import cellapp
-from cellapp.interfaces.cli.app import main
-from cellapp.interfaces.render.terminal import plain_text
 
 
 @pytest.fixture(scope="module")
@@ -84,30 +81,6 @@ def test_html_is_valid_and_says_what_the_report_says(results: dict[str, object],
     assert not missing
     if name == "compensation":
         assert "<A & B>" in said
-
-
-def test_reports_are_what_show_prints(
-    run: cellapp.Run, finished_run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "100")
-    for part, view in (
-        ("discovery", run.discovery.report()),
-        ("parameters", plain_text(run.calibration.view()[-1:])),
-        ("calibration", None),
-    ):
-        monkeypatch.setattr(sys, "argv", ["cellapp", "show", str(finished_run), part])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        assert not ended.value.code
-        printed = [line.rstrip() for line in capsys.readouterr().out.splitlines()]
-        lines = run.calibration.report().splitlines() if view is None else view.splitlines()
-        if part == "calibration":  # the command shows the errors with effects beside the others
-            lines = [
-                line for line in lines[: lines.index("Arm left: identified parameters")] if "tracker's" not in line
-            ]
-        # a row that the command alone has may widen a column
-        known = {" ".join(line.strip(" ─").split()) for line in printed}
-        assert [line for line in lines if " ".join(line.strip(" ─").split()) not in known] == []
 
 
 def test_reports_hold_the_figures(run: cellapp.Run) -> None:

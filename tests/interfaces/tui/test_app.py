@@ -4,173 +4,36 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from itertools import product
 from pathlib import Path
 
 import pytest
 from textual.binding import Binding
 from textual.dom import DOMNode
-from textual.geometry import Region
-from textual.widgets import Input, OptionList
+from textual.widgets import Input, Tree
 
-from cellapp.commands.docs.handbook import PARTS
-from cellapp.ground.errors import HardwareError, InputError
-from cellapp.ground.progress import Progress
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.dialogs.handbook import Handbook
-from cellapp.interfaces.tui.dialogs.program import Palette
-from cellapp.interfaces.tui.dialogs.question import Choice, Question, Reading
+from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.endings import ERROR_LOG
-from cellapp.interfaces.tui.keys import KEYS, WAYS, key_table
+from cellapp.interfaces.tui.keys import KEYS, WAYS
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.controls import Entry, KeyLine, StopButton, key_lines
-from cellapp.interfaces.tui.widgets.header import StepTab
+from cellapp.interfaces.tui.widgets.controls import Entry, key_lines
 from cellapp.interfaces.tui.widgets.log_pane import LogField
 from tests.cell.run.small_runs import collected_run
 from tests.interfaces.tui.pilot import (
     PROFILES,
-    SIZES,
     SMALL,
     WAIT_S,
     HeldJob,
     MovingJob,
     ended,
     exit_code,
-    log_text,
     opened,
     shown_text,
-    shows,
     tells,
     until,
 )
-
-
-async def test_a_refusal_without_a_profile_goes_when_one_is_open() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.say("No profile is open: choose one on the screen Cell (key 1).", "warning")
-        app.open_profile(PROFILES / "twin-small.yaml")
-        await until(pilot, lambda: "twin-small.yaml is open; n goes to" in app.message, "the profile")
-        assert "No profile is open" not in shown_text(app)
-
-
-async def test_a_theme_that_was_chosen_on_one_screen_colours_those_seen_before() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        await pilot.press("5")
-        await until(pilot, lambda: app.day_screen.STEP == "discover", "the screen")
-        assert app.screen.styles.background.brightness < 0.5
-        await pilot.press("1")
-        app.theme = "textual-light"
-        await pilot.press("5")
-        await until(pilot, lambda: app.day_screen.STEP == "discover", "the screen again")
-        await pilot.pause()
-        await until(pilot, lambda: app.screen.styles.background.brightness > 0.5, "what is shown")
-
-
-async def test_a_click_on_a_step_and_the_next_step_show_their_screens() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        await pilot.click(list(app.screen.query(StepTab))[4])
-        await until(pilot, lambda: app.day_screen.STEP == "discover", "the screen")
-        await pilot.press("n")
-        await until(pilot, lambda: app.day_screen.STEP == "plan", "the step that comes next without a run")
-
-
-async def test_every_screen_is_one_key_away_and_stop_is_in_the_same_corner_of_screens_and_dialogs() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        for size in SIZES:
-            await pilot.resize_terminal(*size)
-            corner = Region(size[0] - 11, 0, 11, 1)
-            for entry in (*SCREENS, SCREENS[0]):
-                await pilot.press(entry.key)
-                await pilot.pause()
-                assert entry.step == app.day_screen.STEP
-                (present,) = app.screen.query(".step.present").results(StepTab)
-                assert present.step == entry.step
-                assert app.screen.query_one(StopButton).region == corner
-                first_line = shown_text(app).splitlines()[0]
-                assert " SIMULATED " in first_line
-                assert first_line.endswith(" STOP  Esc")
-            for key in ("ctrl+p", "question_mark", "f5"):
-                await pilot.press(key)
-                await until(pilot, lambda: isinstance(app.screen, Question | Palette), f"the dialog of {key}")
-                await pilot.pause()
-                assert app.screen.query_one(StopButton).region == corner
-                assert shown_text(app).splitlines()[0].endswith("STOP  Esc")
-                await pilot.press("escape")
-                await until(pilot, lambda: app.screen is app.day_screen, "the end of the dialog")
-
-
-async def test_events_and_the_end_of_a_job_are_shown_on_every_screen() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.start_job(held.job())
-        await until(pilot, lambda: "collect 7/30" in shown_text(app), "the job in the header")
-        await pilot.press("4")
-        await until(pilot, lambda: "collect 7/30" in shown_text(app), "the job in the header of another screen")
-        assert not app.start_job(held.job())
-        assert "still running" in app.message
-        held.go_on.set()
-        await ended(pilot, app)
-        assert app.message == "collect: done."
-        await until(pilot, lambda: "collect: done." in shown_text(app), "the end")
-        assert "collect 7/30 stop 8" in log_text(app)
-        assert await exit_code(pilot, app) == 0
-
-
-async def test_a_stopped_job_says_how_to_go_on_from_the_step_it_was_in() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        for last, way in (
-            (Progress("plan", 3, 30), "nothing is left to resume"),
-            (Progress("plan", 30, 30), "keys 3, b go on"),
-            (Progress("collect", 3, 30), "keys 3, b go on"),
-            (Progress("calibrate", 1, 3), "keys 4, b go on"),
-            (Progress("discover", 0, 2), "keys 5, b go on"),
-            (Progress("push", 0, 2), "keys 6, m go on"),
-        ):
-            held.events = (last,)
-            app.start_job(held.job(folder=Path("my run")))
-            await until(pilot, held.reached.is_set, "the job")
-            await pilot.press("escape")
-            await until(pilot, lambda: app.message == "Stopping at the next step.", "the message")
-            held.go_on.set()
-            await ended(pilot, app)
-            assert app.message.startswith("Stopped; ")
-            assert way in app.message
-        assert await exit_code(pilot, app) == 4
-
-
-async def test_errors_are_sentences() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        for error, text in (
-            (InputError("a.yaml: seed: expected [int]"), "a.yaml: seed: expected [int]"),
-            (HardwareError("left: no answer"), "left: no answer; then keys 3, b go on"),
-        ):
-            held.error = error
-            app.start_job(held.job(folder=Path("here")))
-            held.go_on.set()
-            await ended(pilot, app)
-            assert app.message.startswith(text)
-        assert "Traceback" not in log_text(app)
-        assert not Path("here").exists()
-        assert await exit_code(pilot, app) == HardwareError.exit_code
 
 
 async def test_an_unforeseen_error_is_one_sentence_and_its_text_is_kept() -> None:
@@ -205,19 +68,6 @@ async def test_a_bad_profile_is_a_sentence_and_starts_nothing(tmp_path: Path) ->
         assert not Path("logs").exists()
 
 
-async def test_the_whole_day_asks_before_it_begins() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        await pilot.press("f5")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        await shows(pilot, "simulated")
-        await pilot.press("n")
-        await pilot.pause()
-        assert not app.jobs.running
-        assert app.day_screen.STEP == "cell"
-
-
 async def test_nothing_else_is_opened_while_a_job_moves_arms() -> None:
     held = HeldJob()
     app = CellApp(PROFILES)
@@ -231,44 +81,6 @@ async def test_nothing_else_is_opened_while_a_job_moves_arms() -> None:
         assert app.workspace.kind == "simulated"
         app.open_profile(PROFILES / "ur10-ur5.yaml")
         await until(pilot, lambda: " REAL ARMS " in shown_text(app).splitlines()[0], "the other profile")
-
-
-async def test_an_empty_folder_offers_the_twin(tmp_path: Path) -> None:
-    app = CellApp(tmp_path / "profiles")
-    async with app.run_test(size=SMALL) as pilot:
-        await until(pilot, lambda: "Try the simulated twin" in shown_text(app), "the welcome")
-        await pilot.press("enter")
-        await opened(pilot, app)
-        assert app.workspace.profile is not None
-        assert app.workspace.profile.name == "twin"
-        assert (tmp_path / "profiles" / "twin.yaml").is_file()
-        assert "F5" in app.message
-
-
-async def test_quitting_with_a_job_asks_stops_and_waits_for_its_end() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.start_job(held.job())
-        await until(pilot, held.reached.is_set, "the job")
-        await pilot.press("q")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        await pilot.press("n")
-        await until(pilot, lambda: not isinstance(app.screen, Choice), "the end of the question")
-        await pilot.press("ctrl+q")
-        await pilot.pause()
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        await until(pilot, lambda: app.focused is app.screen.query_one("#stay"), "the focus")
-        await pilot.press("y")
-        assert app.jobs.running
-        await tells(pilot, "then quitting")
-        held.go_on.set()
-        await until(pilot, lambda: app.return_code is not None, "the end of the application")
-    assert app.return_code == 4
-    assert held.thread is not None
-    held.thread.join(WAIT_S)
-    assert not held.thread.is_alive()
 
 
 async def test_a_job_that_does_not_stop_cannot_hold_the_program() -> None:
@@ -286,70 +98,6 @@ async def test_a_job_that_does_not_stop_cannot_hold_the_program() -> None:
     held.go_on.set()
     held.thread.join(WAIT_S)
     assert not held.thread.is_alive()
-
-
-async def test_an_application_that_goes_away_ends_its_job() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.start_job(held.job())
-        await until(pilot, held.reached.is_set, "the job")
-        assert not held.control.cancelled
-    assert held.control.cancelled
-    held.go_on.set()
-    app.wait_for_job()
-    assert held.thread is not None
-    assert not held.thread.is_alive()
-
-
-async def test_the_palette_finds_actions_of_the_application_and_of_the_screen() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        await pilot.press("ctrl+p")
-        await until(pilot, lambda: "Doctor" in shown_text(app), "an action of the screen")
-        await pilot.press(*"day")
-        await until(pilot, lambda: "asks first" in shown_text(app), "the action that was searched")
-        await pilot.press("enter")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "its question")
-
-
-async def test_help_of_every_screen() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        for entry in SCREENS:
-            await pilot.press(entry.key, "question_mark")
-            await until(pilot, lambda: isinstance(app.screen, Reading), f"the help of {entry.step}")
-            await pilot.press("escape")
-            await until(pilot, lambda: app.screen is app.day_screen, "the end of the help")
-
-
-async def test_the_file_picker_completes_and_refuses_what_is_not_there(tmp_path: Path) -> None:
-    for name in ("cell-one.yaml", "cell-two.yaml", "notes.txt", ".hidden.yaml"):
-        (tmp_path / name).write_text("name: x\n")
-    (tmp_path / "cellar").mkdir()
-    chosen: list[Path | None] = []
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        picker = FilePicker("Which profile?", tmp_path, lambda path: path.suffix == ".yaml")
-        app.push_screen(picker, chosen.append)
-        await pilot.pause()
-        await pilot.press(*"cell-", "tab", *"o", "tab")
-        await until(
-            pilot,
-            lambda: picker.query_one("#path", Input).value == str(tmp_path / "cell-one.yaml"),
-            "the text of the field",
-        )
-        await pilot.press("backspace", "enter")
-        await pilot.pause()
-        assert not chosen, "there is no such file"
-        await shows(pilot, "no such file")
-        await pilot.press("l", "enter")
-        await until(pilot, lambda: chosen, "the choice")
-    assert chosen == [tmp_path / "cell-one.yaml"]
 
 
 def test_importing_is_cheap_and_opening_loads_no_numerics() -> None:
@@ -409,42 +157,6 @@ def test_footers_break_between_entries_only_and_keep_the_general_ones(width: int
     assert shown[:-3] == own[: len(shown) - 3], "the last ones are left out, help has them"
 
 
-async def test_no_screen_parts_a_key_from_its_label() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        for size, entry in product(SIZES, SCREENS):
-            await pilot.resize_terminal(*size)
-            await pilot.press(entry.key)
-            await pilot.pause()
-            line = app.screen.query_one(KeyLine)
-            await until(pilot, lambda line=line: "Quit" in shown_text(app).splitlines()[-1], "the footer")  # type: ignore[misc]
-            labels = [
-                one.binding.description
-                for one in app.screen.active_bindings.values()
-                if one.binding.show and one.enabled
-            ]
-            assert 1 <= line.size.height <= 2
-            for text in shown_text(app).splitlines()[-line.size.height :]:
-                assert any(text.rstrip().endswith(label) for label in labels), text
-
-
-async def test_help_lists_every_key_of_the_screen() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        for entry in SCREENS:
-            await pilot.press(entry.key, "question_mark")
-            await until(pilot, lambda: isinstance(app.screen, Reading), "the help")
-            text = app.screen._text  # type: ignore[attr-defined]
-            assert "{" not in text
-            table = key_table(type(app.day_screen).BINDINGS)
-            assert table in text
-            assert len(table.splitlines()) > 4
-            await pilot.press("escape")
-            await until(pilot, lambda: app.screen is app.day_screen, "the screen")
-
-
 async def test_the_next_step_is_begun_where_its_screen_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(work, "interrupted_run", lambda logs: None)
     collected_run(RUN, "stopped")
@@ -481,44 +193,9 @@ async def test_a_stop_leaves_the_field_so_that_the_next_key_is_one_of_the_job() 
         await ended(pilot, app)
 
 
-async def test_escape_closes_what_is_open_before_it_ends_a_calculation() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        job = held.job("calibrate")
-        app.start_job(type(job)(job.name, job.work))
-        await until(pilot, held.reached.is_set, "the job")
-        await pilot.press("question_mark")
-        await until(pilot, lambda: isinstance(app.screen, Reading), "the help")
-        assert "Escape closes" in shown_text(app)
-        await pilot.press("escape")
-        await until(pilot, lambda: app.screen is app.day_screen, "the screen")
-        assert not held.control.cancelled
-        await pilot.press("question_mark", "ctrl+c")
-        assert held.control.cancelled, "Ctrl-C stops over a dialog, too"
-        held.go_on.set()
-        await ended(pilot, app)
-
-
 # -- The handbook in the terminal: contents, search, links by keys and by the mouse, pictures by their words -----------
 
 
-async def test_chapters_are_read_and_searched() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        await pilot.press("f1")
-        await until(pilot, lambda: isinstance(app.screen, Handbook), "the handbook")
-        contents = app.screen.query_one("#contents", OptionList)
-        listed = [str(option.prompt) for option in contents.options]
-        assert listed == [line for part, its in PARTS.items() for line in (part, *(f"  {one}" for one in its))]
-        await until(pilot, lambda: "Tutorial" in shown_text(app), "the first chapter")
-        await pilot.press("slash", *"hayati angle", "enter")
-        await until(pilot, lambda: app.focused is contents, "the focus")
-        await until(pilot, lambda: "Hayati angle" in shown_text(app), "the section that was found")
-        assert any("Picture: Nearly parallel" in line for line in shown_text(app).splitlines())
-        app.screen.query_one("#words", Input).value = "nosuchword"
-        await until(pilot, lambda: contents.option_count == len(listed), "nothing found: all chapters")
-        await pilot.press("q")
-        await until(pilot, lambda: not isinstance(app.screen, Handbook), "the end of the handbook")
+def label(contents: Tree[object]) -> str:
+    """What stands under the cursor of the contents."""
+    return "" if contents.cursor_node is None else str(contents.cursor_node.label)

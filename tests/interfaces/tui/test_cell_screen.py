@@ -1,27 +1,30 @@
-"""The screen Cell: profiles, what they say, what devices say now, the doctor's verdict and its age."""
+"""The screen Cell: profiles, what devices say now, the doctor's verdict and its age, editing a profile."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import shutil
+import sys
+from collections.abc import Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
-from textual.widgets import DataTable, OptionList, Static, TabbedContent
+from textual.widgets import DataTable, Static, TabbedContent
 
 from cellapp.cell.profile import load_profile
+from cellapp.cell.profile.starters import copy_starter
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import ignore
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+from cellapp.interfaces.tui.dialogs.first_run import Welcome
 from cellapp.interfaces.tui.dialogs.program import MotionQuestion
-from cellapp.interfaces.tui.dialogs.question import Choice, Question, Reading
-from cellapp.interfaces.tui.host import WorkspaceLoaded
+from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.jobs import MotionAsked
 from cellapp.interfaces.tui.screens.cell import CellScreen
 from cellapp.interfaces.tui.widgets.cell_views import FindingsTable
@@ -36,12 +39,13 @@ from tests.interfaces.tui.pilot import (
     ended,
     opened,
     shown_text,
+    shows,
     tells,
     until,
 )
+from tests.interfaces.tui.terminal import Terminal
 from tests.waiting import WAIT_S
 
-BROKEN = "schema: cellapp-profile\nversion: 1\nname: bad\nsede: 1\n"
 UR = DeviceReport(model="UR10", serial="2015", state="RUNNING, NORMAL", joints_c=(25.0, 31.0))
 
 
@@ -53,22 +57,6 @@ def cell_screen(app: CellApp) -> CellScreen:
 
 def line(app: CellApp, name: str) -> str:
     return str(app.day_screen.query_one(f"#{name}", Static).render())
-
-
-@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]])
-async def test_a_profile_stands_in_words_and_the_doctor_has_one_line(size: tuple[int, int]) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=size) as pilot:
-        await opened(pilot, app)
-        await until(pilot, lambda: "UR10, 6 joints" in shown_text(app), "the profile in words")
-        assert line(app, "cell-verdict").startswith("Not checked yet")
-        await pilot.press("b")
-        await ended(pilot, app)
-        assert line(app, "cell-verdict") == "Ready: nothing would be refused."
-        assert app.day_screen.query_one("#cell-tabs", TabbedContent).active == "tab-doctor"
-        assert app.day_screen.query_one(FindingsTable).row_count == 8
-        for widget in app.screen.query("#cell-detail, #cell-verdict, #profiles, Footer"):
-            assert app.screen.region.contains_region(widget.region), widget
 
 
 async def test_failed_checks_come_first_and_are_read_in_full() -> None:
@@ -111,40 +99,6 @@ async def test_a_doctor_that_is_old_or_of_another_file_is_shown_as_old(tmp_path:
         assert app.day_screen.query_one(FindingsTable).row_count == 0
 
 
-async def test_a_broken_profile_and_none_at_all_are_told(tmp_path: Path) -> None:
-    app = CellApp(tmp_path / "nowhere")
-    async with app.run_test(size=SMALL) as pilot:
-        await until(pilot, lambda: isinstance(app.screen, Question), "the offer of a first start")
-        await pilot.press("escape")
-        await until(pilot, lambda: app.screen is app.day_screen, "the screen")
-        for key in ("b", "r"):
-            await pilot.press(key)
-            await tells(pilot, "No profile is open")
-    (tmp_path / "bad.yaml").write_text(BROKEN)
-    app = CellApp(tmp_path)
-    async with app.run_test(size=SMALL) as pilot:
-        await until(pilot, lambda: bool(app.workspace.problem), "the problem")
-        await until(pilot, lambda: "bad.yaml:4  sede: unknown key" in shown_text(app), "its line")
-        assert "bad.yaml" in line(app, "cell-verdict")
-
-
-async def test_a_profile_from_elsewhere_joins_the_list_and_a_run_is_closed_by_enter_only(tmp_path: Path) -> None:
-    shutil.copytree(PROFILES, tmp_path / "elsewhere")
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        profiles = app.day_screen.query_one("#profiles", OptionList)
-        count = profiles.option_count
-        await pilot.press("o")
-        await until(pilot, lambda: isinstance(app.screen, FilePicker), "the picker")
-        app.screen.dismiss(tmp_path / "elsewhere" / "ur5-real.yaml")
-        path = tmp_path / "elsewhere" / "ur5-real.yaml"
-        await until(pilot, lambda: app.workspace.profile_path == path, "the profile")
-        assert profiles.option_count == count + 1
-        words = app.day_screen.query_one("#cell-words", DataTable)
-        await until(pilot, lambda: words.row_count > 0 and "UR5" in str(words.get_row_at(0)[1]), "its words")
-
-
 # -- Header and questions speak of the arms that a job moves, whatever is or was open besides --------------------------
 
 REAL = PROFILES / "ur10-ur5.yaml"
@@ -170,19 +124,6 @@ async def test_a_day_speaks_of_the_chosen_profile_and_not_of_the_run_that_is_ope
         await pilot.press("b")
         await until(pilot, lambda: " REAL ARMS " in shown_text(app).splitlines()[0], "the badge")
         assert app.jobs.running
-        held.go_on.set()
-        await ended(pilot, app)
-
-
-async def test_what_was_asked_for_before_a_job_began_does_not_hide_its_arms() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        simulated = app.workspace
-        app.start_job(held.job(folder=Path("here")), Workspace(REAL, load_profile(REAL)))
-        app.show_loaded(WorkspaceLoaded(simulated))
-        assert app.workspace.kind == "real"
         held.go_on.set()
         await ended(pilot, app)
 
@@ -213,21 +154,6 @@ async def test_a_question_that_a_stop_has_answered_is_not_asked() -> None:
         await ended(pilot, app)
 
 
-async def test_a_dialog_names_the_key_that_closes_it_while_escape_stops() -> None:
-    held = HeldJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        app.start_job(held.job())
-        await pilot.press("question_mark")
-        await until(pilot, lambda: isinstance(app.screen, Reading) and "F10 closes" in shown_text(app), "the key")
-        await pilot.press("f10")
-        await until(pilot, lambda: not isinstance(app.screen, Reading), "the end of the dialog")
-        assert held.control.request == "none"
-        held.go_on.set()
-        await ended(pilot, app)
-
-
 def test_values_that_no_version_stores_are_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     def damaged(profile_path: Path, profile: object, folder: Path) -> Workspace:
         raise ValueError("stop 3: not a number\nwith more lines")
@@ -237,3 +163,140 @@ def test_values_that_no_version_stores_are_a_sentence(monkeypatch: pytest.Monkey
     assert found.problem == "logs/old holds values that this cellapp cannot read (stop 3: not a number)"
     assert found.folder is None
     assert found.profile is not None
+
+
+TWIN = Path("profiles/twin.yaml")
+EDITOR = """\
+import pathlib, sys
+path = pathlib.Path(sys.argv[-1])
+path.write_text(path.read_text("utf-8").replace(*sys.argv[1:3]), "utf-8")
+"""
+WAITING_EDITOR = """\
+import sys, termios
+at = termios.tcgetattr(0)
+at[3] &= ~termios.ICANON
+termios.tcsetattr(0, termios.TCSANOW, at)
+print("EDITING", sys.argv[1], flush=True)
+try:
+    while sys.stdin.read(1) != "w":
+        pass
+except KeyboardInterrupt:
+    sys.exit("INTERRUPTED")
+"""
+
+
+@pytest.fixture
+def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CellApp:
+    """The application in a folder with the twin; no editor is named."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("EDITOR", "VISUAL"):
+        monkeypatch.delenv(name, raising=False)
+    copy_starter("twin", Path("profiles"))
+    return CellApp(Path("profiles"))
+
+
+def edits(cell: CellApp, monkeypatch: pytest.MonkeyPatch, before: str, after: str) -> None:
+    """Name an editor that replaces a text of the file, in a terminal that can be lent."""
+    Path("editor.py").write_text(EDITOR, "utf-8")
+    monkeypatch.setenv("EDITOR", f"'{sys.executable}' editor.py '{before}' '{after}'")
+    lent: list[str] = []
+
+    @contextlib.contextmanager
+    def lend() -> Iterator[None]:
+        lent.append("lent")
+        yield
+
+    monkeypatch.setattr(cell, "lend_terminal", lend)
+
+
+def rows(cell: CellApp) -> list[list[str]]:
+    table = cell.day_screen.query_one("#cell-words", DataTable)
+    return [[str(cell) for cell in table.get_row_at(row)] for row in range(table.row_count)]
+
+
+@pytest.mark.parametrize("size", [SIZES[0], SIZES[1]])
+async def test_what_is_wrong_is_listed_edited_and_checked_again(
+    cell: CellApp, monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
+) -> None:
+    text = TWIN.read_text("utf-8")
+    TWIN.write_text(text.replace("\nplan:", "\nseed: 2\nplant_: {}\nplan:").replace("seed: 1", "seed: one", 1), "utf-8")
+    edits(cell, monkeypatch, "plant_: {}", "")
+    async with cell.run_test(size=size) as pilot:
+        await until(pilot, lambda: len(rows(cell)) > 0 and "twin.yaml:" in rows(cell)[0][0], "the problems")
+        assert cell.day_screen.query_one("#cell-tabs", TabbedContent).active == "tab-profile"
+        assert all(where.startswith("twin.yaml:") for where, _ in rows(cell))
+        await shows(pilot, "u edits it")
+        TWIN.write_text(text.replace("\nplan:", "\nplant_: {}\nplan:"), "utf-8")
+        await pilot.press("u")
+        await opened(pilot, cell)
+        assert cell.workspace.problem == ""
+        edits(cell, monkeypatch, "name: twin", "nam: twin")
+        await pilot.press("u")
+        await until(pilot, lambda: any("did you mean" in words for _, words in rows(cell)), "the new problem")
+
+
+async def test_where_no_editor_can_be_opened_the_path_is_said(cell: CellApp, monkeypatch: pytest.MonkeyPatch) -> None:
+    async with cell.run_test(size=SMALL) as pilot:
+        await opened(pilot, cell)
+        await pilot.press("u")
+        await tells(pilot, f"Edit {TWIN.resolve()} in another window (EDITOR names no editor)")
+        monkeypatch.setenv("EDITOR", "vi")  # but this terminal is none
+        await pilot.press("u")
+        await tells(pilot, "this terminal cannot be lent to an editor")
+        edits(cell, monkeypatch, "a", "b")
+        monkeypatch.setenv("VISUAL", "no-such-editor-of-cellapp")
+        await pilot.press("u")
+        await tells(pilot, "'no-such-editor-of-cellapp' cannot be started")
+
+
+async def test_an_edited_profile_is_read_again_by_enter(cell: CellApp) -> None:
+    async with cell.run_test(size=SMALL) as pilot:
+        await opened(pilot, cell)
+        TWIN.write_text(TWIN.read_text("utf-8").replace("\nname: twin\n", "\nname: other\n"), "utf-8")
+        await pilot.press("enter")
+        await until(pilot, lambda: cell.workspace.profile.name == "other", "the edited profile")  # type: ignore[union-attr]
+
+
+async def test_no_profile_is_edited_while_a_job_runs(cell: CellApp, monkeypatch: pytest.MonkeyPatch) -> None:
+    held = HeldJob()
+    edits(cell, monkeypatch, "name: twin", "name: edited")
+    async with cell.run_test(size=SMALL) as pilot:
+        await opened(pilot, cell)
+        cell.start_job(held.job())
+        await pilot.press("u")
+        await tells(pilot, "STOP must stay at hand")
+        held.go_on.set()
+        await ended(pilot, cell)
+    assert load_profile(TWIN).name == "twin"
+
+
+async def test_the_first_start_writes_a_profile_that_explains_its_keys(
+    cell: CellApp, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    TWIN.unlink()
+    edits(cell, monkeypatch, "name: ur10-ur5", "name: hall-3")
+    async with cell.run_test(size=SMALL) as pilot:
+        await until(pilot, lambda: isinstance(cell.screen, Welcome), "the question")
+        await pilot.press("w")
+        await until(pilot, lambda: cell.workspace.profile is not None, "the profile")
+    assert load_profile(Path("profiles/my-cell.yaml")).name == "hall-3"
+
+
+@pytest.mark.waits
+@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo terminal")
+def test_an_editor_has_the_terminal_and_the_application_has_it_again(tmp_path: Path) -> None:
+    copy_starter("twin", tmp_path / "profiles")
+    (tmp_path / "editor.py").write_text(WAITING_EDITOR, "utf-8")
+    command = [sys.executable, "-m", "cellapp"]
+    terminal = Terminal(command, tmp_path, EDITOR=f"'{sys.executable}' editor.py", VISUAL="")
+    try:
+        terminal.until(lambda shown: "Edit profile" in shown and "twin.yaml is open" in shown, "the screen", WAIT_S)
+        terminal.send("u")
+        terminal.until(lambda shown: "EDITING" in shown, "the editor", WAIT_S)
+        terminal.send("\x03")  # ignored by both: an editor does with it what it likes
+        terminal.send("w")
+        terminal.until(lambda shown: "Edit profile" in shown and "EDITING" not in shown, "the screen again", WAIT_S)
+        terminal.send("q")
+        assert terminal.process.wait(WAIT_S) == 0
+    finally:
+        terminal.close()

@@ -1,14 +1,12 @@
-"""The screen Collect: every kind of event, the states, begin, resume, drift, what a run stores, floods of events."""
+"""The screen Collect: every kind of event, begin, resume, drift, what a run stores, a full disk, a run in use."""
 
 from __future__ import annotations
 
 import contextlib
 import json
-import re
 import shutil
 import sqlite3
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +19,12 @@ from cellapp.cell.driving.motion import sweep_sentence
 from cellapp.cell.run import ReferenceRow, RunFile
 from cellapp.cell.run.measured_again import earlier_readings
 from cellapp.commands.collect.run import collect_stops
-from cellapp.commands.plan.run import plan_new_run
+from cellapp.commands.plan.run import new_planned_run, plan_new_run
 from cellapp.commands.record import Verb
-from cellapp.ground.control import Request
+from cellapp.ground.errors import InputError
 from cellapp.ground.progress import (
     AirReport,
     Detail,
-    JobState,
     LogReport,
     MeasurementBegun,
     MotionBegun,
@@ -44,24 +41,17 @@ from cellapp.ground.progress import (
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.plots.drawing import point_at
-from cellapp.interfaces.tui.run_state import run_state
-from cellapp.interfaces.tui.screens.collect import headline
-from cellapp.interfaces.tui.widgets.arm_panel import TrackerPanel
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
-from cellapp.interfaces.tui.widgets.log_pane import LogPane, LogView
-from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars
 from cellapp.interfaces.tui.workspace import Workspace
+from tests.approved import assert_approved
 from tests.cell.run.small_runs import add_stop, collected_run, planned_run
-from tests.interfaces.tui.idle import wait_for_idle
 from tests.interfaces.tui.pilot import (
     PROFILES,
     SIZES,
     SMALL,
     HeldJob,
-    MovingJob,
     ended,
     opened,
     shown_text,
@@ -69,6 +59,7 @@ from tests.interfaces.tui.pilot import (
     turned_to,
     until,
 )
+from tests.interfaces.tui.test_snapshots import SNAPSHOTS, final_text, size_name, words_of
 from tests.twin import small_twin
 
 Q0 = (0.5,) * 6
@@ -129,199 +120,28 @@ def _no_offers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(work, "interrupted_run", lambda logs: None)
 
 
-# -- the states in words -----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("state", "request_", "word", "sentence"),
-    [
-        ("running", "none", "RUNNING", "Escape brakes all arms"),
-        ("running", "pause", "PAUSING", "p or c resumes"),
-        ("running", "stop", "STOPPED", "c resumes when the cell is clear; x ends it."),
-        ("running", "abort", "ABORTED", "the job ends"),
-        ("paused", "pause", "PAUSED", "because, 1 of 9. The arms rest. p or c resumes"),
-        ("suspended", "none", "SUSPENDED", "because, 1 of 9. It resumes by itself"),
-        ("stopped", "stop", "STOPPED", "because, 1 of 9. c resumes when the cell is clear; x ends it."),
-        ("aborted", "abort", "ABORTED", "because, 1 of 9. The arms brake and the job ends"),
-    ],
-)
-def test_each_state_says_what_can_be_done(state: JobState, request_: Request, word: str, sentence: str) -> None:
-    record = JobRecord()
-    record.begin("collect")
-    record.add(Progress("collect", 1, 9, detail=StateChange(state, "because")))
-    found = headline(run_state(Workspace(), record), record, request_)
-    assert found.word == word
-    assert sentence in found.sentence
-    since = f"since {record.since:%H:%M}, because, "
-    assert found.sentence.startswith(since) == ("because" in found.sentence) == (state != "running")
-
-
-def test_a_stopped_job_says_what_a_person_may_do_though_an_arm_gives_no_data() -> None:
-    record = JobRecord(name="collect", state="stopped", reason="arm right: link lost", lost=("arm right",))
-    found = headline(run_state(Workspace(), record), record, "none")
-    assert (found.word, found.sentence) == (
-        "STOPPED",
-        f"since {record.since:%H:%M}, arm right: link lost. c resumes when the cell is clear; x ends it.",
-    )
-    running = replace(record, state="running")
-    assert headline(run_state(Workspace(), running), running, "none").word == "NO DATA"
-
-
 # -- a job -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]])
-async def test_every_kind_of_event_is_shown_at_every_size(size: tuple[int, int]) -> None:
-    app = CellApp(PROFILES)
+@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]], ids=size_name)
+async def test_every_kind_of_event_and_a_sweep_are_shown_as_was_approved(size: tuple[int, int]) -> None:
+    app, screens = CellApp(PROFILES), []
     async with app.run_test(size=size) as pilot:
         await show_collect(pilot, app)
-        held = HeldJob(EVERY_KIND)
-        await begun(pilot, app, held)
-        text = shown_text(app)
-        for words in (
-            "RUNNING",
-            "left MEASURED stop 4",
-            "right MOVING, 3 s",
-            "err 0.080 mm, std. error 0.0500 mm",
-            "tracker → right",
-            "(1234.567, -500.000, 250.000) ± 0.012 mm",
-            "air 21.2",
-            "4/30 2 h 00 min left, at ",
-            "! LOOSE SMR, arm left: fasten the SMR of the left arm",
-            "the weather station answers",
-        ):
-            assert words in text, words
-        degrees = ("-57.3", "14.3", "114.6") if size != SMALL else ("-57", "14", "115")
-        assert all(number in text for number in (*degrees, "31"))
-        for name in ("#state", "#arms", "TrackerPanel", "ProgressBars", "#suspicions", "LogView"):
-            (widget,) = app.screen.query(name)
-            assert widget.size.height > 0, name
-            assert app.screen.region.contains_region(widget.region), name
-        assert app.screen.query_one(LogView).size.height >= 5
-        assert ("residuals left " in text) == (size == SMALL), "where no plot is shown"
-        await see_plots(pilot, app)
-        await turned_to(pilot, "log")
-        await until(pilot, lambda: app.focused is app.screen.query_one(LogView), "the focus")
-        await finished(pilot, app, held)
-
-
-@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]])
-async def test_a_sweep_is_followed_while_the_arm_moves(size: tuple[int, int]) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=size) as pilot:
-        await show_collect(pilot, app)
-        events = [Progress("collect", 4, 30, sweep_sentence(one), 900.0, one) for one in SWEPT]
-        held = HeldJob((*EVERY_KIND, *events))
-        await begun(pilot, app, held)
-        words = (
-            "tracker → left, sweep 56%, 9 of 16 s · 1 lost beam · SMR 3.412 m, 0.1 s ago · 2100 points (12 missing)"
-            " · 500 samples (3 missing)"
-        )
-        panel = app.screen.query_one(TrackerPanel)
-        await until(pilot, lambda: panel.render().plain == words and panel.size.height == 2, "what has come")
-        assert panel.size.width * 2 > len(words) + len("samples")
-        plot = app.screen.query_one("#sweep", ChartPlot)
-        await until(pilot, lambda: plot.chart is not None and not plot.chart.is_empty, "the trace")
-        assert plot.chart is not None
-        assert plot.chart.message == "Arm left, sweep-3: up to 120 mm/s, 9 of 16 s; 1 lost beam."
-        (drawn,) = plot.chart.series
-        assert np.isnan(drawn.y).sum() == 1, "a gap where the beam was lost"
-        await finished(pilot, app, held)
-        assert "sweep 56%" not in shown_text(app)
-
-
-async def see_plots(pilot: Pilot[None], app: CellApp) -> None:
-    """Each plot of the job comes into view, with its title and its message; no sweep was recorded."""
-    plots = [plot for plot in app.screen.query(ChartPlot) if plot.id != "sweep"]
-    await until(pilot, lambda: all(plot.chart is not None and not plot.chart.is_empty for plot in plots), "data")
-    seen = ""
-    for _ in plots:
-        await pilot.press("g")
-        await pilot.pause()
-        seen += " ".join(shown_text(app).split())
-    for words in ("Residual of each stop", "Standard error of a prediction", "Drift of the references", "0.034"):
-        assert words in seen, words
-
-
-async def test_a_whole_day_shows_the_parts_to_come_and_its_present_one_where_lines_are_scarce() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=(200, 60)) as pilot:
-        await show_collect(pilot, app)
-        held = HeldJob(EVERY_KIND)
-        await begun(pilot, app, held, "run")
-        lines = [line.split() for line in shown_text(app).splitlines()]
-        parts = [line[0] for line in lines if line and line[0] in ("plan", "collect", "calibrate", "discover", "push")]
-        assert parts == ["plan", "collect", "calibrate", "discover", "push"]
-        assert sum(line[1:3] == ["to", "come"] for line in lines) == 3
-        await pilot.resize_terminal(120, 40)
-        await pilot.pause()
-        assert app.screen.query_one(ProgressBars).size.height == 1
-        await shows(pilot, "part 2 of 5")
-        await finished(pilot, app, held)
-
-
-def says(app: CellApp, word: str, possible: str) -> bool:
-    """Whether the large line says the state, since when, why, how far the job is, and what can be done."""
-    line = f"{word} since {app.record.since:%H:%M}, asked by a person, 5 of 30. {possible}"
-    return line in " ".join(shown_text(app).split())
-
-
-async def test_pause_and_stop_change_the_large_word_and_its_sentence() -> None:
-    app = CellApp(PROFILES)
-    job = MovingJob()
-    async with app.run_test(size=SMALL) as pilot:
-        await show_collect(pilot, app)
-        app.start_job(job.job())
-        await until(pilot, lambda: "RUNNING" in shown_text(app), "running")
-        await pilot.press("p")
-        await until(pilot, lambda: says(app, "PAUSED", "The arms rest. p or c resumes"), "the pause")
-        await pilot.press("c")
-        await until(pilot, lambda: "RUNNING" in shown_text(app), "running again")
-        await pilot.press("escape")
-        await until(pilot, lambda: says(app, "STOPPED", "c resumes when the cell is clear"), "the stop")
-        assert app.screen.query_one("#state").has_class("halted")
-        await pilot.press("x")
-        await ended(pilot, app)
-
-
-@pytest.mark.usefixtures("painted")
-async def test_a_flood_of_events_keeps_the_keys_answered(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("app", "pilot"):  # it is never idle
-        monkeypatch.setattr(f"textual.{module}.wait_for_idle", partial(wait_for_idle, max_sleep=0.2))
-    app = CellApp(PROFILES)
-    job = MovingJob(flood=True)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_collect(pilot, app)
-        app.start_job(job.job())
-        log = app.screen.query_one(LogPane)
-        await pilot.press("D")
-        await until(pilot, lambda: len(log.shown) > 500, "the flood")
-        for key, shown in (("g", "plots"), ("t", "stops"), ("t", "collected"), ("t", "log")):
-            await pilot.press(key)
-            await until(pilot, lambda shown=shown: app.screen.has_class(shown), shown)  # type: ignore[misc]
-            assert app.jobs.running
-        await pilot.press("slash", *"event 7", "enter")
-        await until(pilot, lambda: all("event 7" in row.text for row in log.shown), "the filter")
-        assert not job.brakes
-        await pilot.press("escape")
-        await until(pilot, lambda: [verb for verb, _ in job.brakes] == ["stop"], "the stop")
-        await pilot.press("x")
-        await ended(pilot, app)
+        sweep = [Progress("collect", 4, 30, sweep_sentence(one), 900.0, one) for one in SWEPT]
+        for events in (EVERY_KIND, (*EVERY_KIND, *sweep)):
+            held = HeldJob(events)
+            await begun(pilot, app, held)
+            screens.append(await final_text(pilot, app))
+            for _ in range(4):
+                await pilot.press("g")
+                screens.append(await final_text(pilot, app))
+            await turned_to(pilot, "log")
+            await finished(pilot, app, held)
+    assert_approved(SNAPSHOTS / f"events-{size_name(size)}.txt", "\n".join(screens), words_of)
 
 
 # -- a run -------------------------------------------------------------------------------------------------------------
-
-
-async def test_without_a_run_it_says_how_to_come_to_one() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_collect(pilot, app)
-        await shows(pilot, "NO RUN  No run is open: plan one (keys 2, b), or open one on the screen Runs")
-        await pilot.press("b", "d")
-        assert not app.jobs.running
-        assert app.screen is app.day_screen
-        await pilot.press("o")
-        await until(pilot, lambda: app.message.startswith("No run is open"), "the sentence")
 
 
 @pytest.fixture
@@ -344,38 +164,6 @@ async def begin_and_end(pilot: Pilot[None], app: CellApp, asked: list[tuple[Held
     await finished(pilot, app, asked[-1][0])
 
 
-async def test_begin_asks_and_collects_the_planned_run(asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:
-    run = Path("logs/new")
-    planned_run(run).close()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_collect(pilot, app, run)
-        await shows(pilot, "READY, 4 stops  b begins.")
-        await pilot.press("d")  # there is no drift
-        assert app.screen is app.day_screen
-        await pilot.press("b")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        await shows(pilot, "Measure 4 stops")
-        await pilot.press("n")
-        assert not app.jobs.running
-        await pilot.press("b", "b")
-        await begin_and_end(pilot, app, asked)
-        assert asked[-1][1] == {"folder": run, "resume": False}
-
-
-async def test_an_interrupted_run_is_resumed(asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:
-    run = collected_run(Path("logs/part"), "stopped")
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_collect(pilot, app, run)
-        await shows(pilot, "INTERRUPTED, 2 of 4 stops  b measures the 2 stops that are left.")
-        await pilot.press("d")
-        assert app.screen is app.day_screen
-        await pilot.press("b", "enter")
-        await begin_and_end(pilot, app, asked)
-        assert asked[0][1] == {"folder": run, "resume": True}
-
-
 async def test_real_arms_ask_with_their_first_path_instead(
     asked: list[tuple[HeldJob, dict[str, Any]]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -387,16 +175,6 @@ async def test_real_arms_ask_with_their_first_path_instead(
         await pilot.press("b")
         assert not isinstance(app.screen, Choice)
         await begin_and_end(pilot, app, asked)
-
-
-async def test_a_complete_run_leads_on(asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:
-    run = collected_run(Path("logs/full"), "complete", measured=4)
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_collect(pilot, app, run)
-        await shows(pilot, "COMPLETE, 4 stops  n goes to the next step.")
-        await pilot.press("b", "d")
-        assert not asked
 
 
 async def test_stops_that_were_planned_since_are_offered() -> None:
@@ -492,15 +270,6 @@ async def test_what_a_run_stores_and_its_log_are_shown_until_a_job_begins() -> N
         await finished(pilot, app, held)
 
 
-async def test_missing_readings_are_listed_with_their_reasons() -> None:
-    run = collected_run(Path("logs/part"), "stopped")
-    app = CellApp(PROFILES)
-    async with app.run_test(size=(120, 40)) as pilot:
-        await show_tables(pilot, app, run)
-        await shows(pilot, "Missing readings: 4")
-        await shows(pilot, "the session ended before")
-
-
 async def test_a_log_that_cannot_be_read_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     run = collected_run(Path("logs/part"), "stopped")
     app = CellApp(PROFILES)
@@ -544,41 +313,6 @@ async def show_stops(pilot: Pilot[None], app: CellApp, run: Path) -> None:
     await until(pilot, lambda: bool(stops_of(app)), "the stops")
     table = app.screen.query_one(CollectedStops).table
     await until(pilot, lambda: app.focused is table, "the table that takes the keys")
-
-
-@pytest.mark.parametrize("size", SIZES)
-async def test_stops_are_sorted_and_filtered_and_say_what_is_normal(size: tuple[int, int], measured_run: Path) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=size) as pilot:
-        await show_stops(pilot, app, measured_run)
-        words = " ".join(shown_text(app).split())
-        assert "Normal range of a residual (95 %): left up to" in words
-        rows = stops_of(app)
-        assert [row[0] for row in rows] == [str(number) for stop in range(1, 31) for number in (stop, stop)]
-        await pilot.press("s")
-        by_arm = ["left"] * 30 + ["right"] * 30
-        await until(pilot, lambda: [row[1] for row in stops_of(app)] == by_arm, "the stops arm by arm")
-        await pilot.press("s")
-        await until(pilot, lambda: stops_of(app)[0][:2] == ("12", "right"), "the largest residual first")
-        residuals = [float(row[2]) for row in stops_of(app)]
-        assert residuals == sorted(residuals, reverse=True)
-        await pilot.press("f")
-        await shows(pilot, "1 of 60, suspicious only")
-        assert [(row[0], row[1], row[-1]) for row in stops_of(app)] == [("12", "right", "gross error")]
-        await pilot.press("f")
-        await until(pilot, lambda: len(stops_of(app)) == len(rows), "all stops again")
-
-
-async def test_what_is_normal_after_calibration_stands_beside_it(finished_run: Path) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_stops(pilot, app, finished_run)
-        words = " ".join(shown_text(app).split())
-        ranges = re.findall(
-            r"up to ([\d.]+) mm before calibration \(running model\), up to ([\d.]+) mm after it", words
-        )
-        assert len(ranges) == 2
-        assert all(float(after) < float(before) for before, after in ranges)
 
 
 async def test_the_plot_marks_the_row_and_moves_the_cursor(measured_run: Path) -> None:
@@ -651,22 +385,25 @@ async def test_marked_stops_are_measured_again_after_a_question(measured_run: Pa
         assert earlier_readings(opened, "right").readings.configuration.tolist() == [11]
 
 
-async def test_without_a_mark_the_stop_under_the_cursor_is_proposed(measured_run: Path) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_stops(pilot, app, measured_run)
-        await pilot.press("down", "down", "space", "space", "r")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
-        assert "all arms: 2." in str(app.screen.query_one(".text", Static).content)
+async def test_a_full_disk_holds_the_reading_until_a_person_freed_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = Path("logs/day")
+    new_planned_run(small_twin(30, plan={"method": "random"}), run).close()
+    add_stop, full = RunFile.add_stop, [True]
 
+    def refused(self: RunFile, stop: int, rows: Any, *others: Any) -> None:
+        if full[0] and len(self.stops_done()) == 3:
+            raise InputError("run.sqlite: database or disk is full")
+        add_stop(self, stop, rows, *others)
 
-async def test_without_a_collection_the_stops_say_why() -> None:
-    run = Path("logs/new")
-    planned_run(run).close()
+    monkeypatch.setattr(RunFile, "add_stop", refused)
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
-        await pilot.press("t", "t", "f", "s")
-        await until(pilot, lambda: app.screen.has_class("stops"), "what is shown")
-        await shows(pilot, "Nothing was collected yet in this run: b begins.")
+        await shows(pilot, "READY, 30 stops")
+        await pilot.press("b")
+        await shows(pilot, "Begin to collect?")
+        await pilot.press("b")
+        await shows(pilot, "STOPPED", "disk is full", "c resumes")
+        full[0] = False
+        await pilot.press("c")
+        await shows(pilot, "COMPLETE, 30 stops")

@@ -5,12 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import os
 import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,20 +16,13 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Static
 
-from cellapp.cell.profile import load_profile
-from cellapp.cell.run import RunFile
 from cellapp.ground.asking import JOB_FILE, ask_running_job
-from cellapp.ground.errors import HardwareError
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.widgets.header import DayHeader
 from tests.cell.run.small_runs import collected_run
-from tests.commands.emulated_cell import patiently
-from tests.evidence.wire.polling import comes_about
-from tests.evidence.wire.storm_cell import StormCell, emulated_cell
 from tests.interfaces.tui.pilot import PROFILES, ended, log_text, opened, shown_text, until
-from tests.interfaces.tui.planned_day import planned_day
-from tests.interfaces.tui.terminal import PATIENT, ROOT, Terminal, cellapp
+from tests.interfaces.tui.terminal import ROOT
 from tests.waiting import WAIT_S, within
 
 pytestmark = pytest.mark.waits
@@ -181,81 +172,3 @@ async def test_a_job_on_another_computer_is_named_and_nothing_is_begun(tmp_path:
         assert not app.jobs.running
         (RUN / JOB_FILE).unlink()
         await until(pilot, lambda: "INTERRUPTED, 2 of 4 stops" in shown_text(app), "the end of it")
-
-
-# -- on emulated arms, in a real terminal -----------------------------------------------------------------------------
-
-STOPS = 8
-PACE = 1.0
-
-
-@pytest.fixture(scope="module")
-def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return planned_day(tmp_path_factory.mktemp("watched"), STOPS, 71)
-
-
-@pytest.fixture
-def cell(planned: Path) -> Iterator[StormCell]:
-    with emulated_cell(load_profile(planned / "profiles" / "twin-rtde.yaml"), PACE) as emulated:
-        yield emulated
-
-
-@pytest.fixture
-def collecting(planned: Path, cell: StormCell, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """``cellapp collect logs/day`` as a process, with the arms on their first ways."""
-
-    def begun(attempt: int) -> subprocess.Popen[bytes]:
-        shutil.copytree(planned, tmp_path / "cell")
-        process = collect(tmp_path / "cell", tmp_path / "said")
-        assert comes_about(lambda: moves(cell) or process.poll() is not None, time.monotonic() + WAIT_S)
-        if process.poll() is not None:
-            shutil.rmtree(tmp_path / "cell")
-            raise HardwareError((tmp_path / "said").read_text("utf-8"))
-        return process
-
-    process = patiently(begun)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait(WAIT_S)
-
-
-def collect(folder: Path, said: Path) -> subprocess.Popen[bytes]:
-    with said.open("wb") as file:
-        return subprocess.Popen(
-            [sys.executable, "-m", PATIENT, "collect", "logs/day"], cwd=folder, stdin=subprocess.DEVNULL,
-            stdout=file, stderr=file, env={**os.environ, "PYTHONPATH": str(ROOT)},
-        )  # fmt: skip
-
-
-def moves(cell: StormCell) -> bool:
-    return any(one["moving"] for one in cell.status().values())
-
-
-def shows(terminal: Terminal, *texts: str) -> None:
-    """Wait until the terminal shows all of this."""
-    terminal.until(lambda shown: all(text in " ".join(shown.split()) for text in texts), f"{texts}")
-
-
-@pytest.mark.slow
-def test_stop_in_a_second_window_stops_the_arms_of_the_first(
-    collecting: subprocess.Popen[bytes], cell: StormCell, tmp_path: Path
-) -> None:
-    with cellapp(tmp_path / "cell", PATIENT) as terminal:
-        shows(terminal, "Open the run of the job that runs now?")
-        terminal.send("o")
-        shows(terminal, "WATCHED · EMULATED", "RUNNING")
-        terminal.send("\x1b")
-        assert collecting.wait(WAIT_S) == 4
-        assert cell.wait_at_rest(0.0), "the program waits for the arms"
-        with RunFile.open(tmp_path / "cell" / "logs" / "day") as run:
-            (session,) = run.sessions()
-            assert [kind for _, kind, _ in session.requests] == ["stop"]
-            done = len(run.stops_done())
-        assert done < STOPS
-        shows(
-            terminal, "Stopped; keys 3, b go on", f"INTERRUPTED, {done} of {STOPS} stops" if done else f"READY, {STOPS}"
-        )
-        terminal.send("q")
-        terminal.process.wait(WAIT_S)

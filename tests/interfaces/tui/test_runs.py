@@ -9,31 +9,23 @@ from typing import Any
 
 import pytest
 from textual.pilot import Pilot
-from textual.widgets import DataTable, Input, Static
+from textual.widgets import DataTable, Static
 
 from cellapp.cell.run import RunFile
 from cellapp.commands.record import Work
 from cellapp.commands.report.request import ReportRequest
 from cellapp.commands.report.result import ReportResult
-from cellapp.commands.runs import history
-from cellapp.commands.runs.result import RunsResult
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.screens import runs
 from tests.cell.run.small_runs import collected_run, set_began
 from tests.interfaces.tui.pilot import (
     PROFILES,
-    SIZES,
     SMALL,
-    HeldJob,
-    MovingJob,
-    ended,
     opened,
-    shown_text,
     tells,
     until,
 )
-from tests.waiting import WAIT_S
 
 LOGS = Path("logs")
 
@@ -79,130 +71,6 @@ def app_without_offer(monkeypatch: pytest.MonkeyPatch) -> CellApp:
     """An application that does not offer the interrupted run at its start."""
     monkeypatch.setattr("cellapp.interfaces.tui.work.interrupted_run", lambda logs: None)
     return CellApp(PROFILES)
-
-
-@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]])
-async def test_the_newest_run_is_on_top_and_a_broken_one_says_why(
-    logs: Path, monkeypatch: pytest.MonkeyPatch, size: tuple[int, int]
-) -> None:
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=size) as pilot:
-        await show_runs(pilot, app)
-        assert sorted(names(app)) == ["broken", "first", "second", "third"]
-        listed = [name for name in names(app) if name != "broken"]
-        assert listed == ["third", "second", "first"]
-        await until(pilot, lambda: "2/4 stopped" in shown_text(app), "columns as wide as their texts")
-        assert "unreadable" in shown_text(app)
-        await go_to(pilot, app, "broken")
-        assert "is not a run file" in about(app)
-        await pilot.press("enter")
-        await tells(pilot, "is not a run file")
-        assert app.workspace.folder is None
-        await go_to(pilot, app, "second")
-        assert "interrupted, 2 stops left: Enter, then keys 3, b" in about(app)
-        await pilot.press("enter")
-        await until(pilot, lambda: "interrupted, 2 stops left: keys 3, b" in about(app), "the keys of the open run")
-
-
-async def test_an_empty_folder_says_what_makes_a_run() -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_runs(pilot, app, 0)
-        await until(pilot, lambda: "no runs below logs" in about(app), "the sentence")
-        for key in ("enter", "space", "o", "F", "b", "v", "="):
-            await pilot.press(key)
-        assert not app.jobs.running
-
-
-async def test_typing_filters_and_headings_sort(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=(120, 40)) as pilot:
-        await show_runs(pilot, app)
-        await pilot.press("slash", *"STOPPED")
-        await until(pilot, lambda: names(app) == ["second"], "the filtered list")
-        await pilot.press(*" zzz")
-        await until(pilot, lambda: names(app) == [], "nothing")
-        assert "passes the filter" in about(app)
-        await pilot.press("escape")
-        await until(pilot, lambda: len(names(app)) == 4, "all runs again")
-        assert isinstance(app.focused, DataTable)
-        await go_to(pilot, app, "third")
-        for _ in range(7):
-            await pilot.press("s")
-        await tells(pilot, "Sorted by run")
-        assert names(app) == ["broken", "first", "second", "third"]
-        await until(
-            pilot,
-            lambda: "third" in str(app.screen.query_one("#runs", DataTable).ordered_rows[3].key.value),
-            "the text of the field",
-        )
-        await until(
-            pilot, lambda: app.screen.query_one("#runs", DataTable).cursor_row == 3, "the cursor stays on its run"
-        )
-        table = app.screen.query_one("#runs", DataTable)
-        heading = table.ordered_columns[1]
-        table.post_message(DataTable.HeaderSelected(table, heading.key, 1, heading.label))
-        await until(pilot, lambda: names(app) == ["third", "second", "first", "broken"], "the other order")
-
-
-async def test_enter_opens_a_run(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_runs(pilot, app)
-        await go_to(pilot, app, "first")
-        await pilot.press("enter")
-        await until(pilot, lambda: app.workspace.folder == LOGS / "first", "the run")
-        assert "first" in shown_text(app).splitlines()[0]
-
-
-async def test_the_key_of_a_paused_job_remains_its_own(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    moving = MovingJob()
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_runs(pilot, app)
-        await pilot.press("down")
-        app.start_job(moving.job())
-        await until(pilot, moving.began.is_set, "the job")
-        requests = []
-        for key in ("escape", "c"):
-            await pilot.press(key)
-            requests.append(moving.control.request)
-        assert requests == ["stop", "none"]
-        assert app.screen is app.day_screen
-        await pilot.press("escape", "x")
-        await ended(pilot, app)
-
-
-async def test_the_list_is_read_again_where_a_job_goes_on_storing(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    held = HeldJob()
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_runs(pilot, app)
-        app.start_job(held.job())
-        await until(pilot, held.reached.is_set, "the job")
-        collected_run(logs / "fourth", "stopped", 1)
-        await pilot.press("1", "8")
-        await until(pilot, lambda: "fourth" in names(app), "what was stored meanwhile")
-        held.go_on.set()
-        await ended(pilot, app)
-
-
-async def test_an_interrupted_run_is_offered_and_a_complete_one_is_not(
-    logs: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=SMALL) as pilot:
-        await show_runs(pilot, app)
-        await go_to(pilot, app, "first")
-        await pilot.press("b")
-        await tells(pilot, "was not interrupted")
-        await go_to(pilot, app, "second")
-        await pilot.press("b")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the offer")
-        await pilot.press("o")
-        await until(pilot, lambda: app.workspace.folder == LOGS / "second", "the run")
-        assert app.day_screen.STEP == "collect"
-        assert not app.jobs.running
 
 
 async def test_the_report_opens_in_a_browser_or_its_path_is_said(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -262,24 +130,3 @@ async def test_a_report_that_is_missing_is_written_then_opened(logs: Path, monke
         await go_to(pilot, app, "first")
         await pilot.press("o")
         await until(pilot, lambda: said == [page], "the page")
-
-
-async def test_the_screen_answers_while_the_folder_is_read(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    go_on = threading.Event()
-    read = history.list_runs
-
-    def slow(folder: Path | None = None) -> RunsResult:
-        assert go_on.wait(WAIT_S)
-        return read(folder)
-
-    monkeypatch.setattr(history, "list_runs", slow)
-    app = app_without_offer(monkeypatch)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        await pilot.press("8")
-        await until(pilot, lambda: app.day_screen.STEP == "runs", "the screen")
-        assert "reading the folder" in about(app)
-        await pilot.press("slash", *"first")
-        await until(pilot, lambda: app.screen.query_one("#filter", Input).value == "first", "the text of the field")
-        go_on.set()
-        await until(pilot, lambda: names(app) == ["first"], "the list, filtered")

@@ -2,14 +2,11 @@
 
 The texts stand in ``snapshots/SCREEN-SIZE.txt``. Digits and the dots of plots are not compared: other tests check
 numbers, and the last place depends on the processor. Colours are not compared, so that another release of Textual
-changes nothing here. After a screen was changed on purpose, write them anew, then read the difference in git:
-
-    CELLAPP_UPDATE_SNAPSHOTS=1 python -m pytest tests/interfaces/tui/test_snapshots.py
+changes nothing here.
 """
 
 from __future__ import annotations
 
-import difflib
 import os
 import re
 import shutil
@@ -25,12 +22,11 @@ from textual.widgets import DataTable, TabbedContent, TabPane
 
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.screens import SCREENS
+from tests.approved import differences
 from tests.handbook.screen_pictures import settle
-from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, WAIT_S, opened, shown_text, shows, until
-from tests.interfaces.tui.recorded_day import Recorder, main
+from tests.interfaces.tui.pilot import PROFILES, SIZES, WAIT_S, opened, shown_text, shows, until
 
 SNAPSHOTS = Path(__file__).parent / "snapshots"
-UPDATE = os.environ.get("CELLAPP_UPDATE_SNAPSHOTS", "") not in ("", "0")
 _PLOT = re.compile("[\u2800-\u28ff]")
 _PART_OF_BLOCK = re.compile("[▏▎▍▌▋▊▉]")
 _SAME = 4
@@ -71,44 +67,34 @@ def size_name(size: tuple[int, int]) -> str:
     "size", [SIZES[0], *(pytest.param(size, marks=pytest.mark.slow) for size in SIZES[1:])], ids=size_name
 )
 async def test_every_screen_looks_as_it_did_and_cuts_no_number(size: tuple[int, int], finished_run: Path) -> None:
-    differences, cut = [], []
+    changed, cut = list[str](), list[str]()
     async with day(finished_run, size) as (pilot, app):
         for entry in SCREENS:
             await pilot.press(entry.key)
             await until(pilot, lambda step=entry.step: step == app.day_screen.STEP, entry.step)  # type: ignore[misc]
             await settle(pilot)
-            differences += difference(f"{entry.step}-{size_name(size)}.txt", await final_text(pilot, app))
+            name = SNAPSHOTS / f"{entry.step}-{size_name(size)}.txt"
+            changed += differences(name, await final_text(pilot, app), words_of)
             for tab in app.screen.query(TabPane).results():
                 app.screen.query_one(TabbedContent).active = tab.id or ""
                 await final_text(pilot, app)
                 cut += [f"{entry.step}, {tab.id}: {text}" for text in numbers_cut(app)]
             cut += [f"{entry.step}: {text}" for text in numbers_cut(app)]
-    assert not differences, "\n".join([*differences, "if this was wanted, write them anew as this module says"])
+    assert not changed, "\n".join([*changed, "if this was wanted, write them anew as tests/approved.py says"])
     assert not cut, "\n".join(cut)
 
 
 async def final_text(pilot: Pilot[None], app: CellApp) -> str:
-    """The screen once nothing changes any more: a table is as wide as its headings until it is idle."""
+    """The screen once no word changes any more: a table is as wide as its headings until it is idle."""
     seen: list[str] = []
 
     def same_twice() -> bool:
-        seen.append(shown_text(app))
+        seen.append(words_of(shown_text(app)))
         reads = "reading the folder of runs ..." in seen[-1]  # in a thread, which on a busy computer may rest
         return not reads and len(seen) > _SAME and len(set(seen[-_SAME:])) == 1
 
     await until(pilot, same_twice, "a screen that rests")
-    return seen[-1]
-
-
-def difference(name: str, shown: str) -> list[str]:
-    """Unified difference of a screen's words from what is kept; with the variable set, it is kept instead."""
-    path = SNAPSHOTS / name
-    if UPDATE:
-        path.write_text(shown.rstrip("\n") + "\n", encoding="utf-8", newline="\n")
-        return []
-    kept = path.read_text("utf-8") if path.is_file() else ""
-    before, now = (words_of(text.rstrip("\n")).splitlines() for text in (kept, shown))
-    return list(difflib.unified_diff(before, now, f"kept {name}", f"now {name}", lineterm=""))
+    return shown_text(app)
 
 
 def numbers_cut(app: CellApp) -> list[str]:
@@ -161,28 +147,3 @@ def test_no_terminal_is_said_in_a_sentence(tmp_path: Path) -> None:
     assert "needs a terminal" in ended.stderr
     assert "cellapp run PROFILE" in ended.stderr
     assert "Traceback" not in ended.stderr
-
-
-# -- The command that records a day: what it refuses, and that it keeps each moment as a text in its order -------------
-
-
-@pytest.mark.parametrize("arguments", [[], ["day", "1x1"]])
-def test_what_cannot_be_recorded_is_refused_with_the_usage(
-    arguments: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(arguments) == 2
-    assert "FOLDER [80x24 | 120x40 | 200x60 ...]" in capsys.readouterr().err
-    assert not Path("day").exists()
-
-
-@pytest.mark.slow
-async def test_every_screen_is_kept_in_the_order_of_the_day(tmp_path: Path) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        day = Recorder(pilot, app, tmp_path)
-        await day.keep_screens("empty")
-    assert [path.name for path in sorted(tmp_path.glob("*.txt"))] == [
-        f"{number:03}-empty-{entry.step}.txt" for number, entry in enumerate(SCREENS, start=1)
-    ]
-    assert "No run is open" in day.written[3].read_text("utf-8")

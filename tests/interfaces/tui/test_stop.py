@@ -135,37 +135,6 @@ async def test_pause_resume_stop_and_abort_are_different_things() -> None:
     assert app.return_code == 4
 
 
-async def test_requests_are_in_the_footer_only_when_they_are_possible() -> None:
-    moving = MovingJob()
-    app = CellApp(PROFILES)
-    names = {"stop", "pause", "resume", "abort"}
-    async with app.run_test(size=SMALL) as pilot:
-
-        def possible() -> set[str]:
-            return {one.binding.action for one in app.screen.active_bindings.values() if one.enabled} & names
-
-        await opened(pilot, app)
-        assert possible() == set()
-        await started(pilot, app, moving)
-        assert possible() == {"stop", "pause", "abort"}
-        await pilot.press("escape")
-        await until(pilot, lambda: possible() == {"stop", "pause", "resume", "abort"}, "what a stopped job can do")
-        await aborted(pilot, app)
-        assert possible() == set()
-
-
-async def test_reports_of_the_job_are_kept_for_every_screen() -> None:
-    moving = MovingJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await started(pilot, app, moving)
-        await until(pilot, lambda: "event 0" in log_text(app), "the events")
-        assert app.record.stops["left"][-1].residual_mm == 0.0512
-        assert "SUSPICION: loose SMR: the SMR of the left arm wobbles" in log_text(app)
-        assert "reference: arm left 0.034 mm from the first measurement, limit 0.100 mm" in log_text(app)
-        await aborted(pilot, app)
-
-
 async def test_real_arms_move_when_the_profiles_name_is_typed() -> None:
     moving = MovingJob(asks=True)
     app = CellApp(PROFILES)

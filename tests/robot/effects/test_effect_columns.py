@@ -77,34 +77,6 @@ def test_links_grow_with_the_air():
 
 # -- base and tool ---------------------------------------------------------------------------------------------------
 
-TWISTS = {
-    **{letter: lambda row, h, k=k: chain(RUN, row, shift={0: h * EYE[k]}).smr for k, letter in enumerate("xyz")},
-    **{
-        f"turn_{letter}": lambda row, h, k=k: chain(RUN, row, twist={0: h * EYE[k]}).smr
-        for k, letter in enumerate("xyz")
-    },
-}
-
-
-@pytest.mark.parametrize("way", TWISTS)
-def test_base_drift_and_step(way):
-    twisted = each_row(TWISTS[way], RUN)
-    time = RUN_CONDITIONS.time_s
-    along = ((time - time[0]) / (time[-1] - time[0]))[:, None]
-    found = columns("base_drift", laws("base_drift", "linear", RUN)[0], RUN)
-    assert {column.block for column in found.values()} == {"base"}
-    column = found[f"base_drift_{way}"]
-    assert column.unit == ("rad" if way.startswith("turn") else "m")
-    np.testing.assert_allclose(shifts(column), twisted * along, atol=1e-9)
-    bow = columns("base_drift", laws("base_drift", "quadratic", RUN)[0], RUN)[f"base_drift_{way}_bow"]
-    np.testing.assert_allclose(shifts(bow), twisted * 4.0 * along * (1.0 - along), atol=1e-9)
-    warm = laws("base_drift", "warm_up", RUN)[1]
-    expected = twisted * (1.0 - np.exp(-(time - time[0]) / 1800.0))[:, None]
-    np.testing.assert_allclose(shifts(columns("base_drift", warm, RUN)[f"base_drift_{way}"]), expected, atol=1e-9)
-    law = laws("base_step", "onset", RUN)[11]
-    column = columns("base_step", law, RUN)[f"base_step_{way}"]
-    np.testing.assert_allclose(shifts(column), twisted * (time >= law.constants["onset_s"])[:, None], atol=1e-9)
-
 
 @pytest.mark.parametrize("axis", range(3))
 def test_a_target_slips_in_the_flange(axis):

@@ -25,7 +25,6 @@ from cellapp.robot.effects.data_driven import (
     Quantity,
     box_of,
     channels,
-    data_driven_form,
     field_functions,
     form_named,
     position_in_base,
@@ -76,29 +75,6 @@ def law_of(channel, variable, context=CONTEXT):
 
 def columns(law, context=CONTEXT):
     return by_name(UNKNOWN.columns(context, law))
-
-
-def test_the_dictionary_is_every_channel_times_every_variable():
-    assert (
-        *(f"joint {j}" for j in range(1, 7)),
-        *("base shift", "tool"),
-        *("base shift x", "base shift y", "base shift z", "base turn x", "base turn y"),
-        *("tool x", "tool y", "tool z", "tracker radial", "tracker azimuth", "tracker elevation"),
-    ) == CHANNELS
-    assert names_of(variables(CONTEXT)) == EVERY
-    every = [law for law in curve_laws(CONTEXT) if "period_s" not in law.constants]
-    forms = [data_driven_form(law) for law in every]
-    straight = {
-        id(law)
-        for law, form in zip(every, forms, strict=True)
-        if law.constants["order"] == 1.0 and form.drivers[0].quantity is not Quantity.PAYLOAD
-    }
-    lines = [form for law, form in zip(every, forms, strict=True) if id(law) in straight]
-    assert {form.channel for form in lines} == set(channels(6))
-    assert not any(form.drivers[0].is_joint_angle or form.drivers[0].quantity is Quantity.TIME for form in lines)
-    rest = [form for law, form in zip(every, forms, strict=True) if id(law) not in straight]
-    assert [(form.channel.name, form.drivers[0].name) for form in rest] == [(c, v) for c in CHANNELS for v in EVERY]
-    assert [form.name for form in rest] == [f"{c}|{v}" for c in CHANNELS for v in EVERY]
 
 
 @pytest.mark.parametrize("channel", CHANNELS)

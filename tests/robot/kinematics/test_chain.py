@@ -21,7 +21,7 @@ from cellapp.robot.kinematics.chain import (
     smr_positions,
 )
 from cellapp.robot.kinematics.inverse import all_branches, closed_form_solutions, solve_pose, structure_of, turned_into
-from cellapp.robot.kinematics.statics import STANDARD_GRAVITY, Bodies, gravity_loads
+from cellapp.robot.kinematics.statics import Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import (
     apply,
     invert,
@@ -236,26 +236,6 @@ def test_largest_torques_are_the_published_ones(rows, hanging, published):
         q[:, 4] = q5
         largest = np.maximum(largest, np.abs(gravity_torques(geometry, hanging, q, UP)[:, 1:4]).max(axis=0))
     np.testing.assert_allclose(largest, published, rtol=0.02, atol=0.6)
-
-
-def test_torque_is_the_falling_slope_of_the_potential():
-    rng = np.random.default_rng(0)
-    geometry, hanging = at_station(UR10, OFF_AXIS), bodies(UR10_MASSES, UR10_CENTERS, 4.0)
-    up = np.array([0.1, -0.2, 0.97])
-    up /= np.linalg.norm(up)
-    q = rng.uniform(-3, 3, (20, 6))
-
-    def potential(q):
-        rotations, origins = frame_poses(geometry, q)
-        heights = (origins[1:] + np.einsum("inab,ib->ina", rotations[1:], hanging.centers)) @ up
-        load = (origins[-1] + rotations[-1] @ hanging.payload_center) @ up
-        return STANDARD_GRAVITY * (hanging.masses @ heights + hanging.payload_mass * load)
-
-    torques = gravity_torques(geometry, hanging, q, up)
-    for j in range(6):
-        step = np.zeros(6)
-        step[j] = 1e-5
-        np.testing.assert_allclose(torques[:, j], -(potential(q + step) - potential(q - step)) / 2e-5, atol=1e-6)
 
 
 def test_a_payload_per_reading_replaces_the_stated_one():

@@ -11,10 +11,10 @@ import pytest
 from cellapp.estimation.calibration.identification import identify
 from cellapp.ground.errors import InputError
 from cellapp.robot.effects import EFFECTS, EffectTerm
-from cellapp.robot.kinematics.chain import JointAngles, jacobian, joint_jacobian, smr_positions
+from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
-from cellapp.robot.model.model import DRAWS, PosteriorDraws, ReadingsNoise, posterior_from_json, posterior_to_json
+from cellapp.robot.model.model import PosteriorDraws, ReadingsNoise, posterior_from_json, posterior_to_json
 from tests.arms import OFF_AXIS, STATION, UR10, UR10_CENTERS, UR10_MASSES, at_station, true_geometry
 
 
@@ -156,41 +156,6 @@ def covariance(rng):
 
 def draws_of(Sigma, seed):
     return PosteriorDraws.of_covariance(COLUMNS, [len(COMPLIANCE.names)], Sigma, ReadingsNoise(2e-5), (seed,))
-
-
-def predicted_by(model, q):
-    """Derivatives (n, 3, p) of the SMR by all parameters."""
-    angles = JointAngles.of(q)
-    _, J = jacobian(model.geometry, angles, COLUMNS)
-    _, by_joint = joint_jacobian(model.geometry, angles)
-    columns = EFFECTS[COMPLIANCE.slug].columns(model.context(q), COMPLIANCE.law, frozenset(COMPLIANCE.names))
-    by_name = {column.name: column for column in columns}
-    moved = []
-    for column in (by_name[name] for name in COMPLIANCE.names):
-        assert column.joint is not None
-        assert column.offset is not None
-        moved.append(by_joint[:, column.joint] * column.offset)
-    return np.concatenate([J, np.stack(moved, axis=1)], axis=1).transpose(2, 0, 1)
-
-
-def test_draws_spread_as_the_covariance_of_the_prediction():
-    rng = np.random.default_rng(1)
-    model, Sigma = arm(), covariance(rng)
-    q = rng.uniform(-2.0, 2.0, (5, 6))
-    by_parameter = predicted_by(model, q)
-    wanted = np.einsum("nap,pr,nbr->nab", by_parameter, Sigma, by_parameter)
-    many = [draws_of(Sigma, seed).displacements(model.geometry, model.effects, model.context(q)) for seed in range(40)]
-    moved = np.concatenate(many)
-    assert moved.shape == (40 * DRAWS, 5, 3)
-    found = np.einsum("sna,snb->nab", moved, moved) / len(moved)
-    # sampling error of a variance from S draws: sqrt(2 / S) = 2.8 %; of a covariance, relative to the sizes, the same
-    size = np.sqrt(np.einsum("naa->na", wanted))
-    assert np.abs((found - wanted) / (size[:, :, None] * size[:, None])).max() < 4.5 * np.sqrt(2.0 / len(moved))
-    one = replace(model, posterior=draws_of(Sigma, 3))
-    rms = np.sqrt(np.mean(size**2, axis=1))
-    np.testing.assert_allclose(one.uncertainty(q), rms, rtol=4.0 / np.sqrt(2.0 * DRAWS))
-    np.testing.assert_allclose(one.measured_uncertainty(q), np.hypot(one.uncertainty(q), 2e-5))
-    assert not model.uncertainty(q).any(), "no draws, no uncertainty"
 
 
 def test_draws_survive_json():

@@ -70,7 +70,7 @@ The handbook explains each effect.
     def body(self) -> ComposeResult:
         with TabbedContent(id="discovery"):
             with TabPane("Gap", id="gap"):
-                yield PartsView(id="verdict")
+                yield PartsView(id="gap-parts")
             with TabPane("Names", id="names"):
                 yield WrappedTables(id="name-tables")
             with TabPane("Pictures", id="pictures"):
@@ -134,7 +134,7 @@ The handbook explains each effect.
         self._drawn = workspace
         found = self._result
         tables = self.query_one("#name-tables", WrappedTables)
-        gap, pictures = self.query_one("#verdict", PartsView), self.query_one("#effect-pictures", PartsView)
+        gap, pictures = self.query_one("#gap-parts", PartsView), self.query_one("#effect-pictures", PartsView)
         if found is None or workspace.results is None:
             tables.show([])
             gap.show_parts(())

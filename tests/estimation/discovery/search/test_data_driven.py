@@ -19,13 +19,12 @@ from cellapp.estimation.discovery.search.data_driven import (
     without_imitations,
 )
 from cellapp.estimation.discovery.search.free_part import (
-    SHARES,
     BesideField,
     explains_beside_free_parts,
     with_free_parts,
 )
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.search.state import SearchProblem, SearchState, scatter
+from cellapp.estimation.discovery.search.state import SearchProblem, SearchState
 from cellapp.estimation.discovery.search.stepwise import addition, refinement, search
 from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, ModelTerm
 from cellapp.estimation.readings import Readings
@@ -247,12 +246,6 @@ def searched_off(bend, slug="", names=(), shift=None):
     return problem, SearchState(*refit(data, terms))
 
 
-def ratio(state):
-    found = scatter(state.data, state.fit)
-    assert found is not None
-    return found.ratio
-
-
 def at_joint(joint, offset):
     bent = np.zeros((N, 6))
     bent[:, joint] = offset
@@ -267,25 +260,6 @@ def softer(q, torques, approach):
 
 def linear(q, torques, approach):
     return at_joint(1, 1.2e-5 * torques[:, 1])
-
-
-def test_a_law_that_is_off_gets_a_free_part_that_explains_the_rest():
-    problem, state = searched_off(softer, "joint_compliance", ("compliance2",))
-    before = ratio(state)
-    free = with_free_parts(problem, state)
-    assert free is not None
-    (term,) = free.fit.terms
-    assert {one.driver_name for one in term.modulations} == {"own size"}
-    assert before > 1.3 > 1.08 > ratio(free)
-    (effect,) = free.fit.model.effects
-    assert 0.02 < effect.law_misfit < SHARES[-1]
-    assert effect.names[:1] == effect.law_names == ("compliance2",)
-    again = with_free_parts(problem, free)
-    assert again is not None
-    names = [one.name for one in term.modulations]
-    assert [one.name for one in again.fit.terms[0].modulations] == names, (
-        "free parts are found anew, with the same outcome"
-    )
 
 
 def test_a_law_that_is_right_has_none():

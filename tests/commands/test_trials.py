@@ -1,0 +1,614 @@
+"""Blind trials: a run contains nothing of its truth, a broken seal is refused, judging continues, scores are right."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import shutil
+import sqlite3
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cellapp.cell.profile import load_profile
+from cellapp.cell.run import RunFile
+from cellapp.commands.trials.judge import TRIAL_RESULT, StoredTrial, judge_run, judge_trials, score_run, source_digest
+from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, JudgeResult, NoiseLengths, ScoredRun
+from cellapp.commands.trials.scoring import scores
+from cellapp.commands.trials.sealed import (
+    ExpectedTerm,
+    GroundTruth,
+    HiddenLaw,
+    check_seal,
+    open_truth,
+    seal_trials,
+)
+from cellapp.commands.trials.sealed_setup import (
+    EXPECTED,
+    LOOK_ALIKES,
+    PAIRS,
+    TRIPLES,
+    Setup,
+    cases,
+    library_name,
+)
+from cellapp.commands.trials.visible_size import beyond_geometry, beyond_law, registered_model
+from cellapp.estimation.calibration.quantities import measurement_conditions
+from cellapp.estimation.discovery.outcome import HeldOut
+from cellapp.estimation.discovery.records import BeforeAfter
+from cellapp.ground.errors import CheckFailed, InputError
+from cellapp.ground.executors import Work
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import Cancelled, CancelToken, Progress
+from cellapp.interfaces import cli
+from cellapp.robot.effects import EFFECTS
+from cellapp.robot.kinematics.chain import JointAngles, jacobian, parameter_names, smr_positions
+from cellapp.robot.kinematics.transforms import transform
+from cellapp.robot.model.nominal import nominal_arm
+from drivers.plant import OUTSIDE, REALISTIC
+from tests.approved import assert_approved, commands_of
+from tests.twin import PROFILES, small_twin
+
+STOPS, SEED = 60, 5
+ROWS = {"identify": 20, "train": 20, "validate_": 20, "pair_identify": 10, "pair_validate": 10}
+
+
+def small() -> Profile:
+    """The twin with few stops, and few simulations to set the threshold from."""
+    profile = small_twin(STOPS)
+    return profile.model_copy(
+        update={
+            "splits": profile.splits.model_copy(update=ROWS),
+            "discovery": profile.discovery.model_copy(update={"null_simulations": 20}),
+        }
+    )
+
+
+@pytest.fixture(scope="module")
+def all_kinds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten sealed runs, of every kind; nobody may change them."""
+    folder = tmp_path_factory.mktemp("sealed") / "trials"
+    assert seal_trials(small(), folder, 10, Setup(kind="mixed"), seed=SEED).runs == 10
+    return folder
+
+
+@pytest.fixture(scope="module")
+def judged_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str], JudgeResult]:
+    """Three sealed runs that hide nothing, judged in two goes: folder, what the first go left in them, and outcome."""
+    folder = tmp_path_factory.mktemp("judged") / "trials"
+    seal_trials(small(), folder, 3, Setup(kind="none"), seed=SEED)
+    cancel = CancelToken()
+
+    def stop_after_the_first(event: Progress) -> None:
+        if event.done == 1:
+            cancel.cancel()
+
+    with pytest.raises(Cancelled):
+        judge_trials(folder, Work(listener=stop_after_the_first, cancel=cancel))
+    first = stored(folder)
+    return folder, first, judge_trials(folder, Work())
+
+
+@pytest.fixture
+def mine(all_kinds: Path, tmp_path: Path) -> Path:
+    """A copy to spoil."""
+    return Path(shutil.copytree(all_kinds, tmp_path / "trials"))
+
+
+def stored(folder: Path) -> list[str]:
+    """What stands in the runs that were judged, in their order; empty for the others."""
+    texts = []
+    for path in sorted(folder.glob("run-*")):
+        with RunFile.open(path) as run:
+            texts.append(run.read_result(TRIAL_RESULT) or "")
+    return texts
+
+
+def call(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *arguments: object
+) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of a command."""
+    monkeypatch.setattr(sys, "argv", ["cellapp", *map(str, arguments)])
+    code = 0
+    try:
+        cli.main()
+    except SystemExit as ended:
+        code = int(ended.code or 0)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+# -- sealing ----------------------------------------------------------------------------------------------------------
+
+
+def numbers_in(value: Any) -> Iterator[str]:
+    """Every number of a truth as JSON writes it, if it is long enough not to be met by chance."""
+    if isinstance(value, Mapping):
+        for part in value.values():
+            yield from numbers_in(part)
+    elif isinstance(value, list | tuple):
+        for part in value:
+            yield from numbers_in(part)
+    elif isinstance(value, int | float) and len(repr(value)) >= 7:
+        yield repr(value)
+
+
+def test_a_run_contains_nothing_of_its_truth(all_kinds: Path) -> None:
+    content = json.loads((all_kinds / "truth.json").read_text("utf-8"))
+    plant_effects = ('"effects":{', '"effects": {')  # the plan's own list of effects is null
+    words = {*REALISTIC, *OUTSIDE, *plant_effects, "look_alike", "truth", "hidden", content["sealed"]["profile"] + '"'}
+    for entry in content["trials"]:
+        data = (all_kinds / entry["run"] / "run.sqlite").read_bytes()
+        assert b"sealed-" in data
+        assert [word for word in words if word.encode() in data] == []
+        assert re.search(rb'"effects": *[^ n]', data) is None, "the plan's own key says null"
+        secret = [entry["effects"], entry["seeds"], entry["noise_um"], entry["held_out_um"], content["sealed"]["seed"]]
+        numbers = set(numbers_in(secret))
+        assert len(numbers) >= 7
+        assert [number for number in numbers if number.encode() in data] == []
+        with RunFile.open(all_kinds / entry["run"]) as run:
+            assert run.profile.plant is None
+            assert run.profile.seed == int(entry["run"].removeprefix("run-"))
+            assert run.events() == []
+            assert run.read_plan() == {}
+
+
+def test_the_truth_names_kinds_and_arms_in_a_drawn_order(all_kinds: Path) -> None:
+    trials = open_truth(all_kinds).trials
+    kinds = [trial.kind for trial in trials]
+    assert Counter(kinds) == {"one": 6, "none": 2, "outside": 1, "pair": 1}
+    ones = [trial for trial in trials if trial.kind == "one"]
+    slugs = [trial.effects[0].plant for trial in ones]
+    assert set(slugs) == set(REALISTIC[SEED : SEED + 6])
+    assert slugs != list(REALISTIC[SEED : SEED + 6])
+    assert Counter(trial.arm for trial in ones) == {"left": 3, "right": 3}
+    for trial in trials:
+        assert bool(trial.arm) == (trial.kind != "none")
+        assert len(trial.effects) == {"one": 1, "none": 0, "outside": 1, "pair": 2}[trial.kind]
+        for effect in trial.effects:
+            assert 0.0 <= effect.visible_um <= effect.raw_um * (1.0 + 1e-9)
+        for name in ("left", "right"):
+            assert 20.0 < trial.noise_um[name] < 35.0
+            assert trial.held_out_um[name] == pytest.approx(trial.noise_um[name], rel=0.6)
+
+
+def test_every_law_meets_both_arms() -> None:
+    known = tuple(slug for slug in REALISTIC if library_name(slug) in EFFECTS)
+    for kind, laws in (("one", known), ("outside", OUTSIDE)):
+        drawn = cases(("left", "right"), kind, 2 * len(laws), SEED)
+        met = {(case.slugs[0], case.arm) for case in drawn}
+        assert met == {(law, arm) for law in laws for arm in ("left", "right")}
+    assert set(EXPECTED) == set(OUTSIDE)
+    pairs = cases(("left", "right"), "pair", len(PAIRS) + len(LOOK_ALIKES), SEED)
+    assert sum(case.look_alikes for case in pairs) == len(LOOK_ALIKES)
+    triples = cases(("left", "right"), "triple", len(TRIPLES), SEED)
+    assert {len(case.slugs) for case in triples} == {3}
+    assert {slug for case in (*pairs, *triples) for slug in case.slugs} <= set(known)
+
+
+def test_a_seed_gives_the_same_trials_and_none_gives_others(
+    judged_once: tuple[Path, list[str], JudgeResult], tmp_path: Path
+) -> None:
+    seal_trials(small(), tmp_path / "again", 3, Setup(kind="none"), seed=SEED)
+    assert open_truth(tmp_path / "again").trials == open_truth(judged_once[0]).trials
+    drawn = []
+    for name in ("a", "b"):
+        seal_trials(small_twin(), tmp_path / name, 1, Setup(kind="none"))
+        drawn.append(open_truth(tmp_path / name))
+    assert drawn[0].sealed.seed != drawn[1].sealed.seed
+    assert drawn[0].trials[0].readings != drawn[1].trials[0].readings
+
+
+def test_what_geometry_can_follow_is_not_visible() -> None:
+    arm = load_profile(PROFILES / "twin.yaml").arms["left"]
+    q = np.random.default_rng(0).uniform(-2.0, 2.0, (200, 6))
+    geometry = nominal_arm(arm).with_T_M_B(transform(np.eye(3), np.array([3.0, 0.5, -0.4])))
+    p_M = smr_positions(geometry, q)
+    _, J = jacobian(geometry, JointAngles.of(q), tuple(range(len(parameter_names(6)))))
+    for column in np.moveaxis(J, 1, 0):
+        moved = 1e-4 * column.T
+        assert np.abs(beyond_geometry(arm, q, p_M, moved)).max() < 1e-9
+    # a scale of all lengths is geometry too; random displacements keep all but 27 of their 600 directions
+    about = p_M - p_M.mean(axis=0)
+    assert np.abs(beyond_geometry(arm, q, p_M, 1e-5 * about)).max() < 1e-9
+    draws = 1e-5 * np.random.default_rng(1).standard_normal((30, 200, 3))
+    left = np.stack([beyond_geometry(arm, q, p_M, noise) for noise in draws])
+    assert np.sum(left**2) / np.sum(draws**2) == pytest.approx(1.0 - 27.0 / 600.0, abs=0.01)
+
+
+@pytest.mark.parametrize("place", ["new", "."])
+def test_a_sealing_that_ends_early_leaves_nothing(tmp_path: Path, place: str) -> None:
+    cancel = CancelToken()
+
+    def stop_after_the_first(event: Progress) -> None:
+        if event.done == 1:
+            cancel.cancel()
+
+    with pytest.raises(Cancelled):
+        seal_trials(small_twin(), tmp_path / place, 3, Setup(kind="none"), listener=stop_after_the_first, cancel=cancel)
+    assert list(tmp_path.iterdir()) == []
+
+
+# -- the seal ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_seal_is_the_sha_256_of_the_truth(all_kinds: Path) -> None:
+    digest, name = (all_kinds / "seal.txt").read_text("utf-8").split()
+    assert name == "truth.json"
+    assert digest == hashlib.sha256((all_kinds / "truth.json").read_bytes()).hexdigest()
+    assert check_seal(all_kinds) == (all_kinds / "truth.json").read_bytes()
+
+
+@pytest.mark.parametrize("place", [0.1, 0.5, 0.95])
+def test_a_changed_truth_breaks_the_seal(mine: Path, place: float) -> None:
+    data = bytearray((mine / "truth.json").read_bytes())
+    data[int(place * len(data))] ^= 1
+    (mine / "truth.json").write_bytes(data)
+    with pytest.raises(CheckFailed, match="the seal is broken"):
+        judge_trials(mine, Work())
+    assert stored(mine) == [""] * 10, "it is reported before any work"
+
+
+def test_changed_readings_are_reported(judged_once: tuple[Path, list[str], JudgeResult], tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(judged_once[0], tmp_path / "trials"))
+    connection = sqlite3.connect(folder / "run-0002" / "run.sqlite")
+    connection.execute("UPDATE reading SET p_m = '[3.0, 0.5, -0.25]' WHERE arm = 'right' AND configuration = 7")
+    connection.commit()
+    connection.close()
+    with pytest.raises(CheckFailed, match="run-0002: its readings are not those that were sealed"):
+        judge_trials(folder, Work())
+    shutil.rmtree(folder / "run-0002")
+    with pytest.raises(InputError, match="run-0002 is missing, but was sealed"):
+        judge_trials(folder, Work())
+
+
+def test_what_is_wrong_is_said_as_approved(
+    mine: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(PROFILES, tmp_path, dirs_exist_ok=True)
+    for name, files in (("empty", ()), ("torn", ("truth.json",)), ("bare", ("truth.json", "seal.txt"))):
+        (tmp_path / name).mkdir()
+        for file in files:
+            shutil.copy(mine / file, tmp_path / name / file)
+    shutil.copytree(tmp_path / "bare", tmp_path / "broken")
+    (tmp_path / "broken" / "seal.txt").write_text("")
+    said = []
+    for words in commands_of(SCORES.with_name("refusals.txt")):
+        code, out, err = call(capsys, monkeypatch, "trials", *words.split())
+        said.append(f"$ {words}\n{out}{err.strip()}\nexit code {code}")
+    assert_approved(SCORES.with_name("refusals.txt"), "\n".join(said))
+    assert not (tmp_path / "new").exists()
+
+
+# -- judging ----------------------------------------------------------------------------------------------------------
+
+
+def test_judging_goes_on_where_it_was_stopped(judged_once: tuple[Path, list[str], JudgeResult]) -> None:
+    folder, first, result = judged_once
+    done = [text for text in first if text]
+    assert 1 <= len(done) < 3
+    after = stored(folder)
+    assert all(after)
+    assert [text for text, before in zip(after, first, strict=True) if before] == done, "not judged twice"
+    events: list[Progress] = []
+    assert judge_trials(folder, Work(listener=events.append)).trials == result.trials
+    assert [(event.done, event.total) for event in events] == [(3, 3)]
+    assert stored(folder) == after
+
+
+def test_what_hides_in_a_run_is_compared_with_what_was_found_there(tmp_path: Path) -> None:
+    folder = tmp_path / "trials"
+    seal_trials(small(), folder, 1, Setup(kind="one"), seed=0)
+    judge_run(folder / "run-0001", source_digest())
+    result = judge_trials(folder, Work())
+    (trial,) = result.trials
+    assert [hidden.effect for hidden in trial.hidden] == ["joint_compliance"]
+    assert trial.visible
+    arm = trial.findings
+    assert "joint_compliance" in {slug for answers in arm.answer_sets for slug in answers}
+    assert trial.in_answer_set
+    assert arm.heldout_um.after < 0.2 * arm.heldout_um.before
+    assert arm.noise_um.stated == pytest.approx(arm.noise_um.drawn, rel=0.6)
+    assert result.judged_by_other_source == 0
+    assert {target.target for target in result.targets} >= {"visible: exactly its name", "one arm within 5 s"}
+
+
+def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(
+    judged_once: tuple[Path, list[str], JudgeResult], tmp_path: Path
+) -> None:
+    folder = Path(shutil.copytree(judged_once[0], tmp_path / "trials"))
+    for name in ("run-0001", "run-0003"):
+        connection = sqlite3.connect(folder / name / "run.sqlite")
+        connection.execute("DELETE FROM result WHERE name = ?", (TRIAL_RESULT,))
+        if name == "run-0001":  # all stops in one split leave none to validate
+            connection.execute("UPDATE reading SET split = 'identify'")
+        connection.commit()
+        connection.close()
+    result = judge_trials(folder, Work())
+    assert len(result.failed) == 1
+    assert result.failed[0].startswith("run-0001: arm 'left': 60 readings leave 60 to identify and 0 to validate")
+    assert [trial.run for trial in result.trials] == ["run-0002", "run-0003"]
+
+
+def test_the_commands(
+    judged_once: tuple[Path, list[str], JudgeResult],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    out = tmp_path / "out.json"
+    code, said, _ = call(capsys, monkeypatch, "trials", "judge", judged_once[0], "--json", out)
+    assert code == 0
+    assert "Sealed trials: targets" in said
+    assert f"seed {SEED}" in said
+    found = JudgeResult.from_json(out.read_text("utf-8"), str(out))
+    assert found.trials == judged_once[2].trials
+    shutil.copytree(PROFILES, tmp_path / "profiles")
+    monkeypatch.setattr("cellapp.commands.trials.sealed._write_runs", lambda *arguments: [])
+    code, said, _ = call(
+        capsys, monkeypatch, "trials", "seal", tmp_path / "profiles" / "twin.yaml", "--out", tmp_path / "new", "--n", 2
+    )
+    assert code == 0
+    sealed = json.loads((tmp_path / "new" / "truth.json").read_text("utf-8"))["sealed"]
+    assert (tmp_path / "new" / "seal.txt").read_text("utf-8").split()[0] in said
+    assert str(sealed["seed"]) not in said.replace(str(tmp_path), ""), "a drawn seed stays secret"
+
+
+# -- scores -----------------------------------------------------------------------------------------------------------
+
+
+def truth(kind: str, *slugs: str, visible_um: float = 100.0, look_alikes: bool = False) -> GroundTruth:
+    expected = EXPECTED.get(slugs[0]) if kind == "outside" else None
+    return GroundTruth(
+        run="run-0001",
+        kind=kind,
+        look_alikes=look_alikes,
+        arm="left" if slugs else "",
+        effects=tuple(
+            HiddenLaw(effect=slug, plant=slug, parameters={}, raw_um=2.0 * visible_um, visible_um=visible_um)
+            for slug in slugs
+        ),
+        expected=None if expected is None else ExpectedTerm(channel=expected[0], variables=expected[1]),
+        noise_um={"left": 26.0, "right": 26.0},
+        held_out_um={"left": 25.0, "right": 25.0},
+        seeds={},
+        readings="",
+    )
+
+
+def findings(**changes: Any) -> ArmFindings:
+    after_um = changes.pop("after_um", 25.5)
+    found: dict[str, Any] = {
+        "accepted": (),
+        "answer_sets": (),
+        "described": (),
+        "verdict": "nothing missing",
+        "heldout_um": BeforeAfter(before=26.0, after=after_um),
+        "noise_um": NoiseLengths(stated=26.0, drawn=25.0),
+        "seconds": 1.0,
+        "cpu_seconds": 0.9,
+    }
+    return ArmFindings(**{**found, **changes})
+
+
+NOTHING = findings()
+SCORES = Path(__file__).parent / "approved" / "scores.txt"
+"""Lines ``$ KIND HIDDEN.. | ACCEPTED[/ANSWER].. | CHANNEL: VARIABLES (SENTENCE) | ..``, each with how it is scored."""
+
+
+def named(*slugs: str, **changes: Any) -> ArmFindings:
+    """An arm where these were accepted; after a slash what answers as well."""
+    sets = tuple(tuple(slug.split("/")) for slug in slugs)
+    accepted = tuple(answers[0] for answers in sets)
+    verdict = "unknown effect" if "unknown" in accepted else "explained" if accepted else "nothing missing"
+    return findings(**{"accepted": accepted, "answer_sets": sets, "verdict": verdict, **changes})
+
+
+def judged(true: GroundTruth, left: ArmFindings, right: ArmFindings = NOTHING) -> ScoredRun:
+    return score_run(true, {"left": left, "right": right})
+
+
+def term(text: str) -> DescribedTerm:
+    channel, variables, sentence = re.fullmatch(r"(.*?): ([^(]*?)(?: \((.*)\))?", text).groups()  # type: ignore[union-attr]
+    return DescribedTerm(channel=channel, variables=tuple(variables.split(", ")), sentence=sentence or "")
+
+
+def scored(line: str) -> ScoredRun:
+    """The run of a line."""
+    hidden, accepted, *described = [part.strip() for part in line.split("|")]
+    return judged(truth(*hidden.split()), named(*accepted.split(), described=tuple(map(term, described))))
+
+
+def test_runs_are_scored_as_approved() -> None:
+    said = []
+    for line in commands_of(SCORES):
+        run = scored(line)
+        second = [f"{one.name}{' for the same cause' if one.same_cause else ''}" for one in run.second_names]
+        said += [f"$ {line}", f"{run.outcome}{', in the answer set' if run.in_answer_set else ''}"]
+        said += [f"  description: {run.description or 'wrong'}"] if run.kind == "outside" else []
+        said += [f"  second: {name}" for name in second]
+    assert_approved(SCORES, "\n".join(said))
+
+
+def test_targets_and_misses_are_as_approved() -> None:
+    result = scores(
+        [
+            scored("one backlash | backlash"),
+            judged(truth("one", "backlash"), named("friction_windup/backlash", after_um=40.0)),
+            judged(truth("one", "tracker_scale", visible_um=0.0), NOTHING, named("joint_drift")),
+            scored("none |"),
+            judged(truth("none"), named("base_step"), named("unknown", described=(term("tool: q1"),))),
+            scored("outside crosstalk | unknown | joint 4: q5"),
+            scored("outside tool_sag | joint_drift unknown"),
+            scored("pair backlash base_step | base_step backlash"),
+            judged(truth("pair", "backlash", "friction_windup", look_alikes=True), named("backlash", seconds=9.0)),
+        ]
+    )
+    said = [f"{one.target}: {one.reached} of {one.n}, {one.met}" for one in result.targets]
+    said += [f"missed: {miss.hidden.split(' (')[0] or 'nothing'}; found {miss.found}" for miss in result.misses]
+    assert_approved(SCORES.with_name("targets.txt"), "\n".join(said))
+    assert result.missed == (), "too few trials to say so"
+    to_drawn = result.one["backlash"].visible.heldout_to_drawn
+    assert to_drawn is not None
+    assert to_drawn.max == pytest.approx(1.6)
+    assert result.one["tracker_scale"].below.none == 1
+    assert result.none["arm beside one that hides something"].false_names == 1
+    assert result.outside["tool_sag"].false_names == 1
+
+
+def test_few_clean_arms_meet_no_target_and_many_do() -> None:
+    def met(n: int) -> list[object]:
+        targets = scores([judged(truth("none"), NOTHING) for _ in range(n)]).targets
+        return [target.met for target in targets if target.kind == "none"]
+
+    assert met(149) == [None, None]
+    assert met(150) == [True, True]
+
+
+def quick_twin(name: str = "twin") -> Profile:
+    """A profile whose search sets its threshold from few simulations."""
+    profile = load_profile(PROFILES / f"{name}.yaml")
+    discovery = profile.discovery.model_copy(update={"null_simulations": 20})
+    return profile.model_copy(update={"discovery": discovery})
+
+
+# -- conditions -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("profile", ["twin", "twin-foreign"])
+def test_narrow_ranges_are_10_to_50_degrees_wide(tmp_path: Path, profile: str) -> None:
+    seal_trials(quick_twin(profile), tmp_path / "t", 1, Setup(kind="none", ranges="narrow", stops=60), seed=SEED)
+    with RunFile.open(tmp_path / "t" / "run-0001") as run:
+        for name, arm in run.profile.arms.items():
+            q = run.readings(name).q
+            assert q.shape == (60, len(arm.type.joints))
+            assert (np.degrees(np.ptp(q, axis=0)) < 50.0).all()
+            assert (np.degrees(np.ptp(q, axis=0)) > 5.0).all()
+
+
+def test_readings_state_nothing_where_they_shall_not(tmp_path: Path) -> None:
+    kept = {}
+    for stated in (True, False):
+        setup = Setup(kind="none", stops=60, stated=stated)
+        seal_trials(quick_twin(), tmp_path / str(stated), 1, setup, seed=SEED)
+        with RunFile.open(tmp_path / str(stated) / "run-0001") as run:
+            kept[stated] = run.readings("left")
+    assert kept[True].covariance_M is not None
+    assert kept[False].covariance_M is None
+    assert np.array_equal(kept[True].p_M, kept[False].p_M)
+    noise_um = open_truth(tmp_path / "False").trials[0].noise_um["left"]
+    assert noise_um == open_truth(tmp_path / "True").trials[0].noise_um["left"] > 20.0
+
+
+def test_flipped_signs_are_those_of_the_way_back(tmp_path: Path) -> None:
+    seal_trials(quick_twin(), tmp_path / "t", 4, Setup(stops=60, flip_approach=True), seed=SEED)
+    truth = open_truth(tmp_path / "t")
+    assert {trial.effects[0].effect for trial in truth.trials} == {"backlash", "friction_windup"}
+    assert {trial.kind for trial in truth.trials} == {"flipped"}
+    with RunFile.open(tmp_path / "t" / "run-0001") as run:
+        readings = run.readings("left")
+        assert readings.step is None
+        assert np.array_equal(readings.approach[1:], -np.sign(np.diff(readings.q, axis=0)))
+
+
+def test_recordings_are_judged_by_stops_at_rest(tmp_path: Path) -> None:
+    seal_trials(small_twin(60), tmp_path / "t", 1, Setup(kind="none", sweeps=1, stops=25), seed=SEED)
+    (judged,) = judge_trials(tmp_path / "t", Work()).trials
+    with RunFile.open(tmp_path / "t" / "run-0001") as run:
+        stored = StoredTrial.model_validate_json(run.read_result(TRIAL_RESULT) or "")
+        assert [len(run.readings("left").in_split(split)) for split in ("identify", "validate")] == [1, 24]
+        floor_um = 1e3 * HeldOut.of(run.readings("left"), measurement_conditions(run.readings("left"))).noise_floor_mm()
+    for name, arm in judged.arms.items():
+        assert arm.names == ()
+        assert arm.seconds > 0.0
+        motion = stored.arms[name].discovery.motion
+        assert motion is not None
+        assert motion.effects == ()
+        assert arm.heldout_um.after != pytest.approx(1e3 * motion.heldout_mm.after), "blocks of the recording"
+    assert judged.arms["left"].noise_um.stated == pytest.approx(floor_um)
+
+
+# -- sizes ------------------------------------------------------------------------------------------------------------
+
+
+def test_what_the_library_follows_is_not_beyond_its_law(tmp_path: Path) -> None:
+    """The share beyond the law is small for laws of the same shape, and larger for others."""
+    shares: dict[str, list[float]] = {}
+    for laws in ("same", "other"):
+        seal_trials(quick_twin(), tmp_path / laws, 12, Setup(laws=laws, stops=60), seed=SEED)
+        found = [effect for trial in open_truth(tmp_path / laws).trials for effect in trial.effects]
+        smooth = [effect for effect in found if effect.effect not in ("transmission_error", "joint_axis_wobble")]
+        shares[laws] = [effect.beyond_law_um / effect.visible_um for effect in smooth if effect.beyond_law_um]
+        for effect in found:
+            assert effect.beyond_law_um is None or effect.beyond_law_um <= effect.visible_um * (1.0 + 1e-9)
+    assert np.median(shares["same"]) < 0.03
+    assert np.median(shares["other"]) > 2.0 * np.median(shares["same"])
+
+
+def test_a_displacement_by_a_column_is_within_its_law(tmp_path: Path) -> None:
+    profile = quick_twin()
+    seal_trials(profile, tmp_path / "t", 1, Setup(kind="none", stops=60), seed=SEED)
+    with RunFile.open(tmp_path / "t" / "run-0001") as run:
+        readings = run.readings("left")
+    model = registered_model(profile, "left", readings.q, readings.p_M)
+    conditions = measurement_conditions(readings)
+    drift = (readings.time_s / readings.time_s.max())[:, None] * np.array([5e-5, 0.0, 2e-5])
+    left = beyond_law(model, "base_drift", readings.q, conditions, drift)
+    assert left is not None
+    assert np.abs(left).max() < 3e-7, "the last of the run is not exactly its end"
+    assert beyond_law(model, "no such effect", readings.q, conditions, drift) is None
+
+
+def test_flipped_signs_must_be_said() -> None:
+    flipped = truth("flipped", "backlash")
+    said = "joint 2 behaves like backlash of the opposite sign: check the approach convention"
+    runs = [
+        judged(flipped, named("unknown", described=(term(f"joint 2: approach ({said})"),))),
+        judged(flipped, named(verdict="unknown effect", sentence=said)),
+        judged(flipped, named(verdict="unknown effect", sentence="something is missing")),
+        judged(flipped, named("backlash", sentence="explained")),
+    ]
+    result = scores(runs)
+    (target,) = [one for one in result.targets if one.kind == "flipped"]
+    assert (target.reached, target.n, target.met, target.missed) == (2, 4, False, False)
+    assert [miss.verdict for miss in result.misses] == ["unknown effect", "explained"]
+
+
+def test_brier_score_and_reliability() -> None:
+    runs = [
+        judged(truth("one", "backlash"), named("backlash", posteriors={"backlash": 0.9, "base_step": 0.3})),
+        judged(truth("one", "backlash"), named("base_step", posteriors={"backlash": 0.2, "base_step": 0.7})),
+        judged(
+            truth("one", "base_drift", visible_um=1.0),
+            named(posteriors={"base_drift": 0.1}, invisible=("backlash",)),
+        ),
+        judged(truth("one", "backlash"), named("backlash")),  # nothing stated
+    ]
+    by_name = {score.about: score for score in scores(runs).posteriors}
+    stated = by_name["effects with a stated probability"]
+    assert stated.n == 4
+    assert stated.brier == pytest.approx((0.1**2 + 0.3**2 + 0.8**2 + 0.7**2) / 4)
+    assert [(one.n, one.true) for one in stated.bins] == [(0, None), (2, 0.5), (0, None), (1, 0.0), (1, 1.0)]
+    accepted = by_name["accepted names"]
+    assert accepted.n == 2
+    assert accepted.brier == pytest.approx((0.1**2 + 0.7**2) / 2)
+    every = by_name["every effect that the plan can show"]
+    assert every.brier == pytest.approx(4 * stated.brier / every.n), "what is not stated counts as stated with zero"
+    targets = [target for target in scores(runs).targets if target.target.startswith("Brier")]
+    assert {target.bar for target in targets} == {True}
+
+
+def test_a_bar_counts_from_enough_trials() -> None:
+    def missed(n: int) -> list[str]:
+        runs = [judged(truth("one", "backlash"), named("friction_windup")) for _ in range(n)]
+        return [target.target for target in scores(runs).missed]
+
+    assert missed(33) == []
+    assert missed(34) == ["visible: exactly its name"]

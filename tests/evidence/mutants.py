@@ -1,0 +1,143 @@
+"""Do the tests notice a wrong program? Mutants of what must not fail unnoticed, drawn by a seed: an operator of a
+comparison, of arithmetic or of logic is exchanged, a constant changed, a returned value dropped. Each stands in a copy
+of the tree and meets the tests of its group, which stop at the first failure; time that is up leaves mutants out."""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cellapp.ground.grouping import grouped
+from tests.evidence.skeleton import ROOT, Evidence, Limit, Share, Table
+
+TITLE = "Mutants"
+GROUPS: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
+    "gate": (["cellapp/cell/safety/gate.py", "cellapp/cell/safety/many_motions.py"], ["tests/cell/safety"]),
+    "stop reaction": (["cellapp/cell/driving/reaction.py"], ["tests/cell/driving/test_reaction.py"]),
+    "readers": (
+        ["cellapp/cell/run/csv_import.py", "cellapp/cell/run/csv_text.py", "cellapp/estimation/readings/columns.py"],
+        ["tests/cell/run", "tests/estimation/readings"],
+    ),
+    "identification": (
+        ["cellapp/estimation/calibration/identification.py", "cellapp/estimation/calibration/normal_equations.py"],
+        ["tests/estimation/calibration/test_identification.py"],
+    ),
+    "discovery's decision": (
+        ["cellapp/estimation/discovery/verdict.py", "cellapp/estimation/discovery/posterior.py"],
+        ["tests/estimation/discovery/test_verdict.py", "tests/estimation/discovery/test_structure.py"],
+    ),
+    "decision rule": (
+        ["cellapp/estimation/uncertainty/budget.py", "cellapp/commands/certificate/iso9283_judgements.py"],
+        ["tests/estimation/uncertainty", "tests/commands/certificate"],
+    ),
+    "exports": (["cellapp/cell/exports/dh_tables.py", "cellapp/cell/exports/urdf.py"], ["tests/cell/exports"]),
+    "run file": (["cellapp/cell/run/file.py", "cellapp/cell/run/sqlite_file.py"], ["tests/cell/run"]),
+}
+"""Group -> modules that are changed, and the tests that must notice."""
+_LEFT_OUT = (".git", "__pycache__", "logs", ".mypy_cache", ".ruff_cache", ".pytest_cache")
+_EXCHANGED: Mapping[type[ast.AST], type[ast.AST]] = {
+    **{ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq},
+    **{ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.And: ast.Or, ast.Or: ast.And},
+    **{ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult},
+}
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--mutants", type=int, default=120)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--seconds", type=float, default=2400.0, help="no mutant begins later")
+
+
+def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """As many mutants of each group, drawn among all that its modules allow."""
+    drawn, until = random.Random(asked.seed), time.time() + asked.seconds
+    found = dict[str, dict[str, Any]]()
+    for number, (group, (modules, _)) in enumerate(GROUPS.items()):
+        possible = [
+            (module, place)
+            for module in modules
+            for place in range(len(changes(ast.parse((ROOT / module).read_text("utf-8")))))
+        ]
+        count = (asked.mutants + number) // len(GROUPS)
+        for module, place in drawn.sample(possible, min(count, len(possible))):
+            found[f"{module}, {place}"] = {"group": group, "module": module, "place": place, "until": until}
+    return found
+
+
+def one(case: dict[str, Any]) -> dict[str, Any]:
+    """Whether the tests of the group notice a mutant; None where the time is up."""
+    tree = ast.parse((ROOT / case["module"]).read_text("utf-8"))
+    words, node, field, value = changes(tree)[case["place"]]
+    setattr(node, field, value)
+    found = {"group": case["group"], "what": f"{case['module']}:{words}", "noticed": None}
+    if time.time() > case["until"]:
+        return found
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(shutil.copytree(ROOT, Path(folder) / "tree", ignore=shutil.ignore_patterns(*_LEFT_OUT)))
+        (copy / case["module"]).write_text(ast.unparse(tree), encoding="utf-8")
+        how = ["-m", "pytest", "-x", "-q", "-n", "0", "-m", "not slow", "-p", "no:cacheprovider"]
+        done = subprocess.run(
+            [sys.executable, *how, *GROUPS[case["group"]][1]],
+            cwd=copy, env={**os.environ, "PYTHONPATH": str(copy)}, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+    if done.returncode not in (0, 1, 2):  # 2: not even collected
+        raise RuntimeError(done.stdout[-500:] + done.stderr[-500:])
+    return {**found, "noticed": done.returncode != 0}
+
+
+def changes(tree: ast.Module) -> list[tuple[str, ast.AST, str, object]]:
+    """All mutants: words, node, field and its new value. None in declarations, docstrings and messages."""
+    return list(_changes(tree))
+
+
+def _changes(tree: ast.Module) -> Iterator[tuple[str, ast.AST, str, object]]:
+    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    seen = set[int]()
+    for node in (inner for function in functions for statement in function.body for inner in ast.walk(statement)):
+        if id(node) in seen or isinstance(node, ast.Raise | ast.JoinedStr):
+            seen |= {id(inner) for inner in ast.walk(node)}
+            continue
+        seen.add(id(node))
+        line = getattr(node, "lineno", 0)
+        if isinstance(node, ast.Compare) and type(node.ops[0]) in _EXCHANGED:
+            new = _EXCHANGED[type(node.ops[0])]()
+            yield f"{line}: {ast.unparse(node)} by {type(new).__name__}", node, "ops", [new, *node.ops[1:]]
+        elif isinstance(node, ast.BinOp | ast.BoolOp) and type(node.op) in _EXCHANGED and not _is_text(node):
+            new = _EXCHANGED[type(node.op)]()
+            yield f"{line}: {ast.unparse(node)} by {type(new).__name__}", node, "op", new
+        elif isinstance(node, ast.Constant) and isinstance(node.value, bool | int | float):
+            value = not node.value if isinstance(node.value, bool) else node.value + 1
+            yield f"{line}: {node.value} becomes {value}", node, "value", value
+        elif isinstance(node, ast.Return) and node.value is not None and not _is_none(node.value):
+            yield f"{line}: {ast.unparse(node)} becomes None", node, "value", ast.Constant(None)
+
+
+def _is_text(node: ast.AST) -> bool:
+    return any(isinstance(one, ast.JoinedStr) or isinstance(getattr(one, "value", 0), str) for one in ast.walk(node))
+
+
+def _is_none(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant) and node.value is None
+
+
+def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidence:
+    """Share noticed by group; what was not noticed, by its line."""
+    judged = [one for one in results if one["noticed"] is not None]
+    shares = {name: Share.of(its) for name, its in grouped((one["group"], one["noticed"]) for one in judged).items()}
+    together = Share.of(one["noticed"] for one in judged)
+    missed = [one["what"] for one in judged if not one["noticed"]]
+    said = [f"Not noticed: {'; '.join(missed)}."] if missed else []
+    said += [f"Left out, as the time was up: {len(results) - len(judged)}."] if len(judged) < len(results) else []
+    rows = [[name, str(share)] for name, share in (*shares.items(), ("together", together))]
+    limit = Limit("share noticed", together.hits / max(together.n, 1), least=0.85)
+    return Evidence({"noticed": str(together)}, [Table("", ["group", "noticed"], rows)], [limit], said)
