@@ -24,6 +24,7 @@ _FREQUENCY_HZ = 125.0
 _STARTS_WATCHED_HZ = 1.0
 """Rate of the watchdog in the program's first line: a program without its client ends itself. The rate of the settings
 follows when the arm is looked at: before, a busy computer would miss it."""
+_CLIENTS_NAME = "rtde_control"
 _MARKS = ("# float register offset\n", "# int register offset\n")
 """Lines of the client's program after which it writes the offset of its registers."""
 _PROGRAM_WITHIN_S = 5.0
@@ -162,6 +163,10 @@ class UrControl:
             time.sleep(_ASK_AGAIN_S)
         self.kick_watchdog()
         opening(False)
+
+    def rename(self) -> None:
+        """Give the control program the name that the client itself gives it, from the next upload on."""
+        self._program = self._program.replace(self._program.partition("(")[0], f"def {_CLIENTS_NAME}", 1)
 
     def set_watchdog(self, hertz: float) -> None:
         """Start the controller's watchdog: it stops the program if it receives nothing for 1 / ``hertz`` [s]."""

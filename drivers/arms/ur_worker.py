@@ -242,9 +242,19 @@ class Worker:
 
         time.sleep(_BRAKE_READ_S)  # the client has held the interpreter's lock: a brake may be unread
         self._host = host  # from here on a program of this worker may run on that host
-        control.upload(meanwhile, self.opening)
         supervisor = PathSupervisor(self, control, float(request["watchdog_hz"]), rest)
-        state = supervisor.begin()
+        try:
+            control.upload(meanwhile, self.opening)
+            state = supervisor.begin()
+        except Refusal as refusal:  # a controller may accept only the client's own name
+            if refusal.kind not in ("timeout", "failed"):
+                raise
+            control.rename()
+            if control.program_runs:
+                with suppress(LinkLost):
+                    stop_program(host, _STOP_WITHIN_S)
+            control.upload(meanwhile, self.opening)
+            state = supervisor.begin()
         self._supervisor = supervisor
         return state
 

@@ -41,6 +41,7 @@ _STOPPED: Mapping[str, Any] = {"error": "stopped", "text": "its motion was stopp
 
 _LAST_LINES, _LONGEST_LINE = 60, 400
 """Number and length of the lines that are kept of the worker's standard error."""
+_ENDING_WITHIN_S = 0.1
 _LAST_WORDS_WITHIN_S = 0.02
 """Time limit for exit code and last words of a process that ended: the other arms wait for it."""
 
@@ -235,8 +236,13 @@ class WorkerProcess:
                 self._told = False
             try:
                 self._write({"id": number, "do": request, **arguments})
+                problem = ""
             except OSError as error:
-                raise WorkerGone(f"its driver process accepts no requests ({error})") from error
+                problem = str(error)
+        if problem:
+            self._reader.join(_ENDING_WITHIN_S)  # a process that has just ended: why is read there
+            self._require_running()
+            raise WorkerGone(f"its driver process accepts no requests ({problem})")
         try:
             answer = patient_get(answered, Patience(within_s))
         except queue.Empty:

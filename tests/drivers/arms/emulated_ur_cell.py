@@ -125,6 +125,7 @@ def repair(emulator: EmulatorProcess, name: str) -> None:
     """Repair an arm as a person would: release stops, power on, end all faults."""
     control = emulator.control
     control(name, "fault", "*", "none")
+    control(name, "network", 0)
     control(name, "protective", "off")
     control(name, "release")
     control(name, "estop-release")

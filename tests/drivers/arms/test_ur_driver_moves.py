@@ -36,7 +36,9 @@ from drivers.arms.ur_links import RTDE_PORT, Connection, stop_program
 from drivers.arms.ur_motion import MAX_SPEED, Kicks, leading_rates
 from drivers.arms.ur_rtde_reader import inputs_taken, wait_at_rest
 from drivers.arms.ur_settings import UrSettings
-from drivers.emulators.ur_controller import EmulatorProcess, start_in_process
+from drivers.emulators.ur_controller import EmulatorProcess, UrControllerServer, script, start_in_process
+from drivers.emulators.ur_controller.controller import Controller, Program
+from drivers.emulators.ur_controller.script import UnknownProgram
 from drivers.patience import Patience
 from tests.at_once import in_parallel
 from tests.drivers.arms.emulated_ur_cell import (
@@ -250,6 +252,20 @@ def test_of_two_that_begin_together_one_is_refused_and_stops_nothing(unconnected
         assert unconnected.control("left", "status")["runtime_state"] == "PLAYING"
         two[first].disconnect()
     unconnected.control("left", "start-delay", 0.05)
+
+
+def test_a_controller_that_takes_only_the_clients_own_name_is_driven(monkeypatch: pytest.MonkeyPatch) -> None:
+    def strict(name: str, block: bytes) -> Program[Controller]:
+        return script_program(name, block) if name == "rtde_control" else UnknownProgram(name)
+
+    script_program = script.program_of
+    monkeypatch.setattr(script, "program_of", strict)
+    host = own_address(44)
+    settings = UrSettings(host=host, watchdog_hz=WATCHDOG_HZ, settle_time=SETTLE_S)
+    with UrControllerServer(configs({"left": host})), driven("left", settings) as arm:
+        arm.connect()
+        arm.start_move(AWAY, SPEED, ACCELERATION)
+        np.testing.assert_allclose(arm.wait_settled(PATIENT_S).q, AWAY, atol=1e-6)
 
 
 def test_a_program_that_was_left_is_known_by_its_name_and_can_be_ended(unconnected: EmulatorProcess) -> None:

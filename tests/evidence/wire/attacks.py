@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -221,11 +221,9 @@ class Bench:
             cell.control(arm, "start-delay", 0.6)
         scene = Scene(cell, self._collect(), self.run, self.other_run)
         before = sum(one["moves"] for one in cell.status().values())
-        ready: dict[str, Callable[[], bool]] = {
-            "connecting": self._connects,
-            "moving": self._moves,
-            "measuring": partial(self._measures, before),
-        }
+        moves = partial(self._moves, before + int(self.random.integers(4, 14)))  # so that there are readings to lose
+        ready: Mapping[str, Callable[[], bool]]
+        ready = {"connecting": self._connects, "moving": moves, "measuring": partial(self._measures, before)}
         comes_about(lambda: ready[attack.when]() or scene.program.poll() is not None, time.monotonic() + _PATIENT_S)
         time.sleep(self.random.uniform(0.0, 1.0 if attack.when == "measuring" else 0.2))
         struck_s = time.monotonic()
@@ -238,7 +236,7 @@ class Bench:
             scene.program.send_signal(signal.SIGINT)
         code = scene.program.poll()
         scene.program.kill()
-        said = "; ".join(filter(None, (scene.words, _last_line(scene.program))))
+        said = "; ".join(filter(None, (scene.words, _last_line(scene.program)))).replace(f"{self.run.parent}/", "")
         cell.wait_at_rest(_STOPS_WITHIN_S)
         rested_s = time.monotonic()
         time.sleep(_WATCHED_S if attack.when != "connecting" else 1.0)
@@ -259,8 +257,10 @@ class Bench:
         self.sessions += 1
         return _cellapp(self.run.parent, "collect", str(self.run), *(["--resume"] if self.sessions > 1 else []))
 
-    def _moves(self) -> bool:
-        return all(one["moving"] for one in self.cell.status().values())
+    def _moves(self, moves: int) -> bool:
+        """Return whether both arms move, after so many motions of both."""
+        now = self.cell.status().values()
+        return all(one["moving"] for one in now) and sum(one["moves"] for one in now) >= moves
 
     def _measures(self, moves: int) -> bool:
         """Return whether the arms have rested for longer than between two parts of a way, after ``moves`` motions."""
