@@ -51,7 +51,7 @@ def test_one_arm_is_calibrated_from_a_recording_alone(tmp_path: Path) -> None:
         samples = known_readings(run, "left")
         assert len(run.readings("left")) == 0
         overview = run_overview(run)
-        exported = export_as_run(run, "dh", tmp_path / "arm.csv")
+        exported = export_as_run(run, "dh", tmp_path / "arm.yaml")
     arm = json.loads(result.to_json())["arms"]["left"]
     clock = arm["clocks"]["left"]
     at_s = clock["at_s"] - OFFSET_S
