@@ -333,7 +333,9 @@ def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(
         connection.close()
     result = judge_trials(folder, Work())
     assert len(result.failed) == 1
-    assert result.failed[0].startswith("run-0001: arm 'left': 60 readings leave 60 to identify and 0 to validate")
+    assert result.failed[0].startswith(
+        "run-0001: arm 'left': 60 readings leave 60 different configurations to identify and 0"
+    )
     assert [trial.run for trial in result.trials] == ["run-0002", "run-0003"]
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Parts, printed
 from cellapp.commands.view.table import Table
+from cellapp.ground.outputs import RENEWED
 from cellapp.interfaces.page.drawn import chart_figure
 
 
@@ -54,7 +55,7 @@ class Drawing:
 
     def save(self, path: str | Path) -> None:
         """Write the charts into a file, as ``steps.html``; it is replaced if it is there."""
-        Path(path).write_text(self.html, encoding="utf-8")
+        RENEWED.write_text(Path(path), self.html)
 
 
 def draw_charts(charts: Sequence[Chart]) -> Drawing:

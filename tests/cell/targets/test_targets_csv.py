@@ -99,7 +99,6 @@ def test_quaternions_and_rotation_vectors(path: Path) -> None:
         (f"{HEADER},x_mm", "targets.csv:1: x_mm: the column is there twice; keep one"),
         (f"{HEADER},x_m", "targets.csv:1: x_m: the same value as column x_mm; keep one"),
         (f"{HEADER},colour", "targets.csv:1: colour: unknown column; remove it, or correct its name"),
-        (f"{HEADER},", "targets.csv:1: column 6: has no name"),
         (f"{HEADER},roll_deg,pitch_deg", "targets.csv:1: yaw_deg: the column is missing"),
         (f"{HEADER},roll_deg,pitch_deg,yaw_rad", "yaw_rad: column roll_deg is in deg; give all angles of a"),
         (f"{HEADER},partner_x_mm,partner_y_mm,partner_z_mm", "partner_arm: the column is missing"),

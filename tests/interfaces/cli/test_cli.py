@@ -59,7 +59,7 @@ class Ended:
         found = json.loads(self.out, parse_constant=lambda word: pytest.fail(f"{word} is no JSON"))
         assert isinstance(found, dict)
         assert isinstance(found["schema"], str)
-        assert found["version"] == 1
+        assert found["version"] in (1, 2)
         return found
 
 

@@ -335,7 +335,6 @@ def test_no_other_room_opens_a_file_to_replace_it() -> None:
         "cellapp/robot/model/model.py",
         "cellapp/cell/run/file.py",
         "cellapp/commands/trials/sealed.py",
-        "cellapp/cell/driving/requests.py",
     }
     words = (".write_text(", ".write_bytes(", "os.replace(", '.open("w', '"wb")', "copyfile(")
     doors = ("outputs.write_text(", "RENEWED.write_text(", "REMEDY).write_text(")

@@ -84,7 +84,7 @@ FAILING = {
     "no such option": (("collect", "--unknown", "run"), 2, "No such option"),
     "missing argument": (("calibrate",), 2, "Missing argument 'DIR'"),
     "no such run": (("calibrate", "nowhere"), 2, "nowhere: run folder not found"),
-    "before the job": (("docs", "effects", "--out", "x"), 2, "--out belongs to"),
+    "before the job": (("show", "x", "--last", "3"), 2, "--level and --last belong to"),
     "a removed command": (("check-certificate", "none.json"), 2, "was removed in"),
 }
 
