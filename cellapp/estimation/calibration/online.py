@@ -393,9 +393,10 @@ class OnlineFit:
             start, cost = found.geometry, found.scale**2 * found.degrees_of_freedom
             variance = (cost + _ANCHOR) / (found.degrees_of_freedom + _ANCHOR)
             fit = _Fit(found, gross, excess, float(np.trace(stated, axis1=1, axis2=2).mean()) / 3.0, variance)
-            gross = _gross(self._left_M(found, self._q, self._p_M), stated, excess)
             if found.degrees_of_freedom >= _LEAST_FREEDOM:
                 excess = _excess_of(found, stated[rows])
+            # A gross error among the readings of a fit raises their excess: against that alone it would not stand out.
+            gross = _gross(self._left_M(found, self._q, self._p_M), stated, min(excess, fit.excess))
             if abs(excess - fit.excess) <= _SETTLED * excess and np.array_equal(gross, fit.gross):
                 break
         return fit

@@ -6,7 +6,6 @@ import contextlib
 import json
 import shutil
 import sqlite3
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import Static
 
-from cellapp.cell.driving.motion import sweep_sentence
 from cellapp.cell.run import ReferenceRow, RunFile
 from cellapp.cell.run.measured_again import earlier_readings
 from cellapp.commands.collect.run import collect_stops
@@ -36,7 +34,6 @@ from cellapp.ground.progress import (
     StateChange,
     StopReport,
     Suspicion,
-    SweepLive,
 )
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
@@ -45,11 +42,9 @@ from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.plots.drawing import point_at
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.workspace import Workspace
-from tests.approved import assert_approved
 from tests.cell.run.small_runs import add_stop, collected_run, planned_run
 from tests.interfaces.tui.pilot import (
     PROFILES,
-    SIZES,
     SMALL,
     HeldJob,
     ended,
@@ -59,7 +54,6 @@ from tests.interfaces.tui.pilot import (
     turned_to,
     until,
 )
-from tests.interfaces.tui.test_snapshots import SNAPSHOTS, final_text, size_name, words_of
 from tests.twin import small_twin
 
 Q0 = (0.5,) * 6
@@ -78,12 +72,6 @@ EVERY_DETAIL: tuple[Detail, ...] = (
     ReferenceReport({"arm left": 0.01}, 0.1),
     ReferenceReport({"arm left": 0.034}, 0.1),
     MotionBegun(None, {"right": Q1}, {"right": Q0}, 3.0),
-)
-SWEEP = SweepLive(2, "left", "sweep-3", 16.0, "moving", 4.0, 1000, 12, 500, 3, 0, 3.4117, 0.12)
-SWEPT = (
-    replace(SWEEP, trace=tuple((0.1 * step, 90.0 + step % 7) for step in range(40))),
-    replace(SWEEP, state="searching", done_s=4.4, points=1090, lost_beams=1, point_age_s=None),
-    replace(SWEEP, done_s=9.0, points=2100, lost_beams=1, trace=tuple((9.0 + 0.1 * step, 120.0) for step in range(40))),
 )
 EVERY_KIND = (
     Progress("plan", 30, 30, "done"),
@@ -121,24 +109,6 @@ def _no_offers(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 # -- a job -------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("size", [SIZES[0], SIZES[-1]], ids=size_name)
-async def test_every_kind_of_event_and_a_sweep_are_shown_as_was_approved(size: tuple[int, int]) -> None:
-    app, screens = CellApp(PROFILES), []
-    async with app.run_test(size=size) as pilot:
-        await show_collect(pilot, app)
-        sweep = [Progress("collect", 4, 30, sweep_sentence(one), 900.0, one) for one in SWEPT]
-        for events in (EVERY_KIND, (*EVERY_KIND, *sweep)):
-            held = HeldJob(events)
-            await begun(pilot, app, held)
-            screens.append(await final_text(pilot, app))
-            for _ in range(4):
-                await pilot.press("g")
-                screens.append(await final_text(pilot, app))
-            await turned_to(pilot, "log")
-            await finished(pilot, app, held)
-    assert_approved(SNAPSHOTS / f"events-{size_name(size)}.txt", "\n".join(screens), words_of)
 
 
 # -- a run -------------------------------------------------------------------------------------------------------------

@@ -83,6 +83,11 @@ class Walk:
         self.pilot: Pilot[None]
         self.app: CellApp
 
+    def _fields(self, name: str) -> list[Input]:
+        """The fields of the screen that are called so."""
+        rows = [row.input for row in self.app.screen.query(FieldRow) if row.field_id == name]
+        return [*rows, *self.app.screen.query(f"Input#{name}, #{name} Input").results(Input)]
+
     async def step(self, what: str, rest: str) -> str:
         """Do a step; what it shows."""
         name, _, text = rest.partition(" ")
@@ -104,9 +109,8 @@ class Walk:
             case "type":  # TEXT
                 await self.pilot.press(*("space" if letter == " " else letter for letter in rest))
             case "set":  # FIELD TEXT
-                rows = [row.input for row in self.app.screen.query(FieldRow) if row.field_id == name]
-                field = rows[0] if rows else self.app.screen.query_one(f"#{name}")
-                (field if isinstance(field, Input) else field.query_one(Input)).value = text
+                await until(self.pilot, lambda: self._fields(name), f"the field '{name}'")
+                self._fields(name)[0].value = text
                 await self.pilot.pause()
             case "until":  # WORDS on the screen
                 await shows(self.pilot, rest)

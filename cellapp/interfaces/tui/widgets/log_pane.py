@@ -144,6 +144,8 @@ class LogPane(Vertical):
         self._write(self.shown[-_DRAWN:])
 
     def _write(self, rows: Iterable[LogRow]) -> None:
+        if not self.view.scrollable_content_region.width:
+            self._width = 0  # hidden: lines of no width are none; it draws again when it is shown
         time = "%H:%M:%S" if self.shows_session else "%m-%d %H:%M:%S"
         for row in rows:
             line = f"{row.at:{time}} {MARKS[row.level]} {' '.join(row.text.split())}"
