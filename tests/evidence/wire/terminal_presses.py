@@ -57,7 +57,7 @@ PLACES: Mapping[str, Place] = {
     "a text field": Place("/", "Enter: the log", "\r"),
     "the palette": Place(_CTRL_P, "Search for commands", _BESIDE),
     "the quit question": Place("q", "Quit?", _F10),
-    "the handbook": Place("h", "follows a link", _F10),
+    "the handbook": Place("h", "Up and down choose", _F10),
 }
 _TRIES = 5
 _MOVES_WITHIN_S = 8.0
