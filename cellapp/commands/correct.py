@@ -30,7 +30,7 @@ from cellapp.cell.run.samples import known_readings
 from cellapp.commands.record import Asked, Request, RunFolder, Verb, View, Work
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
 from cellapp.ground.profile import Arm
@@ -283,13 +283,8 @@ def correct_table(result: CorrectResult) -> Table:
 
     Below the motion stands the configuration nearest to its solution.
     """
-    columns = (
-        Column("line"),
-        Column("motion"),
-        Column("target (m, rad)"),
-        number_column("moves", ".3f", "mm"),
-        number_column("turns", ".3f", "mrad"),
-        number_column("sigma", ".3f", "mm"),
+    columns = columns_of(
+        "line", "motion", "target (m, rad)", ("moves", ".3f", "mm"), ("turns", ".3f", "mrad"), ("sigma", ".3f", "mm")
     )
     rows = tuple(row for target in result.targets for row in _rows(target))
     return Table(f"Targets of {result.program}", columns, rows)

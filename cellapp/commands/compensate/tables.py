@@ -19,11 +19,10 @@ from cellapp.commands.compensate.words import (
 from cellapp.commands.view.table import (
     MOST_ROWS,
     Cell,
-    Column,
     Field,
     Table,
+    columns_of,
     most_urgent,
-    number_column,
     part_table,
     table_of,
     without_empty,
@@ -68,7 +67,7 @@ def command_tables(result: CompensateResult) -> list[Table]:
         ]
         if commands:
             joints = len(commands[0][1])
-            columns = (Column("target"), *(number_column(f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)))
+            columns = columns_of("target", *((f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)))
             rows: list[tuple[Cell, ...]] = [(name, *map(math.degrees, q)) for name, q in commands]
             tables.append(part_table(f"Arm {arm}: compensated commands", columns, rows[:MOST_ROWS], len(rows)))
     return tables
@@ -241,7 +240,7 @@ def verification_tables(result: VerifyResult) -> list[Table]:
     ]
     if not rows:
         return []
-    columns = (Column("arm, command"), *ERROR_COLUMNS)
+    columns = columns_of("arm, command", *ERROR_COLUMNS)
     turned = [
         (f"{name}, {label}", *error_cells(summary))
         for name, arm in result.arms.items()

@@ -12,7 +12,7 @@ from cellapp.cell.targets.targets import Target, same_target
 from cellapp.commands.compensate.words import Measured, arms_words, shown_tolerance
 from cellapp.commands.run_results import StageResults
 from cellapp.commands.stages import change_words
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.estimation.uncertainty.budget import target_verdict
 from cellapp.ground.grouping import grouped
 from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, DecisionRule
@@ -20,18 +20,11 @@ from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, DecisionRule
 R = TypeVar("R", bound=TargetRecord)
 J = TypeVar("J", MeasuredTarget, MeasuredPair)
 
-_COLUMNS = (
-    Column("target"),
-    Column("arm"),
-    number_column("tol.", "g", "mm"),
-    Column("state"),
-    Column("error", unit="mm"),
-    Column("frame"),
-    number_column("95 %", ".3f", "mm"),
-    number_column("uncertainty", ".4f", "mm"),
-    number_column("rounds", "d"),
-    *(number_column(axis, ".1f", "mm") for axis in ("x", "y", "z")),
-    *(number_column(angle, ".2f", "°") for angle in ("roll", "pitch", "yaw")),
+_COLUMNS = columns_of(
+    *("target", "arm", ("tol.", "g", "mm"), "state", "error [mm]", "frame"),
+    *(("95 %", ".3f", "mm"), ("uncertainty", ".4f", "mm"), ("rounds", "d")),
+    *((axis, ".1f", "mm") for axis in ("x", "y", "z")),
+    *((angle, ".2f", "°") for angle in ("roll", "pitch", "yaw")),
 )
 _MEASURED_WORDS = {
     "in": "within tolerance, by its uncertainty",

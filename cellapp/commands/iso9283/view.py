@@ -11,7 +11,7 @@ from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
 from cellapp.commands.view.charts import Axis, Chart, Limit, Series, mm, series
 from cellapp.commands.view.parts import Part, Section, section_of
-from cellapp.commands.view.table import Cell, Column, Field, Table, number_column, table_of
+from cellapp.commands.view.table import Cell, Field, Table, columns_of, table_of
 from cellapp.commands.view.words import RULE_WORDS
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
 from cellapp.estimation.iso9283.records import (
@@ -217,14 +217,14 @@ def _poses(result: Iso9283Result) -> Table:
 
 def _orientations(result: Iso9283Result) -> Table:
     """Show angles about the base axes at the poses where a probe measured the orientation."""
-    columns = (
-        Column("arm"),
-        Column("commands"),
-        Column("pose"),
-        *(number_column(f"{what} {axis}", ".3f") for what in ("AP", "RP") for axis in "xyz"),
-        number_column("U(AP)", ".3f"),
-        number_column("U(RP)", ".3f"),
-        number_column("n", "d"),
+    columns = columns_of(
+        "arm",
+        "commands",
+        "pose",
+        *((f"{what} {axis}", ".3f") for what in ("AP", "RP") for axis in "xyz"),
+        ("U(AP)", ".3f"),
+        ("U(RP)", ".3f"),
+        ("n", "d"),
     )
     rows = tuple(
         (
@@ -260,14 +260,8 @@ def _series(result: Iso9283Result) -> Table:
 
 
 def _cooperative(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arms"),
-        Column("commands"),
-        Column("poses"),
-        *_pair_columns("AP", "RP"),
-        *_pair_columns("AD", "RD"),
-        number_column("n", "d"),
-    )
+    figures = ((title, ".3f") for name in ("AP", "RP", "AD", "RD") for title in (name, f"U({name})"))
+    columns = columns_of("arms", "commands", "poses", *figures, ("n", "d"))
     rows: list[tuple[Cell, ...]] = []
     for pair in result.pairs:
         for kind in ISO_COMMANDS:
@@ -329,18 +323,18 @@ def _paths(result: Iso9283Result) -> Table:
 
 
 def _velocities(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        Column("commands"),
-        Column("path"),
-        number_column("commanded", ".0f", "mm/s"),
-        number_column("AV", ".3f", "%"),
-        number_column("U(AV)", ".3f", "%"),
-        number_column("RV", ".3f", "%"),
-        number_column("FV", ".2f", "mm/s"),
-        number_column("tracker's FV", ".2f", "mm/s"),
-        number_column("n", "d"),
-        Column("programme"),
+    columns = columns_of(
+        "arm",
+        "commands",
+        "path",
+        ("commanded", ".0f", "mm/s"),
+        ("AV", ".3f", "%"),
+        ("U(AV)", ".3f", "%"),
+        ("RV", ".3f", "%"),
+        ("FV", ".2f", "mm/s"),
+        ("tracker's FV", ".2f", "mm/s"),
+        ("n", "d"),
+        "programme",
     )
     rows = [
         (
@@ -386,13 +380,13 @@ def _coverage(result: Iso9283Result) -> Table:
 
 
 def _cubes(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        number_column("edge", ".0f", "mm"),
-        *(number_column(f"centre {axis}", ".3f", "m") for axis in "xyz"),
-        Column("plane"),
-        number_column("payload", ".3f", "kg"),
-        Column("limited by"),
+    columns = columns_of(
+        "arm",
+        ("edge", ".0f", "mm"),
+        *((f"centre {axis}", ".3f", "m") for axis in "xyz"),
+        "plane",
+        ("payload", ".3f", "kg"),
+        "limited by",
     )
     rows: list[tuple[Cell, ...]] = [
         (name, cube.edge_mm, *cube.centre_B, cube.plane, result.arms[name].payload_kg, cube.limited_by)
@@ -441,11 +435,6 @@ def _pair_fields(first: str, second: str) -> Iterator[Field]:
         yield name, f"one.{attribute}.value_mm", ".3f"
         yield f"U({name})", f"one.{attribute}.expanded_mm", ".3f"
     yield "n", "one.accuracy.n", "d"
-
-
-def _pair_columns(first: str, second: str) -> tuple[Column, ...]:
-    """Build a column for each of two characteristics and its uncertainty."""
-    return tuple(number_column(title, ".3f") for name in (first, second) for title in (name, f"U({name})"))
 
 
 def _value_cells(value: IsoValue) -> tuple[Cell, Cell]:

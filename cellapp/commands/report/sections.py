@@ -61,7 +61,7 @@ from cellapp.commands.stored_model import values_in_force
 from cellapp.commands.trials.power.result import power_parts, stored_power
 from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.commands.view.words import RULE_WORDS, judged_sentence, judgement_table
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.quantities import position_errors
@@ -160,11 +160,7 @@ def controllers_section(run: RunFile, data: ReportData) -> Section | None:
         said.append(f"arm {name}: " + ", ".join(f"{whose} {off.mean():.3f} mm" for whose, off in errors.items()))
     if not rows:
         return None
-    columns = (
-        Column("arm"),
-        Column("rows"),
-        *(number_column(f"{what} [mm]", ".4f") for what in ("mean", "rms", "max")),
-    )
+    columns = columns_of("arm", "rows", *((f"{what} [mm]", ".4f") for what in ("mean", "rms", "max")))
     return Section(
         "",
         [Table("Errors at the SMR by whose rows", columns, tuple(rows))],
