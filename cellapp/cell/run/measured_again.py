@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.run.file import RunFile, check_readings, insert_readings, select_readings
 from cellapp.cell.run.records import MissingReading, ReferenceDrift
-from cellapp.cell.run.sqlite_file import Outcome, insert_outcome, schema_version, select_late, stored_columns, utc_now
+from cellapp.cell.run.sqlite_file import Outcome, insert_outcome, schema_version, stored_columns, utc_now
 from cellapp.estimation.readings.readings import Reading, Readings
 
 _SINCE = 9
@@ -148,9 +148,3 @@ def reference_drifts(run: RunFile) -> tuple[ReferenceDrift, ...]:
         )
         for row in run.references()
     )
-
-
-def late_readings(run: RunFile) -> set[tuple[int, str]]:
-    """Return the stops and arms that were only measured at a later visit; the number of visits is not stored."""
-    with run.look() as connection:
-        return select_late(connection)

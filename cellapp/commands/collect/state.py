@@ -22,7 +22,6 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.columns import POINT
 from cellapp.cell.run.measured_again import (
     earlier_readings,
-    late_readings,
     missing_readings,
     missing_share,
     reference_drifts,
@@ -107,7 +106,7 @@ def _stops(
 ) -> Iterator[CollectedStop]:
     """Yield the measured stops of each arm."""
     earlier = Counter((one.stop, one.arm) for one in replaced)
-    late = late_readings(run)
+    late = run.late()
     for name, stops in numbers.items():
         its, none = residuals.get(name), [None] * len(stops)
         lengths, sigmas = (none, none) if its is None else ((its.length_m * 1e3).tolist(), (its.sigma_m * 1e3).tolist())
