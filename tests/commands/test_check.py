@@ -22,7 +22,7 @@ from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.locate.run import locate_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.push.run import push_run
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import stage_in_force

@@ -16,8 +16,8 @@ from cellapp.commands.iso9283.request import VERB, Iso9283Request
 from cellapp.commands.iso9283.run import iso9283_run, opened_run
 from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
 from cellapp.commands.report.data import read_report_data
-from cellapp.commands.report.result import read_results
 from cellapp.commands.report.sections import report_sections
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.view.charts import Chart
 from cellapp.estimation.iso9283.records import Iso9283Result

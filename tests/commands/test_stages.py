@@ -17,8 +17,8 @@ from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.push.run import push_run
-from cellapp.commands.report.result import read_results
 from cellapp.commands.report.run import report_run
+from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import CALIBRATION_FILE, NOT_RECORDED, read_stages, readings_digest
 from cellapp.ground.errors import InputError

@@ -21,7 +21,7 @@ from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.certificate.result import CertificateResult
 from cellapp.commands.certificate.statement import CertificateInput, Controller, certificate_of
 from cellapp.commands.record import Work
-from cellapp.commands.run_results import read_stage_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import (
     CERTIFICATE_FILE,
     Basis,
@@ -190,7 +190,7 @@ def _input(run: RunFile, profile: Profile, basis: Basis, stages: RunStages, aske
         issued=asked.written.astimezone(UTC).isoformat(timespec="seconds"),
         program=program_of(profile),
         profile=profile,
-        results=read_stage_results(run, stages),
+        results=read_results(run, stages),
         conditions=measured_conditions(readings),
         controllers={
             name: Controller(one.model, one.serial, one.software) for name, one in recorded_controllers(run).items()

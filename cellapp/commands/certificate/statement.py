@@ -18,8 +18,7 @@ from cellapp.commands.certificate.result import (
     CertifiedTarget,
     CertifiedTests,
 )
-from cellapp.commands.run_results import StageResults, evidence_of
-from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.commands.run_results import RunResults, evidence_of
 from cellapp.estimation.iso9283.records import CommandedTests, IsoValue
 from cellapp.estimation.uncertainty.budget import (
     MeasuredConditions,
@@ -32,7 +31,7 @@ from cellapp.estimation.uncertainty.records import Characteristic, UncertaintyCo
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Instrument
-from cellapp.ground.results import BEST_METHODS, CALIBRATE, CERTIFICATE, COMPENSATE, ISO9283, VERIFY
+from cellapp.ground.results import BEST_METHODS, CERTIFICATE, VERIFY
 from cellapp.ground.times import day_of
 
 _METHOD = (
@@ -70,7 +69,7 @@ class CertificateInput:
     issued: str
     program: str
     profile: Profile
-    results: StageResults
+    results: RunResults
     conditions: Mapping[str, MeasuredConditions]
     controllers: Mapping[str, Controller]
     measured: tuple[str, ...]
@@ -141,8 +140,8 @@ def _arm(
     )
 
 
-def _errors(results: StageResults, arm: str) -> CertifiedErrors:
-    verify, calibrate = held_verification(results), _calibration(results)
+def _errors(results: RunResults, arm: str) -> CertifiedErrors:
+    verify, calibrate = held_verification(results), results.held.calibrate
     calibrated = None if calibrate is None else calibrate.arms.get(arm)
     predicted = {} if calibrated is None else calibrated.validate_
     return _measured(None if verify is None else verify.arms.get(arm)).model_copy(
@@ -155,8 +154,8 @@ def _errors(results: StageResults, arm: str) -> CertifiedErrors:
     )
 
 
-def _pair(results: StageResults) -> CertifiedErrors:
-    verify, calibrate = held_verification(results), _calibration(results)
+def _pair(results: RunResults) -> CertifiedErrors:
+    verify, calibrate = held_verification(results), results.held.calibrate
     predicted = {} if calibrate is None else calibrate.pair
     best = next((predicted[method].cooperative_mm for method in BEST_METHODS if method in predicted), None)
     return _measured(None if verify is None else verify.cooperative).model_copy(
@@ -193,9 +192,9 @@ def _targets(verify: VerifyResult | None) -> tuple[CertifiedTarget, ...]:
     )
 
 
-def _tests(results: StageResults) -> CertifiedTests | None:
+def _tests(results: RunResults) -> CertifiedTests | None:
     """Return the largest value of each characteristic that the test by ISO 9283 measured, while it holds."""
-    tested = None if ISO9283 in results.out_of_date else results.iso9283
+    tested = results.held.iso9283
     if tested is None:
         return None
     return CertifiedTests(
@@ -227,14 +226,10 @@ def _largest(tests: CommandedTests) -> dict[Characteristic, IsoValue]:
     return {name: max(found, key=lambda one: abs(one.value_mm)) for name, found in measured.items() if found}
 
 
-def _calibration(results: StageResults) -> CalibrateResult | None:
-    return None if CALIBRATE in results.out_of_date else results.calibrate
-
-
 # -- words ------------------------------------------------------------------------------------------------------------
 
 
-def _unverified(profile: Profile, results: StageResults) -> list[str]:
+def _unverified(profile: Profile, results: RunResults) -> list[str]:
     if VERIFY in results.out_of_date:
         why = results.out_of_date[VERIFY]
         return [f"not verified: the verification is out of date ({why}); its figures are left out"]
@@ -247,7 +242,7 @@ def _unverified(profile: Profile, results: StageResults) -> list[str]:
     ]
 
 
-def _limits(results: StageResults, verify: VerifyResult | None) -> list[str]:
+def _limits(results: RunResults, verify: VerifyResult | None) -> list[str]:
     """Say for what the as-left figures hold, and what they do not cover."""
     if verify is None:
         return []
@@ -278,13 +273,13 @@ def _not_measured(arm: str, names: Sequence[str], count: int) -> list[str]:
     ]
 
 
-def _conditions(results: StageResults, arm: str) -> list[str]:
+def _conditions(results: RunResults, arm: str) -> list[str]:
     """State the working conditions of the commands, and by how much other conditions move the SMR."""
-    if results.compensate is None or COMPENSATE in results.out_of_date:
+    if (compensate := results.held.compensate) is None:
         return []
     largest: dict[str, float] = {}
     effects: dict[str, list[str]] = {}
-    for command in results.compensate.targets:
+    for command in compensate.targets:
         for one in command.unknown if command.arm == arm else ():
             largest[one.condition] = max(one.mm, largest.get(one.condition, 0.0))
             effects[one.condition] = [*effects.get(one.condition, []), *one.effects]

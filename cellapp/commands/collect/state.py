@@ -28,14 +28,13 @@ from cellapp.cell.run.measured_again import (
 )
 from cellapp.cell.run.recordings import read_stream, recording_states
 from cellapp.cell.run.records import MissingReading
-from cellapp.commands.run_results import StageResults
+from cellapp.commands.run_results import RunResults
 from cellapp.estimation.calibration.online import Residuals
 from cellapp.estimation.calibration.records import ArmCalibrationResult
 from cellapp.estimation.readings import Readings
-from cellapp.ground.results import CALIBRATE
 
 
-def collection_state(run: RunFile, results: StageResults | None = None) -> CollectionResult | None:
+def collection_state(run: RunFile, results: RunResults | None = None) -> CollectionResult | None:
     """Return sessions, missing readings, reference drift, standard errors, stops; None if no session was recorded.
 
     ``results`` of the run give the residuals of the stops after calibration.
@@ -90,11 +89,10 @@ def _stop_by_stop(rows: Readings) -> Readings:
     return rows.take(np.unique(rows.configuration, return_index=True)[1])
 
 
-def _calibrated(results: StageResults | None) -> Mapping[str, ArmCalibrationResult]:
+def _calibrated(results: RunResults | None) -> Mapping[str, ArmCalibrationResult]:
     """Return the calibration of each arm, while it holds."""
-    if results is None or results.calibrate is None or CALIBRATE in results.out_of_date:
-        return {}
-    return results.calibrate.arms
+    calibrate = None if results is None else results.held.calibrate
+    return {} if calibrate is None else calibrate.arms
 
 
 def _stops(

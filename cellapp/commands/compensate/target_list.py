@@ -10,7 +10,7 @@ from typing import TypeVar
 from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, TargetCommand, TargetRecord
 from cellapp.cell.targets.targets import Target, same_target
 from cellapp.commands.compensate.words import Measured, arms_words, shown_tolerance
-from cellapp.commands.run_results import StageResults
+from cellapp.commands.run_results import RunResults
 from cellapp.commands.stages import change_words
 from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.estimation.uncertainty.budget import target_verdict
@@ -89,7 +89,7 @@ class TargetState:
         return bool(self.refusals or self.notes) or self.verdict in ("out", "cannot say")
 
 
-def stored_state(results: StageResults, name: str) -> TargetState | None:
+def stored_state(results: RunResults, name: str) -> TargetState | None:
     """Return the newest results of a run for the target of this name; None if there are none."""
     pushed = results.verify or results.push
     commands = () if results.compensate is None else _named(results.compensate.targets, name)
@@ -106,12 +106,12 @@ def _named(stored: Sequence[R], name: str) -> tuple[R, ...]:
     return tuple(entry for entry in stored if entry.name == name)
 
 
-def target_state(target: Target, results: StageResults | None) -> TargetState:
+def target_state(target: Target, results: RunResults | None) -> TargetState:
     """Return what the run knows about one target."""
     return target_states((target,), results)[0]
 
 
-def target_states(targets: Sequence[Target], results: StageResults | None) -> list[TargetState]:
+def target_states(targets: Sequence[Target], results: RunResults | None) -> list[TargetState]:
     """Return what the run knows about each target; a result counts only if the target has not changed since.
 
     A measurement also counts after a change of the tolerance and is then judged by the new one, as the SMR's position
@@ -141,12 +141,12 @@ def target_states(targets: Sequence[Target], results: StageResults | None) -> li
     return states
 
 
-def target_list(targets: Sequence[Target], results: StageResults | None) -> Table:
+def target_list(targets: Sequence[Target], results: RunResults | None) -> Table:
     """Show each target with its state."""
     return Table("Targets", _COLUMNS, tuple(map(_row, targets, target_states(targets, results))))
 
 
-def target_words(target: Target, results: StageResults | None) -> str:
+def target_words(target: Target, results: RunResults | None) -> str:
     """State what the run knows about one target, and its position."""
     x, y, z = (f"{value * 1e3:.1f}" for value in target.position)
     rotation = "any rotation"
@@ -157,7 +157,7 @@ def target_words(target: Target, results: StageResults | None) -> str:
     return f"{target.name}: {state}.\nx {x}, y {y}, z {z} mm{frame}; {rotation}"
 
 
-def stale_model(results: StageResults) -> str:
+def stale_model(results: RunResults) -> str:
     """Say why the model in force should not be used; empty if it holds."""
     located = results.locate
     if located is not None and located.verdict != "located":
@@ -166,7 +166,7 @@ def stale_model(results: StageResults) -> str:
     reasons = [
         f"'{name}' is out of date ({results.out_of_date[name]})" for name in asked if name in results.out_of_date
     ]
-    if (checked := results.held_check) is not None and checked.found_change:
+    if (checked := results.held.check) is not None and checked.found_change:
         reasons.append(change_words(checked.verdict))
     return "; ".join(reasons)
 

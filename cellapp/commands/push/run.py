@@ -21,7 +21,7 @@ from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.station import profile_at_station
 from cellapp.commands.push.request import VERB, PushRequest
 from cellapp.commands.record import Request, View, Work
-from cellapp.commands.run_results import evidence_of, read_stage_results
+from cellapp.commands.run_results import evidence_of, read_results
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, require_own_factory, stage_in_force
 from cellapp.commands.view.parts import Part
@@ -152,14 +152,14 @@ def _judged(pushed: VerifyResult, judge: Judge, notes: Sequence[str], *, verify:
 
 def judge_of(run: RunFile, profile: Profile) -> Judge:
     """Return the judge of a run's tolerances, with the uncertainty from its results and readings."""
-    results = read_stage_results(run)
+    results = read_results(run)
     measured = measured_conditions(all_known_readings(run))
     return Judge(profile, {name: evidence_of(results, name, measured.get(name)) for name in profile.arms})
 
 
 def _repeatability_m(run: RunFile) -> dict[str, float]:
     """Return each arm's standard deviation of a coordinate over repeated stops [m], tracker included, if known."""
-    calibrated = read_stage_results(run).calibrate
+    calibrated = read_results(run).calibrate
     if calibrated is None:
         return {}
     return {

@@ -8,7 +8,8 @@ from pathlib import Path
 from cellapp.cell.run import RunFile
 from cellapp.commands.record import Work
 from cellapp.commands.report.request import ReportRequest
-from cellapp.commands.report.result import ReportResult, read_results, shown_by
+from cellapp.commands.report.result import ReportResult, shown_by
+from cellapp.commands.run_results import read_results
 
 PageWriter = Callable[[RunFile], Path]
 """Writes the page of a run into its folder and returns the page's path."""

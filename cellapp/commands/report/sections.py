@@ -68,7 +68,7 @@ from cellapp.estimation.calibration.quantities import position_errors
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Arm, Profile
-from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, LOCATE, PATH, Provenance, StageName
+from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, Provenance, StageName
 from cellapp.ground.times import day_of
 from cellapp.ground.version import __version__
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
@@ -362,7 +362,7 @@ def _accuracy_message(data: ReportData) -> str:
 
 def _targets(data: ReportData) -> Section | None:
     """Show targets that were compensated or measured, if that holds."""
-    compensate = None if COMPENSATE in data.out_of_date else data.results.compensate
+    compensate = data.results.held.compensate
     if compensate is None and data.verify is None:
         return None
     floors_mm = {name: arm.tracker_mm for name, arm in data.calibrate.arms.items()}
@@ -381,7 +381,7 @@ def _iso9283(data: ReportData) -> Section | None:
 
 def _check(data: ReportData) -> Section | None:
     """Show a check if it holds: a check of another model says nothing."""
-    result = data.results.held_check
+    result = data.results.held.check
     about = (
         "A few stops were measured again and compared with what the stored model expects there; 'cellapp docs check'"
         " explains how that is judged."
@@ -399,13 +399,13 @@ def _discovery(data: ReportData) -> Section | None:
 
 
 def _paths(data: ReportData) -> Section | None:
-    result = data.results.path
-    return None if result is None or PATH in data.out_of_date else paths_section(result)
+    result = data.results.held.path
+    return None if result is None else paths_section(result)
 
 
 def _station(data: ReportData) -> Section | None:
-    located = data.results.locate
-    if located is None or not located.moved or LOCATE in data.out_of_date:
+    located = data.results.held.locate
+    if located is None or not located.moved:
         return None
     about = "The tracker was moved after the readings were taken; what follows was measured from where it stands now."
     return section_of("", locate_view(located).parts, about=about)

@@ -21,9 +21,10 @@ from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import default_folder, new_planned_run
 from cellapp.commands.push.run import push_targets
 from cellapp.commands.record import Request, View, Work
-from cellapp.commands.report.result import RunResults, read_results, shown_by
+from cellapp.commands.report.result import shown_by
 from cellapp.commands.report.run import PageWriter
 from cellapp.commands.run.request import RunRequest
+from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.view.parts import Part
 from cellapp.ground.control import JobControl
 from cellapp.ground.progress import Listener, ignore

@@ -8,7 +8,7 @@ from pydantic import SerializeAsAny
 
 from cellapp.cell.run.records import ArmOrder, RecordingState
 from cellapp.commands.next_step import ArmState
-from cellapp.commands.report.result import RunResults
+from cellapp.commands.run_results import RunResults
 from cellapp.commands.stages import NextVerb
 from cellapp.ground.results import Record, Result, StageName
 

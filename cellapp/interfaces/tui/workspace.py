@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from cellapp.cell.planning.records import PlanDesignResult
     from cellapp.commands.conclusions import Conclusion
     from cellapp.commands.plan.result import StopsResult
-    from cellapp.commands.report.result import RunResults
+    from cellapp.commands.run_results import RunResults
     from cellapp.commands.show.result import OverviewResult
     from cellapp.estimation.uncertainty.records import Conformity
     from cellapp.ground.profile import CellKind, Profile
@@ -156,7 +156,7 @@ def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) 
     from cellapp.commands.collect.state import collection_state
     from cellapp.commands.conclusions import conformity, stage_conclusions
     from cellapp.commands.plan.run import planned_stops
-    from cellapp.commands.report.result import read_results
+    from cellapp.commands.run_results import read_results
     from cellapp.commands.show.overview import run_overview
 
     with RunFile.open(folder) as run:

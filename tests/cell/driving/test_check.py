@@ -25,8 +25,8 @@ from cellapp.commands.locate.run import locate_run, typed_pose
 from cellapp.commands.locate.station import excess_of_readings
 from cellapp.commands.locate.view import location_sentences, location_tables
 from cellapp.commands.push.run import push_run
-from cellapp.commands.report.result import read_results
 from cellapp.commands.report.run import report_run
+from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force

@@ -34,7 +34,7 @@ from cellapp.commands.compensate.view import view as compensated_view
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.export.run import export_commands
 from cellapp.commands.push.run import push_run
-from cellapp.commands.run_results import read_stage_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.quantities import measurement_conditions
@@ -138,7 +138,7 @@ def test_what_is_predicted_of_the_rotation_holds_when_it_is_measured(run: RunFil
 
 
 def test_the_nominal_command_is_off_by_what_was_predicted(run: RunFile, verified: VerifyResult) -> None:
-    stored = read_stage_results(run).compensate
+    stored = read_results(run).compensate
     assert stored is not None
     for command, measured in zip(stored.targets, verified.targets, strict=True):
         assert command.orientation is not None
@@ -164,7 +164,7 @@ def test_verdicts_follow_the_one_rule(run: RunFile, model: CellModel) -> None:
 
 def test_a_stored_measurement_is_judged_by_another_tolerance(run: RunFile, verified: VerifyResult) -> None:
     target = LEFT[0].model_copy(update={"orientation_tolerance": 1e-6})
-    (state,) = target_states([target], read_stage_results(run))
+    (state,) = target_states([target], read_results(run))
     assert state.verdict == "cannot say"  # some 0.05 mrad are more than a thousandth, not more than U and it
     assert state.measured[0].orientation_tolerance_mrad == pytest.approx(1e-3)
     assert not same_target(target, verified.targets[0])

@@ -26,7 +26,7 @@ from cellapp.cell.targets.targets import Target, load_targets, same_target
 from cellapp.commands.compensate.tables import predicted_tables, verification_tables
 from cellapp.commands.compensate.words import verify_lines
 from cellapp.commands.push.run import judge_of, push_run
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.estimation.uncertainty.budget import Judge
 from cellapp.ground.control import JobControl

@@ -34,7 +34,7 @@ from cellapp.commands.compensate.view import paths_view
 from cellapp.commands.compensate.words import verify_lines
 from cellapp.commands.push.run import push_run
 from cellapp.commands.record import Work
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of
 from cellapp.ground.control import JobControl

@@ -27,7 +27,7 @@ from cellapp.commands.export.run import export_as_run
 from cellapp.commands.import_ import import_new_run
 from cellapp.commands.init.own_data import OwnData, write_own_data
 from cellapp.commands.push.run import push_run
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Cancelled

@@ -15,7 +15,7 @@ import pytest
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.commands.certificate.result import CertificateResult
 from cellapp.commands.certificate.run import PAGE_FILE, SUMS_FILE, certificate_run
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import CERTIFICATE_FILE, append_stage, complaints_of, read_stages
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

@@ -17,7 +17,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.targets.invert import invert
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_result
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.commands.trials.blind import Noise, blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm

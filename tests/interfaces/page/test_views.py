@@ -45,8 +45,8 @@ from cellapp.commands.plan.run import new_planned_run, plan_new_run, stored_plan
 from cellapp.commands.plan.view import plan_section
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.headlines import out_of_date_lines
-from cellapp.commands.report.result import RunResults, read_results
 from cellapp.commands.report.sections import report_sections
+from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.view import overview_sentences
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages

@@ -24,7 +24,7 @@ from cellapp.commands.compensate.target_list import stale_model
 from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
 from cellapp.commands.record import Request
 from cellapp.commands.report.request import VERB as REPORT
-from cellapp.commands.report.result import RunResults
+from cellapp.commands.run_results import RunResults
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, StageName
 from cellapp.interfaces.tui import work

@@ -44,7 +44,7 @@ from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Request
-from cellapp.commands.report.result import RunResults
+from cellapp.commands.run_results import RunResults
 from cellapp.commands.view.parts import Part
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
