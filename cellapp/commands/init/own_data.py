@@ -7,7 +7,6 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import yaml
@@ -18,12 +17,14 @@ from cellapp.cell.profile.starters import FOLDER, READINGS, arm_type_files
 from cellapp.cell.run.columns import UNITS_OF_TIME, AngleUnit, LengthUnit, usual_step
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short, table_text
 from cellapp.cell.run.recorded_csv import Choose, Recorded, converted, nobody, read_recorded
+from cellapp.commands.init.request import InitRequest
 from cellapp.estimation.calibration.quantities import repeats_words
 from cellapp.estimation.calibration.registration import COMPUTED, Explained, better_reading, explained
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile.schema import ArmType
+from cellapp.ground.results import Result
 from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import Array
@@ -119,63 +120,33 @@ _SMOOTH, _JUMPS = 0.02, 0.1
 """Steps of the joints from row to row, as a share of their range: below the first a motion, above the second stops."""
 
 
-@dataclass(frozen=True)
-class OwnData:
-    """What is known about recorded readings.
+class InitResult(Result, schema="cellapp-init"):
+    """``init``: the profile that was written, and what is to be known about it; ``readings`` are the converted ones,
+    ``joints`` and ``points`` the files of a recording of motion, ``smr`` the one of two SMRs that ``import`` takes."""
 
-    Attributes
-    ----------
-    readings : Path
-        A text file of joint positions and points, in any columns.
-    arm : str
-        Short name of an arm type of this program, or a file: an arm type (YAML) or D-H rows (CSV). Empty: ask for it.
-    modified : bool
-        Whether the D-H rows of a CSV file are modified ones (Craig).
-    angles, lengths : unit or ""
-        Units of joint positions and points if the file has none; empty: derived, else asked for.
-    name : str
-        Name of the profile; that of the file if empty.
-    columns : tuple of str
-        Columns that count where two may be meant.
-    rows : "stops", "motion" or ""
-        What the rows are; empty: derived, else asked for.
-    """
-
-    readings: Path
-    arm: str = ""
-    modified: bool = False
-    angles: AngleUnit | Literal[""] = ""
-    lengths: LengthUnit | Literal[""] = ""
-    name: str = ""
-    columns: tuple[str, ...] = ()
-    rows: Literal["stops", "motion", ""] = ""
-
-
-@dataclass(frozen=True)
-class OwnDataWritten:
-    """The written files, and how the data were understood; readings are None for recordings of motion, whose points may
-    be in the same file. ``smr`` is the one of two SMRs that the next command takes."""
-
-    profile: Path
-    readings: Path | None
-    notes: tuple[str, ...]
-    points_beside: bool = False
+    profile: str
+    notes: tuple[str, ...] = ()
+    readings: str | None = None
+    joints: str | None = None
+    points: str | None = None
     smr: str | None = None
+    omitted_when_none = frozenset({"readings", "joints", "points", "smr"})
 
 
-def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs: Outputs = NEW_ONLY) -> OwnDataWritten:
-    """Write profile, arm type and readings in SI units below ``folder``.
+def write_own_data(own: InitRequest, choose: Choose = nobody, outputs: Outputs = NEW_ONLY) -> InitResult:
+    """Write profile, arm type and readings in SI units below the folder of the request.
 
     Raises
     ------
     InputError
         If readings or rows cannot be understood, an answer is missing and nobody can be asked, or a file exists.
     """
-    looked = read_recorded(own.readings, own.columns, choose, most=_LOOKED_AT)
+    assert own.readings is not None
+    folder, looked = own.folder, read_recorded(own.readings, own.column, choose, most=_LOOKED_AT)
     rows, ground = _rows_are(own, looked, choose)
     types = _types(own, len(looked.joints))
     if rows == "motion":
-        return _for_recordings(own, looked, types, folder, outputs)
+        return _for_recordings(own, own.readings, looked, types, outputs)
     recorded = read_recorded(own.readings, looked.taken, choose)
     angles, lengths = _decided_units(own, recorded, types, choose)
     q, p_M = recorded.of_one_point(angles, lengths)
@@ -203,10 +174,11 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
         *((words,) if (words := repeats_words(q, p_M)) else ()),
         _judged(arm_type, q, p_M, own.modified),
     )
-    return OwnDataWritten(profile, readings, notes, smr=names[0] if len(names) == 2 else None)
+    smr = names[0] if len(names) == 2 else None
+    return InitResult(profile=str(profile), notes=notes, readings=str(readings), smr=smr)
 
 
-def _rows_are(own: OwnData, recorded: Recorded, choose: Choose) -> tuple[str, tuple[str, ...]]:
+def _rows_are(own: InitRequest, recorded: Recorded, choose: Choose) -> tuple[str, tuple[str, ...]]:
     """Return whether the rows are "stops" or samples of a "motion", and a sentence on what was derived.
 
     Rows seconds apart are stops; rows without points are joint positions of a motion, whose points stand elsewhere.
@@ -218,7 +190,7 @@ def _rows_are(own: OwnData, recorded: Recorded, choose: Choose) -> tuple[str, tu
             " row, a recording of a motion needs a column of time, such as time_s"
         )
     if own.rows or not recorded.points:
-        return own.rows if recorded.points else "motion", ()
+        return (own.rows if own.rows and recorded.points else "motion"), ()
     if stamps is None or len(stamps) < _SWIFT_ROWS or not (np.diff(stamps) >= 0.0).all():
         return "stops", ()
     step, units = usual_step(stamps), [recorded.clock] if recorded.clock else [*UNITS_OF_TIME.values()]
@@ -242,25 +214,27 @@ def _clock_of_stops(recorded: Recorded) -> float | None:
 
 
 def _for_recordings(
-    own: OwnData, recorded: Recorded, types: list[_Type], folder: Path, outputs: Outputs
-) -> OwnDataWritten:
+    own: InitRequest, joints: Path, recorded: Recorded, types: list[_Type], outputs: Outputs
+) -> InitResult:
     """Write the profile and arm type for recordings of motion; this file has the joints."""
     if not own.arm:
         words = ", ".join(one.name for one in types)
         raise InputError(
-            f"{own.readings}: joint positions of a motion; which arm? Give --arm NAME ({words}), the file of an arm"
+            f"{joints}: joint positions of a motion; which arm? Give --arm NAME ({words}), the file of an arm"
             " type, or one of D-H rows"
         )
-    name = own.name or own.readings.stem.lower().replace(" ", "-")
+    name = own.name or joints.stem.lower().replace(" ", "-")
+    folder = own.folder
     profile = folder / FOLDER / f"{name}.yaml"
     text = _profile_text(name, recorded.arms or (ARM,), types[0].file, 100, Path("READINGS.csv"), profile)
-    points = own.readings if recorded.points else "FILE"
-    streams = f"--joints {shell_word(own.readings)} --points {shell_word(points)}"
+    points = joints if recorded.points else "FILE"
+    streams = f"--joints {shell_word(joints)} --points {shell_word(points)}"
     head = f"# For recordings of motion: `cellapp import {shell_word(profile)} {streams} --run DIR`.\n"
     write_new({folder / FOLDER / types[0].file: types[0].text, profile: head + text}, outputs)
     where = "the points of the tracker stand beside them" if recorded.points else "the points come from another file"
-    note = f"{own.readings}: joint positions of a motion, {len(recorded.joints)} joints; {where}"
-    return OwnDataWritten(profile, None, (note, *recorded.notes), recorded.points)
+    note = f"{joints}: joint positions of a motion, {len(recorded.joints)} joints; {where}"
+    points_beside = str(joints) if recorded.points else None
+    return InitResult(profile=str(profile), notes=(note, *recorded.notes), joints=str(joints), points=points_beside)
 
 
 # -- arm types --------------------------------------------------------------------------------------------------------
@@ -288,9 +262,10 @@ class _Type:
         return np.array([[joint.theta, joint.d, joint.a, joint.alpha] for joint in self.content.joints])
 
 
-def _types(own: OwnData, joints: int) -> list[_Type]:
+def _types(own: InitRequest, joints: int) -> list[_Type]:
     """Return the named type, else all types of this program with this number of joints."""
-    path = Path(own.arm)
+    arm = own.arm or ""
+    path = Path(arm)
     if own.arm and path.suffix.lower() in (".yaml", ".yml", ".csv"):
         notes, other = tuple[str, ...](), None
         if path.suffix.lower() == ".csv":
@@ -300,11 +275,11 @@ def _types(own: OwnData, joints: int) -> list[_Type]:
             text = _read(path)
         found = [_Type(path.stem, f"arms/{path.stem.lower()}.yaml", text, arm_type_of_text(text, path), notes, other)]
     else:
-        found = [one for one in _all_arms() if own.arm in ("", one.name)]
+        found = [one for one in _all_arms() if arm in ("", one.name)]
     if not found:
         known = ", ".join(file.stem for file in arm_type_files())
         raise InputError(
-            f"--arm: '{own.arm}' is no arm that comes with cellapp; there are {known}. Give the file of an arm type"
+            f"--arm: '{arm}' is no arm that comes with cellapp; there are {known}. Give the file of an arm type"
             " (.yaml), or of D-H rows (.csv)"
         )
     fitting = [one for one in found if len(one.content.joints) == joints]
@@ -333,7 +308,7 @@ def _read(path: Path) -> str:
         raise InputError(f"--arm: {path} is no text in UTF-8; give the file of an arm type") from None
 
 
-def _decided_type(own: OwnData, types: list[_Type], q: Array, p_M: Array, choose: Choose) -> _Type:
+def _decided_type(own: InitRequest, types: list[_Type], q: Array, p_M: Array, choose: Choose) -> _Type:
     """Return the named type; else ask a person, listing first the types that explain the readings."""
     if own.arm:
         return types[0]
@@ -353,7 +328,7 @@ def _decided_type(own: OwnData, types: list[_Type], q: Array, p_M: Array, choose
 
 
 def _decided_units(
-    own: OwnData, recorded: Recorded, types: list[_Type], choose: Choose
+    own: InitRequest, recorded: Recorded, types: list[_Type], choose: Choose
 ) -> tuple[AngleUnit, LengthUnit]:
     """Return the units: as given, as in the file, as the only ones that explain the points, or as a person says."""
     angles, lengths = own.angles or recorded.angles, own.lengths or recorded.lengths

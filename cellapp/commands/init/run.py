@@ -8,49 +8,19 @@ from pathlib import Path
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import readings_of, write_starter
 from cellapp.commands.init.answers import write_answers
-from cellapp.commands.init.own_data import OwnData, write_own_data
+from cellapp.commands.init.own_data import InitResult, write_own_data
 from cellapp.commands.init.request import InitRequest
 from cellapp.commands.record import Request, View, Work
-from cellapp.ground.results import Result
 from cellapp.ground.shell import shell_word
 from cellapp.ground.starters import TWIN
-
-
-class InitResult(Result, schema="cellapp-init"):
-    """``init``: the profile that was written, and what is to be known about it; ``readings`` are the converted ones,
-    ``joints`` the file of joint positions of a motion, ``points`` that of its points, where it is known, ``smr`` the
-    one of two SMRs that is taken."""
-
-    profile: str
-    notes: tuple[str, ...] = ()
-    readings: str | None = None
-    joints: str | None = None
-    points: str | None = None
-    smr: str | None = None
-    omitted_when_none = frozenset({"readings", "joints", "points", "smr"})
 
 
 def run(request: InitRequest, work: Work) -> InitResult:
     """Write the profile; ask for missing data of recorded readings."""
     if request.readings is not None:
-        given = OwnData(
-            request.readings,
-            request.arm or "",
-            request.modified,
-            request.angles or "",
-            request.lengths or "",
-            request.name or "",
-            request.column,
-            request.rows or "",
-        )
-        own = write_own_data(given, request.folder, work.choose, work.outputs)
-        if own.readings is None:
-            joints, points = str(request.readings), str(request.readings) if own.points_beside else None
-            return InitResult(profile=str(own.profile), notes=own.notes, joints=joints, points=points)
-        return InitResult(profile=str(own.profile), notes=own.notes, readings=str(own.readings), smr=own.smr)
+        return write_own_data(request, work.choose, work.outputs)
     if request.answers is not None:
-        written = write_answers(request.answers, request.folder)
-        return InitResult(profile=str(written.path), notes=written.notes)
+        return write_answers(request.answers, request.folder)
     starter = TWIN if request.starter is None else request.starter
     return InitResult(profile=str(write_starter(starter, request.folder)))
 

@@ -77,8 +77,9 @@ def own_readings(request: InitRequest) -> Job:
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.profile import load_profile
         from cellapp.commands.import_ import import_new_run
+        from cellapp.commands.init.own_data import InitResult
         from cellapp.commands.init.request import VERB as INIT
-        from cellapp.commands.init.run import InitResult, view
+        from cellapp.commands.init.run import view
         from cellapp.ground.errors import InputError
 
         written = verb_job(INIT, request).work(listener, control, ask)

@@ -25,7 +25,8 @@ from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.export.run import export_as_run
 from cellapp.commands.import_ import import_new_run
-from cellapp.commands.init.own_data import OwnData, write_own_data
+from cellapp.commands.init.own_data import write_own_data
+from cellapp.commands.init.request import InitRequest
 from cellapp.commands.push.run import push_run
 from cellapp.commands.run_results import read_results
 from cellapp.ground.control import JobControl
@@ -228,8 +229,8 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     p_M = smr_positions(TRUE, q) + np.random.default_rng(7).normal(0.0, 1e-5, (120, 3))
     rows = [",".join(f"{v:.9f}" for v in (*a, *b)) for a, b in zip(q, p_M, strict=True)]
     (folder / "mine.csv").write_text("\n".join(["q1,q2,q3,q4,q5,q6,x_m,y_m,z_m", *rows]))
-    written = write_own_data(OwnData(folder / "mine.csv", arm="ur5"), folder)
-    import_new_run(load_profile(written.profile), written.readings, folder / "run")
+    written = write_own_data(InitRequest(folder=folder, readings=folder / "mine.csv", arm="ur5"))
+    import_new_run(load_profile(Path(written.profile)), Path(written.readings or ""), folder / "run")
     with RunFile.open(folder / "run", write=True) as run:
         calibrate_run(run)
     return folder / "run"
