@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 import re
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from cellapp.cell.run.recordings import recording_states
 from cellapp.cell.run.samples import all_known_readings
 from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.certificate.result import CertificateResult
-from cellapp.commands.certificate.statement import CertificateInput, Controller, certificate_of
+from cellapp.commands.certificate.statement import CertificateInput, certificate_of
 from cellapp.commands.record import Work
 from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import (
@@ -52,16 +51,6 @@ _NUMBER = re.compile(rf"(?=.{{1,{_LONGEST_NUMBER}}}$)[\w./+-]+(?: [\w./+-]+)*", 
 """Pattern of a number that fits into a file name and a heading."""
 PageOf = Callable[[CertificateResult], str]
 """Draws the page of a certificate as HTML."""
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """The request: number (empty for a new one), time, names of the files, hashes of those that it rests on."""
-
-    number: str
-    written: datetime
-    files: tuple[str, ...]
-    rests_on: Mapping[str, str]
 
 
 def run(request: CertificateRequest, work: Work) -> CertificateResult:
@@ -127,18 +116,27 @@ def certificate_run(
     with tempfile.TemporaryDirectory(prefix="cellapp-certificate-") as temporary:
         made = Path(temporary)
         certified = _certified_files(run, stages, data, made)
-        asked = _Asked(
-            number=_checked_number(number),
-            written=now or datetime.now(UTC),
+        written_at = now or datetime.now(UTC)
+        rests_on = {name: _sum(made / name) for name in certified}
+        given = CertificateInput(
+            number=_checked_number(number) or _new_number(run, profile, written_at, basis),
+            run=str(run.folder),
+            issued=written_at.astimezone(UTC).isoformat(timespec="seconds"),
+            program=program_of(profile),
+            profile=profile,
+            results=read_results(run, stages),
+            conditions=measured_conditions(all_known_readings(run)),
+            controllers=recorded_controllers(run),
+            measured=_times_of_measuring(run, stages),
+            rests_on=rests_on,
             files=(*shown, SUMS_FILE),
-            rests_on={name: _sum(made / name) for name in certified},
         )
-        result = certificate_of(_input(run, profile, basis, stages, asked))
+        result = certificate_of(given)
         RENEWED.write_text(made / CERTIFICATE_FILE, result.to_json(indent=1) + "\n")
         RENEWED.write_text(made / PAGE_FILE, page(result))
-        sums = {**{name: _sum(made / name) for name in shown}, **asked.rests_on}
+        sums = {**{name: _sum(made / name) for name in shown}, **rests_on}
         RENEWED.write_text(made / SUMS_FILE, "".join(f"{digest}  {name}\n" for name, digest in sums.items()))
-        written = (*certified, *asked.files)
+        written = (*certified, *given.files)
         for name in written:
             allowed.check_file(folder / name)
         _make(folder / DATA_FOLDER)
@@ -180,25 +178,6 @@ def _make(folder: Path) -> None:
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _input(run: RunFile, profile: Profile, basis: Basis, stages: RunStages, asked: _Asked) -> CertificateInput:
-    readings = all_known_readings(run)
-    return CertificateInput(
-        number=asked.number or _new_number(run, profile, asked.written, basis),
-        run=str(run.folder),
-        issued=asked.written.astimezone(UTC).isoformat(timespec="seconds"),
-        program=program_of(profile),
-        profile=profile,
-        results=read_results(run, stages),
-        conditions=measured_conditions(readings),
-        controllers={
-            name: Controller(one.model, one.serial, one.software) for name, one in recorded_controllers(run).items()
-        },
-        measured=_times_of_measuring(run, stages),
-        rests_on=asked.rests_on,
-        files=asked.files,
-    )
 
 
 def certified_basis(run: RunFile, stages: RunStages) -> Basis:

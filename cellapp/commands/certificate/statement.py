@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 
+from cellapp.cell.run.arm_identity import ControllerIdentity
 from cellapp.cell.targets.records import ArmVerification, VerifyResult
 from cellapp.commands.certificate.judgements import held_verification, judge_run, orientation_budget
 from cellapp.commands.certificate.result import (
@@ -44,15 +45,6 @@ _MOST_NAMED = 5
 
 
 @dataclass(frozen=True)
-class Controller:
-    """A controller as the run recorded it; fields are empty if it did not report them."""
-
-    model: str = ""
-    serial: str = ""
-    software: str = ""
-
-
-@dataclass(frozen=True)
 class CertificateInput:
     """All data that a certificate is made from.
 
@@ -71,7 +63,7 @@ class CertificateInput:
     profile: Profile
     results: RunResults
     conditions: Mapping[str, MeasuredConditions]
-    controllers: Mapping[str, Controller]
+    controllers: Mapping[str, ControllerIdentity]
     measured: tuple[str, ...]
     rests_on: Mapping[str, str]
     files: tuple[str, ...] = ()
@@ -124,16 +116,16 @@ def _arm(
     given: CertificateInput, arm: str, expanded_position_mm: float | None, expanded_turn_mrad: float | None
 ) -> CertifiedArm:
     stated = given.profile.traceability.arms.get(arm)
-    controller = given.controllers.get(arm, Controller())
+    controller = given.controllers.get(arm)
     conditions = given.conditions.get(arm, MeasuredConditions(readings=0))
     return CertifiedArm.like(
         conditions,
         type=given.profile.arms[arm].type.model,
         serial="" if stated is None else stated.serial,
         asset="" if stated is None else stated.asset,
-        controller_model=controller.model,
-        controller_serial=controller.serial,
-        controller_software=controller.software,
+        controller_model="" if controller is None else controller.model,
+        controller_serial="" if controller is None else controller.serial,
+        controller_software="" if controller is None else controller.software,
         errors=_errors(given.results, arm),
         expanded_mm=expanded_position_mm,
         expanded_mrad=expanded_turn_mrad,
