@@ -11,7 +11,7 @@ import numpy as np
 
 from cellapp.cell.driving.cell_checks import same_calibration
 from cellapp.cell.profile.files import write_new_bytes
-from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, LeftLine, ReadProgram, Six
+from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, ReadProgram, Six
 from cellapp.cell.programs.script_targets import read_script, read_urp, six
 from cellapp.cell.programs.solving import (
     Workplace,
@@ -187,7 +187,7 @@ def correct_run(
         out=str(out),
         arm=name,
         targets=tuple(corrected),
-        left=tuple(map(LeftLine.like, read.left)),
+        left=tuple(read.left),
         assumptions=tuple(assumptions(place, settings, read, corrected)),
         notes=(
             *([f"the model was used although {stale}"] if stale else []),

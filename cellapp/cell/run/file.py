@@ -35,6 +35,7 @@ from cellapp.cell.run.sqlite_file import (
     ReferenceRow,
     Session,
     SessionEnd,
+    SessionRequest,
     StageRow,
     check_header,
     check_integrity,
@@ -605,7 +606,7 @@ class RunFile:
     def sessions(self) -> list[Session]:
         """Return all sessions of collecting, oldest first."""
         asked = "SELECT session, written, kind, reason FROM request ORDER BY rowid"
-        requests = grouped((session, (*request,)) for session, *request in self._select(asked, _SESSIONS))
+        requests = grouped((session, SessionRequest(*request)) for session, *request in self._select(asked, _SESSIONS))
         with self.look() as connection:
             again = "COALESCE(again, '')" if schema_version(connection) >= 9 else "''"
         asked = f"SELECT number, began, ended, outcome, reason, {again} FROM session ORDER BY number"

@@ -383,6 +383,15 @@ OutcomeKind = Literal["not measured", "left out"]
 
 
 @dataclass(frozen=True)
+class SessionRequest:
+    """What a person asked in a session, or what suspended or resumed it; ``written`` is UTC."""
+
+    written: str
+    kind: str
+    reason: str
+
+
+@dataclass(frozen=True)
 class Session:
     """One session of collecting; ``ended``, ``outcome`` and ``reason`` are None if the program died in it.
 
@@ -395,7 +404,7 @@ class Session:
     ended: str | None
     outcome: SessionEnd | None
     reason: str | None
-    requests: tuple[tuple[str, str, str], ...]
+    requests: tuple[SessionRequest, ...]
     again: str = ""
 
 

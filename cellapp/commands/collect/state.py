@@ -13,8 +13,6 @@ from cellapp.cell.driving.records import (
     CollectionResult,
     ReplacedReading,
     ResidualRange,
-    SessionRecord,
-    SessionRequest,
     SweepTrace,
 )
 from cellapp.cell.planning.sweeps import read_sweeps
@@ -52,16 +50,7 @@ def collection_state(run: RunFile, results: RunResults | None = None) -> Collect
     replaced = tuple(_replaced(run, model))
     return CollectionResult(
         run=str(run.folder),
-        sessions=tuple(
-            SessionRecord.like(
-                session,
-                requests=tuple(
-                    SessionRequest(written=written, kind=kind, reason=reason)
-                    for written, kind, reason in session.requests
-                ),
-            )
-            for session in sessions
-        ),
+        sessions=tuple(sessions),
         missing=missing,
         missing_share=missing_share(run, missing),
         tolerated_share=settings.tolerated,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.cell.driving.records import CollectedStop, CollectionResult, CollectResult, SessionRecord
+from cellapp.cell.driving.records import CollectedStop, CollectionResult, CollectResult
 from cellapp.cell.run.records import MissingReading
+from cellapp.cell.run.sqlite_file import Session
 from cellapp.commands.collect.charts import drift_by_reference, drift_chart, sweep_chart
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart, mm
@@ -171,7 +172,7 @@ def _sessions(state: CollectionResult) -> Table:
     )
 
 
-def _outcome_words(session: SessionRecord) -> str:
+def _outcome_words(session: Session) -> str:
     again = f", stops {session.again} again" if session.again else ""
     return f"{session.outcome or 'the program died'}{again}"
 

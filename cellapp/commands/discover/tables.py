@@ -133,7 +133,7 @@ def size_tables(name: str, arm: ArmDiscoveryResult) -> list[Table]:
     for one in sorted(arm.accepted, key=lambda one: one.movements[0].moves_mm if one.movements else 0.0, reverse=True):
         order = "the largest first" if one.movements is None else "what moves the SMR most first"
         title = f"Arm {name}: size of {one.effect}, {order}"
-        tables.append(without_empty(Table(title, _SIZE_COLUMNS, tuple(_size_rows(one)))))
+        tables.append(without_empty(Table(title, columns_of(*_SIZE_COLUMNS), tuple(_size_rows(one)))))
     return with_rows(*tables, _motion_table(name, arm))
 
 

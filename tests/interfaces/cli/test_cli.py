@@ -628,7 +628,7 @@ def test_interrupted_it_exits_with_four_says_by_what(long_run: Path, number: int
     assert "'cellapp collect DIR --resume'" in err
     assert not (long_run / "run.sqlite-wal").exists(), "the file is whole"
     with RunFile.open(long_run) as run:
-        assert cause in run.sessions()[-1].requests[-1][-1]
+        assert cause in run.sessions()[-1].requests[-1].reason
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

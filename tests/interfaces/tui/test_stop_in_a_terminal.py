@@ -342,7 +342,7 @@ def this_computer_stalled(folder: Path) -> bool:
     """Whether a run was stopped because this computer was busy elsewhere, or a key came so late that a stop more was
     measured: nothing is shown by it then."""
     with RunFile.open(folder) as run:
-        reasons = [reason for session in run.sessions() for _, _, reason in session.requests]
+        reasons = [request.reason for session in run.sessions() for request in session.requests]
         return len(run.stops_done()) > 1 or any(map(stalled, reasons))
 
 
