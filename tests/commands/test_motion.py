@@ -145,7 +145,7 @@ def test_what_cannot_be_calibrated_is_said(tmp_path: Path) -> None:
 
 def _empty_export(folder: Path) -> None:
     with RunFile.create(folder / "empty", without_devices("left")) as run:
-        export_run(run, None, None, recordings={"joints": folder / "out.csv"})
+        export_run(run, None, recordings={"joints": folder / "out.csv"})
 
 
 def test_long_fits_of_recordings_say_what_they_do_and_end_on_request(tmp_path: Path) -> None:

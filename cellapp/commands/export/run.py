@@ -12,7 +12,6 @@ from cellapp.cell.exports.export_format import CellFormat, CommandFormat, Export
 from cellapp.cell.exports.formats import all_formats, export_lines, form_line, format_named, lost_sentences
 from cellapp.cell.exports.out_files import check_out, files_of_arms
 from cellapp.cell.exports.records import ArmFile, CommandFile, ExportResult
-from cellapp.cell.exports.urdf import geometry_export
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.cell.run.columns import Kind
@@ -34,7 +33,6 @@ from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, VERIFY
 from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 from cellapp.robot.model import CellModel
-from cellapp.robot.model.nominal import published_rows
 
 
 def export_commands(
@@ -140,18 +138,13 @@ def _sentences(form: CommandFormat, commands: ArmCommands, profile: Profile) -> 
     return [" ".join(line.splitlines()) for line in lines]  # a line break in a name would end the comment
 
 
-_GEOMETRY_NOTE = (
-    "--geometry is kept for programs that read its JSON; --as writes a file for each program, and loses no geometry"
-)
-
-
 def run(request: ExportRequest, work: Work) -> ExportResult:
     """Write the requested files."""
     with RunFile.open(request.folder) as opened:
         if request.form is None or request.out is None:  # the request has both or neither
             streams: dict[Kind, Path | None] = {"joints": request.joints, "points": request.points}
             recordings = {kind: path for kind, path in streams.items() if path is not None}
-            return export_run(opened, request.csv, request.geometry, request.plan, work.outputs, recordings=recordings)
+            return export_run(opened, request.csv, request.plan, work.outputs, recordings=recordings)
         return export_as_run(opened, request.form, request.out, request.arm, request.stage, work.outputs)
 
 
@@ -343,21 +336,19 @@ def _arm_file(export: ArmExport, file: Path, smr: Array, off_mm: float) -> ArmFi
 def export_run(
     run: RunFile,
     csv: Path | None,
-    geometry: Path | None,
     plan: Path | None = None,
     outputs: Outputs = NEW_ONLY,
     *,
     recordings: Mapping[Kind, Path] = MappingProxyType({}),
 ) -> ExportResult:
-    """Write readings, recordings of motion or the plan as CSV, the identified arms as one JSON file, or several of
-    these.
+    """Write readings, recordings of motion or the plan as CSV, or several of these.
 
     Raises
     ------
     InputError
         If no file is given, there is nothing to write, or a file cannot or must not be written.
     """
-    if csv is None and geometry is None and plan is None and not recordings:
+    if csv is None and plan is None and not recordings:
         raise InputError(
             "export: say what to write: --csv FILE for the readings, --joints FILE and --points FILE for recordings,"
             " --plan FILE for the plan, --as FORMAT --out FILE for the arms; 'cellapp docs exports' lists the formats"
@@ -368,21 +359,11 @@ def export_run(
         write_readings_csv(run, csv, outputs)
     for kind, path in recordings.items():
         write_recordings_csv(run, kind, path, outputs)
-    lost = None
-    if geometry is not None:
-        require_own_factory(run, "export")
-        published = {name: published_rows(arm) for name, arm in run.profile.arms.items()}
-        content = geometry_export(model_of(run, stage_in_force(run, read_stages(run))), published)
-        outputs.write_text(geometry, content.to_json(indent=1) + "\n")
-        lost = {name: arm.ur_deltas.lost.position_mm.rms for name, arm in content.arms.items()}
     return ExportResult(
         csv=None if csv is None else str(csv),
         readings=None if csv is None else {name: sum(its.values()) for name, its in run.split_counts().items()},
         recordings={kind: str(path) for kind, path in recordings.items()} or None,
         plan=None if plan is None else str(plan),
-        geometry=None if geometry is None else str(geometry),
-        ur_lost_rms_mm=lost,
-        notes=() if geometry is None else (_GEOMETRY_NOTE,),
     )
 
 
