@@ -181,48 +181,19 @@ _CHAIN_LENGTH = re.compile(r"[ad]\d")
 """Pattern of the names of a chain's lengths: a1, d1 and so on."""
 _MOST_EVENTS = 100
 """Newest events of the run's log that the report shows; the run file has all of them."""
-SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...]]] = {
-    "judgements": ("Errors against their tolerances", (CALIBRATE,)),
-    "accuracy": ("Accuracy at configurations that were not used", (CALIBRATE,)),
-    "targets": ("Accuracy at targets", (COMPENSATE,)),
-    "iso9283": ("Tests by ISO 9283", (ISO9283,)),
-    "check": ("Check of the calibration", (CHECK,)),
-    "discovery": ("Missing effects", ()),
-    "residuals": ("Residuals of the geometry", (CALIBRATE,)),
-    "pair": ("Inter-base transform", (CALIBRATE,)),
-    "paths": ("Paths", ()),
-    "station": ("Station of the tracker", ()),
-    "plan": ("Plan", ()),
-    "power": ("What the plan can name", ()),
-    "rehearsal": ("Rehearsal", ()),
-    "collection": ("Collecting", ()),
-    "cell": ("The cell", ()),
-    "parameters": ("Identified parameters", (CALIBRATE,)),
-    "controllers": ("The controllers' own calibration", (CALIBRATE,)),
-    "notes": ("Warnings and notes", ()),
-    "provenance": ("Provenance", ()),
-}
-"""Sections in the order of the report: anchor, title, and the stages whose results they show even if out of date."""
 _OPEN = frozenset({"accuracy", "targets", "iso9283", "check", "discovery"})
 """Sections open at first: what was reached and found. The others say how, and on what basis."""
 
 
 def report_sections(run: RunFile, data: ReportData) -> list[Section]:
     """Build the sections that have contents, in their order."""
-    made = {key: maker(data) for key, maker in _OF_RESULTS.items()}
-    made["plan"] = plan_section(run)
-    made["power"] = power_section(run)
-    made["rehearsal"] = None if (log := kept_log(run)) is None else log_section(log)
-    made["collection"] = None if (state := collection_state(run, data.results)) is None else collection_section(state)
-    made["parameters"] = _parameters(data, lost_by_arm(run))
-    made["controllers"] = controllers_section(run, data)
-    return placed(made, data.out_of_date)
+    return placed({key: make(run, data) for key, (_, _, make) in SECTIONS.items()}, data.out_of_date)
 
 
 def placed(made: Mapping[str, Section | None], out_of_date: Mapping[StageName, str]) -> list[Section]:
     """Put sections in the order of the report, with their titles and why they no longer hold."""
     found = []
-    for key, (title, stages) in SECTIONS.items():
+    for key, (title, stages, _) in SECTIONS.items():
         section = made.get(key)
         if section is not None:
             reasons = "; ".join(dict.fromkeys(out_of_date[stage] for stage in stages if stage in out_of_date))
@@ -513,6 +484,11 @@ def _parameters_message(calibrate: CalibrateResult, model: CellModel) -> str:
     return f"Identified: {enumerated(parts)}."
 
 
+def _collection(run: RunFile, data: ReportData) -> Section | None:
+    state = collection_state(run, data.results)
+    return None if state is None else collection_section(state)
+
+
 # -- the run ----------------------------------------------------------------------------------------------------------
 
 
@@ -533,19 +509,33 @@ def _provenance(data: ReportData) -> Section:
     )
 
 
-_OF_RESULTS: Mapping[str, Callable[[ReportData], Section | None]] = {
-    "judgements": _judgements,
-    "accuracy": _accuracy,
-    "targets": _targets,
-    "iso9283": _iso9283,
-    "check": _check,
-    "discovery": _discovery,
-    "residuals": _residuals,
-    "pair": _pair,
-    "paths": _paths,
-    "station": _station,
-    "cell": _cell,
-    "notes": _notes,
-    "provenance": _provenance,
+Maker = Callable[[RunFile, ReportData], Section | None]
+"""Builds a section; None if the run has nothing to show there."""
+
+
+def _of(made: Callable[[ReportData], Section | None]) -> Maker:
+    return lambda run, data: made(data)
+
+
+SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...], Maker]] = {
+    "judgements": ("Errors against their tolerances", (CALIBRATE,), _of(_judgements)),
+    "accuracy": ("Accuracy at configurations that were not used", (CALIBRATE,), _of(_accuracy)),
+    "targets": ("Accuracy at targets", (COMPENSATE,), _of(_targets)),
+    "iso9283": ("Tests by ISO 9283", (ISO9283,), _of(_iso9283)),
+    "check": ("Check of the calibration", (CHECK,), _of(_check)),
+    "discovery": ("Missing effects", (), _of(_discovery)),
+    "residuals": ("Residuals of the geometry", (CALIBRATE,), _of(_residuals)),
+    "pair": ("Inter-base transform", (CALIBRATE,), _of(_pair)),
+    "paths": ("Paths", (), _of(_paths)),
+    "station": ("Station of the tracker", (), _of(_station)),
+    "plan": ("Plan", (), lambda run, _: plan_section(run)),
+    "power": ("What the plan can name", (), lambda run, _: power_section(run)),
+    "rehearsal": ("Rehearsal", (), lambda run, _: None if (log := kept_log(run)) is None else log_section(log)),
+    "collection": ("Collecting", (), _collection),
+    "cell": ("The cell", (), _of(_cell)),
+    "parameters": ("Identified parameters", (CALIBRATE,), lambda run, data: _parameters(data, lost_by_arm(run))),
+    "controllers": ("The controllers' own calibration", (CALIBRATE,), controllers_section),
+    "notes": ("Warnings and notes", (), _of(_notes)),
+    "provenance": ("Provenance", (), _of(_provenance)),
 }
-"""Functions that build the sections of results; the other sections read the run itself."""
+"""Sections in the order of the report: anchor, title, the stages whose results they show even if out of date, maker."""
