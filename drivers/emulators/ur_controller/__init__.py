@@ -32,7 +32,7 @@ script port sends nothing.
 
 from drivers.emulators.ur_controller.control import Control, Refused
 from drivers.emulators.ur_controller.links import FAULTS, Fault
-from drivers.emulators.ur_controller.motion import Braking, FreeMotions, Motions, PacedCell
+from drivers.emulators.ur_controller.motion import Braking, PacedCell
 from drivers.emulators.ur_controller.personality import (
     FREE_PORTS,
     STANDARD_PORTS,
@@ -48,6 +48,7 @@ from drivers.emulators.ur_controller.server import (
     Addresses,
     EmulatorProcess,
     UrControllerServer,
+    ideal,
     serve,
     start_in_process,
 )
@@ -63,14 +64,13 @@ __all__ = [
     "ControllerConfig",
     "EmulatorProcess",
     "Fault",
-    "FreeMotions",
-    "Motions",
     "PacedCell",
     "Personality",
     "PortName",
     "Refused",
     "Series",
     "UrControllerServer",
+    "ideal",
     "kinematics_info",
     "personality",
     "serve",

@@ -41,7 +41,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from drivers.emulators.ur_controller.controller import Controller, Runtime
+from drivers.arms.ur_rtde_reader import ProgramState
+from drivers.emulators.ur_controller.controller import Controller
 from drivers.emulators.ur_controller.links import FAULTS, Ending, Port
 from drivers.emulators.ur_controller.motion import PacedCell
 from drivers.emulators.ur_controller.personality import PortName
@@ -219,7 +220,7 @@ def _foreign(arm: Emulated, arguments: Sequence[str], _: float) -> None:
         controller.start_locally(ForeignProgram())
     if wanted == "paused":
         controller.pause_program("on the pendant")
-    elif controller.runtime is Runtime.PAUSED:
+    elif controller.runtime is ProgramState.PAUSED:
         controller.resume_program()
 
 

@@ -11,15 +11,16 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from enum import IntEnum
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 
+from drivers.arms.ur_rtde_reader import ProgramState, RobotMode, SafetyMode
 from drivers.emulators.ur_controller import poses
-from drivers.emulators.ur_controller.motion import Array, Brakes, Motions, StopTrigger
+from drivers.emulators.ur_controller.motion import Array, Brakes, StopTrigger
 from drivers.emulators.ur_controller.personality import ControllerConfig, Rows
 from drivers.emulators.ur_controller.variables import zeros
+from drivers.plant import Plant
 
 # -- Values of the RTDE variables that depend on a controller's modes and settings ------------------------------------
 
@@ -39,10 +40,10 @@ def initial_values(q: Values) -> dict[str, Values]:
     }
 
 
-def of_modes(robot_mode: RobotMode, safety_mode: SafetyMode, runtime: Runtime) -> dict[str, Values]:
+def of_modes(robot_mode: RobotMode, safety_mode: SafetyMode, runtime: ProgramState) -> dict[str, Values]:
     """Return the variables that show the modes."""
     powered = robot_mode not in (RobotMode.POWER_OFF, RobotMode.DISCONNECTED)
-    running = runtime in (Runtime.PLAYING, Runtime.RESUMING)
+    running = runtime in (ProgramState.PLAYING, ProgramState.RESUMING)
     return {
         "robot_mode": (int(robot_mode),),
         "safety_mode": (int(safety_mode),),
@@ -106,7 +107,7 @@ class Controller:
         Wall time from an uploaded program to its start.
     """
 
-    def __init__(self, config: ControllerConfig, motions: Motions, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, config: ControllerConfig, motions: Plant, clock: Callable[[], float] = time.monotonic) -> None:
         """``clock`` gives the timestamps of stops, also between two cycles."""
         self.config = config
         self.motions = motions
@@ -114,7 +115,7 @@ class Controller:
         self.period_s = 1.0 / config.personality.rate_hz
         self.robot_mode = RobotMode[config.robot_mode]
         self.safety_mode = SafetyMode.NORMAL
-        self.runtime = Runtime.STOPPED
+        self.runtime = ProgramState.STOPPED
         self.remote_control = config.remote_control
         self.start_delay_s = config.start_delay_s
         self.boot_s = config.boot_s
@@ -181,7 +182,7 @@ class Controller:
     @property
     def running(self) -> bool:
         """Whether a program runs or is resuming."""
-        return self.runtime in (Runtime.PLAYING, Runtime.RESUMING)
+        return self.runtime in (ProgramState.PLAYING, ProgramState.RESUMING)
 
     @property
     def accepts_commands(self) -> bool:
@@ -301,24 +302,24 @@ class Controller:
 
     def start_locally(self, program: Program[Controller]) -> None:
         """Start a program as a person does on the pendant. Raises ``ValueError`` if one runs, or without power."""
-        if self.runtime is not Runtime.STOPPED or not self._can_move():
+        if self.runtime is not ProgramState.STOPPED or not self._can_move():
             raise ValueError(f"arm {self.name}: {self.runtime.name}, {self.robot_mode.name}: no program can start")
         self.program = program
-        self._set_runtime(Runtime.PLAYING)
+        self._set_runtime(ProgramState.PLAYING)
 
     def stop_program(self, reason: str = "") -> None:
         """End a program that runs or is paused, not one that was uploaded and is about to start; the arm brakes."""
-        if reason or self.runtime is not Runtime.STOPPED:
+        if reason or self.runtime is not ProgramState.STOPPED:
             self.journal.note("stop", reason or "a new program")
         self._watchdog.watch(0.0, 0)
-        if self.runtime in (Runtime.STOPPED, Runtime.STOPPING):
+        if self.runtime in (ProgramState.STOPPED, ProgramState.STOPPING):
             return
         if reason:
             self.log.append(f"program stopped: {reason}")
         self._goal = None
         self.brakes.request("program")
         self.program = None
-        self._set_runtime(Runtime.STOPPING)
+        self._set_runtime(ProgramState.STOPPING)
 
     def pause_program(self, how: str = "dashboard: pause") -> bool:
         """Pause the program; return whether one was running."""
@@ -326,14 +327,14 @@ class Controller:
         if not self.running:
             return False
         self.brakes.request("program")
-        self._set_runtime(Runtime.PAUSING)
+        self._set_runtime(ProgramState.PAUSING)
         return True
 
     def resume_program(self) -> bool:
         """Resume a paused program; return whether one was paused and the arm can move."""
-        if self.runtime is not Runtime.PAUSED or not self._can_move():
+        if self.runtime is not ProgramState.PAUSED or not self._can_move():
             return False
-        self._set_runtime(Runtime.RESUMING)
+        self._set_runtime(ProgramState.RESUMING)
         return True
 
     def _can_move(self) -> bool:
@@ -354,7 +355,7 @@ class Controller:
         self._stop_trigger = StopTrigger()
         self.brakes.request("protective")
         if self.running:
-            self._set_runtime(Runtime.PAUSING)
+            self._set_runtime(ProgramState.PAUSING)
         self._publish_modes()
 
     def arm_protective_stop(self, *, speed: float = math.inf, travel: float = math.inf) -> None:
@@ -435,7 +436,7 @@ class Controller:
             self.safety_mode = SafetyMode.NORMAL
             self.log.append("protective stop released")
             self._publish_modes()
-        if self.runtime is Runtime.PLAYING and (silent := self._watchdog.complaint()):
+        if self.runtime is ProgramState.PLAYING and (silent := self._watchdog.complaint()):
             self.stop_program(silent)
         self._step_program()
 
@@ -469,22 +470,22 @@ class Controller:
 
     def _step_program(self) -> None:
         moving = self.moving
-        if self.runtime is Runtime.STOPPING and not moving:
-            self._set_runtime(Runtime.STOPPED)
-        elif self.runtime is Runtime.PAUSING and not moving:
-            self._set_runtime(Runtime.PAUSED)
-        elif self.runtime is Runtime.RESUMING and not moving:
+        if self.runtime is ProgramState.STOPPING and not moving:
+            self._set_runtime(ProgramState.STOPPED)
+        elif self.runtime is ProgramState.PAUSING and not moving:
+            self._set_runtime(ProgramState.PAUSED)
+        elif self.runtime is ProgramState.RESUMING and not moving:
             if self._goal is not None:
                 self._start(*self._goal)
-            self._set_runtime(Runtime.PLAYING)
-        elif self.runtime is Runtime.STOPPED and self._uploaded is not None and self.now_s >= self._uploaded[0]:
+            self._set_runtime(ProgramState.PLAYING)
+        elif self.runtime is ProgramState.STOPPED and self._uploaded is not None and self.now_s >= self._uploaded[0]:
             if not moving:
                 program, self._uploaded = self._uploaded[1], None
                 self._watchdog.watch(0.0, 0)
                 self.program = program
-                self._set_runtime(Runtime.PLAYING)
+                self._set_runtime(ProgramState.PLAYING)
                 self._run_step(program.begin)
-        elif self.runtime is Runtime.PLAYING and self.program is not None:
+        elif self.runtime is ProgramState.PLAYING and self.program is not None:
             self._run_step(self.program.cycle)
 
     def _run_step(self, step: Callable[[Controller], bool | None]) -> None:
@@ -503,7 +504,7 @@ class Controller:
 
     # -- streamed values ---------------------------------------------------------------------------------------------
 
-    def _set_runtime(self, state: Runtime) -> None:
+    def _set_runtime(self, state: ProgramState) -> None:
         self.runtime = state
         self._publish_modes()
 
@@ -640,45 +641,7 @@ class Watchdog:
         return f"watchdog: input_int_register_{self._register} not written for {silent_s:.3f} s"
 
 
-# -- Modes of a UR controller, numbered as in the protocol ------------------------------------------------------------
-
-
-class RobotMode(IntEnum):
-    """Robot mode, numbered as in the protocol."""
-
-    DISCONNECTED = 0
-    CONFIRM_SAFETY = 1
-    BOOTING = 2
-    POWER_OFF = 3
-    POWER_ON = 4
-    IDLE = 5
-    BACKDRIVE = 6
-    RUNNING = 7
-
-
-class SafetyMode(IntEnum):
-    """Safety mode, numbered as in the protocol."""
-
-    NORMAL = 1
-    REDUCED = 2
-    PROTECTIVE_STOP = 3
-    RECOVERY = 4
-    SAFEGUARD_STOP = 5
-    SYSTEM_EMERGENCY_STOP = 6
-    ROBOT_EMERGENCY_STOP = 7
-    VIOLATION = 8
-    FAULT = 9
-
-
-class Runtime(IntEnum):
-    """State of the program, numbered as in the protocol."""
-
-    STOPPING = 0
-    STOPPED = 1
-    PLAYING = 2
-    PAUSING = 3
-    PAUSED = 4
-    RESUMING = 5
+# -- Bits and joint modes by which the primary interface and RTDE show the modes ---------------------------------------
 
 
 SAFETY_BITS = {
