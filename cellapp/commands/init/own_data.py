@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -15,9 +16,28 @@ import yaml
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.profile.loader import arm_type_of_text
 from cellapp.cell.profile.starters import FOLDER, READINGS, arm_type_files
-from cellapp.cell.run.columns import UNITS_OF_TIME, AngleUnit, LengthUnit, usual_step
-from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short, table_text
+from cellapp.cell.run.columns import (
+    EXAMPLES,
+    KINDS,
+    POINT,
+    UNITS_OF_TIME,
+    AngleUnit,
+    LengthUnit,
+    understood,
+    usual_step,
+)
+from cellapp.cell.run.csv_text import (
+    NUMBER,
+    CsvTable,
+    Problems,
+    check_names,
+    read_csv_table,
+    read_header,
+    short,
+    table_text,
+)
 from cellapp.cell.run.recorded_csv import Choose, Recorded, converted, nobody, read_recorded
+from cellapp.commands.init.request import TABLES
 from cellapp.estimation.calibration.quantities import repeats_words
 from cellapp.estimation.calibration.registration import COMPUTED, Explained, better_reading, explained
 from cellapp.ground.counting import counted
@@ -154,12 +174,13 @@ class OwnData:
 @dataclass(frozen=True)
 class OwnDataWritten:
     """The written files, and how the data were understood; readings are None for recordings of motion, whose points may
-    be in the same file. ``smr`` is the one of two SMRs that the next command takes."""
+    be in the same file: ``points`` is theirs, if it is known. ``smr`` is the one of two SMRs that the next command
+    takes."""
 
     profile: Path
     readings: Path | None
     notes: tuple[str, ...]
-    points_beside: bool = False
+    points: Path | None = None
     smr: str | None = None
 
 
@@ -254,13 +275,31 @@ def _for_recordings(
     name = own.name or own.readings.stem.lower().replace(" ", "-")
     profile = folder / FOLDER / f"{name}.yaml"
     text = _profile_text(name, recorded.arms or (ARM,), types[0].file, 100, Path("READINGS.csv"), profile)
-    points = own.readings if recorded.points else "FILE"
-    streams = f"--joints {shell_word(own.readings)} --points {shell_word(points)}"
+    points = own.readings if recorded.points else _points_beside(own.readings)
+    streams = f"--joints {shell_word(own.readings)} --points {shell_word(points or 'FILE')}"
     head = f"# For recordings of motion: `cellapp import {shell_word(profile)} {streams} --run DIR`.\n"
     write_new({folder / FOLDER / types[0].file: types[0].text, profile: head + text}, outputs)
-    where = "the points of the tracker stand beside them" if recorded.points else "the points come from another file"
+    where = (
+        "the points of the tracker stand beside them"
+        if recorded.points
+        else f"the points come from {points}, the only file beside it that has points and their times"
+        if points
+        else "the points come from another file: 'cellapp import' takes both, with --joints and --points"
+    )
     note = f"{own.readings}: joint positions of a motion, {len(recorded.joints)} joints; {where}"
-    return OwnDataWritten(profile, None, (note, *recorded.notes), recorded.points)
+    return OwnDataWritten(profile, None, (note, *recorded.notes), points)
+
+
+def _points_beside(joints: Path) -> Path | None:
+    """Return the only file beside one of ``joints`` that holds points of a motion; None unless there is just one."""
+    found = []
+    for path in (one for one in joints.absolute().parent.iterdir() if one.suffix.lower() in TABLES):
+        with suppress(InputError):
+            names = read_header(path, "points", EXAMPLES["points"]).names
+            as_points, as_joints = (understood(names, kind, ("time_s", *POINT)).names for kind in KINDS[::-1])
+            if {"time_s", *POINT} <= {*as_points} and "q1" not in as_joints:
+                found.append(joints.parent / path.name)
+    return found[0] if len(found) == 1 else None
 
 
 # -- arm types --------------------------------------------------------------------------------------------------------

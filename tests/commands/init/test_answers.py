@@ -263,5 +263,5 @@ def test_joints_and_points_of_a_motion_in_one_file_are_no_stops(tmp_path: Path) 
         file.write_text("\n".join(["t;J1;J2;J3;J4;J5;J6;X;Y;Z", *rows]) + "\n")
         own = OwnData(file, arm="ur5", angles="rad", lengths="m")
         written = write_own_data(own, tmp_path / name)
-        assert written.points_beside is motion
+        assert (written.points == file) is motion
         assert (written.readings is None) is motion
