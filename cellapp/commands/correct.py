@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -34,6 +33,7 @@ from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
 from cellapp.ground.profile import Arm
+from cellapp.ground.shell import shell_word
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import controller_rows, nominal_arm, published_rows
 
@@ -225,8 +225,8 @@ def typed_tcp(text: str) -> Six:
 
 
 def _no_sigma(run: RunFile) -> str:
-    command = shlex.join(["cellapp", "discover", str(run.folder)])
-    return f"sigma is not stated: only a discovery estimates the uncertainty of the model; '{command}' makes one"
+    command = f"'cellapp discover {shell_word(run.folder)}'"
+    return f"sigma is not stated: only a discovery estimates the uncertainty of the model; {command} makes one"
 
 
 def _arm(run: RunFile, arms: Sequence[str], asked: str | None) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from cellapp.commands.view.recordings import recording_tables
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
+from cellapp.ground.shell import shell_word
 
 
 class ImportRequest(Request):
@@ -149,5 +149,5 @@ def import_new_run(
 def view(result: ImportResult, request: Request | None = None) -> View:
     """Show the number of readings and the recordings of each arm, and notes."""
     counts = (f"arm {name}: {counted(count, 'reading')}" for name, count in result.readings.items())
-    onward = f"next: {shlex.join(['cellapp', 'calibrate', result.run])}"
+    onward = f"next: cellapp calibrate {shell_word(result.run)}"
     return View((*counts, *recording_tables(result.recordings), *result.notes, onward), held="; ".join(result.notes))

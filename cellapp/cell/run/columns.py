@@ -194,7 +194,7 @@ def understood(
         for name in names
     ]
     if kind != "points" and not any(one.quantity == "q" for one in read):
-        numbered = _family(names)
+        numbered = _family([name for name in names if name not in elsewhere])
         read = [_read(numbered[n], kind) or _NOTHING if n in numbered else one for n, one in zip(names, read)]
     families: dict[str, dict[tuple[int, str], _Family]] = {}
     for place, one in enumerate(read):

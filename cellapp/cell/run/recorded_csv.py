@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 import math
 import re
-import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,7 +33,7 @@ from cellapp.cell.run.columns import (
     with_sigma,
 )
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, is_number, read_header, short, stamp_seconds
-from cellapp.cell.run.orientation_columns import with_quaternions, written_orientation
+from cellapp.cell.run.orientation_columns import Written, with_quaternions, written_orientation
 from cellapp.estimation.readings.columns import OF_SOCKETS
 from cellapp.estimation.readings.readings import lost_points
 from cellapp.ground.errors import InputError
@@ -51,6 +50,8 @@ _LEAST_ROWS = 3
 _RIGID, _APART = 0.05, 0.01
 """Largest scatter of the distance of two SMRs on a flange, as a share of it; least distance, of the points' spread."""
 _SAME_STOP_RAD = 1e-3
+_UNIT_LENGTH = 0.01
+"""Largest deviation of a quaternion's length from one that a program with few digits writes."""
 _MADE = {FRACTION, *(f"{kind}_{axis}" for kind in ("sigma", "expanded") for axis in "xyzm")}
 """Parts of ``time_s`` and ``sigma_m`` in files of other programs."""
 
@@ -154,7 +155,10 @@ def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody
     columns = zip(*(row for _, row in rows), strict=True)
     table = CsvTable(path, file.names, tuple(line for line, _ in rows), dict(zip(file.names, columns, strict=True)))
     written, _ = written_orientation(table.names)
-    table, notes = with_quaternions(table)
+    if written is not None and _are_joints(table, written):
+        written, notes = None, list[str]()
+    else:
+        table, notes = with_quaternions(table)
     where, names, row = f"{path}:{file.head}", table.names, [its[0] for its in table.cells.values()]
     known = understood(names, "readings", _OWN, written, taken, row)
     while (name := next((name for name in known.doubled if name in POINT or name.startswith("q")), None)) is not None:
@@ -192,6 +196,13 @@ def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody
         lost=frozenset(lost),
         taken=tuple(taken),
     )
+
+
+def _are_joints(table: CsvTable, written: Written) -> bool:
+    """Return whether q0 to q3 are joint positions: there are no others, and their squares do not add up to one."""
+    if len(written.columns) != 4 or _joints([*understood(table.names, "readings", _OWN, written).others]):
+        return False
+    return not np.allclose(np.linalg.norm(_values(table, written.columns), axis=1), 1.0, atol=_UNIT_LENGTH)
 
 
 def _clock(table: CsvTable, known: Understood) -> tuple[NDArray[np.float64] | None, float | None]:
@@ -299,8 +310,8 @@ def _check_joints(path: Path, line: int, there: Sequence[str], known: Understood
         text = f"expected columns such as q1, q2, ... without a gap; the file has {seen}"
         if points and not joints:
             text += (
-                ". Points of a motion are given with the file of its joints: 'cellapp init --readings JOINTS.csv', then"
-                f" 'cellapp import PROFILE --joints JOINTS.csv --points {shlex.quote(str(path))} --run DIR'"
+                ". Points of a motion are imported with the file of its joints: give that one to 'cellapp init"
+                " --readings'; its next command takes these points, too, where they lie beside it"
             )
         problems.add(1, "joint positions", text)
     for name in POINT:

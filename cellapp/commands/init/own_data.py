@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,10 +15,28 @@ import yaml
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.profile.loader import arm_type_of_text
 from cellapp.cell.profile.starters import FOLDER, READINGS, arm_type_files
-from cellapp.cell.run.columns import UNITS_OF_TIME, AngleUnit, LengthUnit, usual_step
-from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short, table_text
+from cellapp.cell.run.columns import (
+    EXAMPLES,
+    KINDS,
+    POINT,
+    UNITS_OF_TIME,
+    AngleUnit,
+    LengthUnit,
+    understood,
+    usual_step,
+)
+from cellapp.cell.run.csv_text import (
+    NUMBER,
+    CsvTable,
+    Problems,
+    check_names,
+    read_csv_table,
+    read_header,
+    short,
+    table_text,
+)
 from cellapp.cell.run.recorded_csv import Choose, Recorded, converted, nobody, read_recorded
-from cellapp.commands.init.request import InitRequest
+from cellapp.commands.init.request import TABLES, InitRequest
 from cellapp.estimation.calibration.quantities import repeats_words
 from cellapp.estimation.calibration.registration import COMPUTED, Explained, better_reading, explained
 from cellapp.ground.counting import counted
@@ -227,14 +246,33 @@ def _for_recordings(
     folder = own.folder
     profile = folder / FOLDER / f"{name}.yaml"
     text = _profile_text(name, recorded.arms or (ARM,), types[0].file, 100, Path("READINGS.csv"), profile)
-    points = joints if recorded.points else "FILE"
-    streams = f"--joints {shell_word(joints)} --points {shell_word(points)}"
+    points = joints if recorded.points else _points_beside(joints)
+    streams = f"--joints {shell_word(joints)} --points {shell_word(points or 'FILE')}"
     head = f"# For recordings of motion: `cellapp import {shell_word(profile)} {streams} --run DIR`.\n"
     write_new({folder / FOLDER / types[0].file: types[0].text, profile: head + text}, outputs)
-    where = "the points of the tracker stand beside them" if recorded.points else "the points come from another file"
+    where = (
+        "the points of the tracker stand beside them"
+        if recorded.points
+        else f"the points come from {points}, the only file beside it that has points and their times"
+        if points
+        else "the points come from another file: 'cellapp import' takes both, with --joints and --points"
+    )
     note = f"{joints}: joint positions of a motion, {len(recorded.joints)} joints; {where}"
-    points_beside = str(joints) if recorded.points else None
-    return InitResult(profile=str(profile), notes=(note, *recorded.notes), joints=str(joints), points=points_beside)
+    notes = (note, *recorded.notes)
+    beside = None if points is None else str(points)
+    return InitResult(profile=str(profile), notes=notes, joints=str(joints), points=beside)
+
+
+def _points_beside(joints: Path) -> Path | None:
+    """Return the only file beside one of ``joints`` that holds points of a motion; None unless there is just one."""
+    found = []
+    for path in (one for one in joints.absolute().parent.iterdir() if one.suffix.lower() in TABLES):
+        with suppress(InputError):
+            names = read_header(path, "points", EXAMPLES["points"]).names
+            as_points, as_joints = (understood(names, kind, ("time_s", *POINT)).names for kind in KINDS[::-1])
+            if {"time_s", *POINT} <= {*as_points} and "q1" not in as_joints:
+                found.append(joints.parent / path.name)
+    return found[0] if len(found) == 1 else None
 
 
 # -- arm types --------------------------------------------------------------------------------------------------------

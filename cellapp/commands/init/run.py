@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import shlex
+from collections.abc import Sequence
 from pathlib import Path
 
 from cellapp.cell.profile import load_profile
@@ -35,15 +35,20 @@ def _next_command(result: InitResult) -> str:
     """Return the next command: ``import`` for a cell that only has readings, ``doctor`` for one with devices."""
     path = Path(result.profile)
     logs = Path("logs") / path.stem
-    run = path.parent.parent / logs
-    if result.joints is not None:
-        streams = ["--joints", result.joints, "--points", result.points or "POINTS.csv"]
-        return shlex.join(["cellapp", "import", result.profile, *streams, "--run", str(run)])
-    if result.readings is not None:
-        smr = [] if result.smr is None else ["--smr", result.smr]
-        return shlex.join(["cellapp", "import", result.profile, result.readings, *smr, "--run", str(run)])
+    if result.joints is not None or result.readings is not None:
+        given: list[str | None] = [result.readings, *([] if result.smr is None else ["--smr", result.smr])]
+        if result.joints is not None:
+            given = ["--joints", result.joints, "--points", result.points]
+        return _import(path, given, path.parent.parent / logs)
     if any(arm.driver.has_device for arm in load_profile(path).arms.values()):
         return f"cellapp doctor {shell_word(path)}"
     readings = readings_of(path.stem, path.parent)
-    measured = shell_word(readings) if readings.is_file() else "READINGS.csv"
-    return f"cellapp import {shell_word(path)} {measured} --run {shell_word(logs)}"
+    return _import(path, [str(readings) if readings.is_file() else None], logs)
+
+
+def _import(profile: Path, given: Sequence[str | None], run: Path) -> str:
+    """Return the command that imports the ``given`` files; the chapter about it where one is not known."""
+    known = [one for one in given if one is not None]
+    if len(known) < len(given):
+        return "cellapp docs readings"
+    return " ".join(["cellapp import", *map(shell_word, [profile, *known, "--run", run])])

@@ -111,7 +111,7 @@ def push_targets(
         notes.extend(check_cell(run, cell, commands, changed_controller=out_of_date))
 
     def store(pushed: VerifyResult) -> VerifyResult:
-        result = _judged(pushed, judge, notes, verify=verify)
+        result = _judged(pushed, judge, notes, verify=verify).model_copy(update={"common": compensated.common})
         if verify and not result.arms:  # it would take the place of an earlier verification that holds
             said = "no target was measured; nothing is stored, an earlier verification still counts"
             return result.model_copy(update={"notes": (*result.notes, said)})

@@ -31,6 +31,7 @@ from cellapp.estimation.calibration.learning import (
     training_steps,
 )
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
+from cellapp.estimation.calibration.parameters import unknown_offset
 from cellapp.estimation.calibration.quantities import (
     Quantities,
     evaluate,
@@ -139,7 +140,8 @@ def gross_errors_of_geometry(
             return none
     # A few readings that are wrong by a metre can pull a least-squares fit further off than the published geometry is.
     begin = min((start, nominal), key=lambda one: float(np.median(lengths(one)[0])))
-    found = identify(begin, q, p_M, R_M_S=R_M_S, prior_mean=nominal, robust="tukey", tolerance=1e-6)
+    offset = unknown_offset(nominal, q, R_M_S)
+    found = identify(begin, q, p_M, R_M_S=R_M_S, prior_sigma=offset, prior_mean=nominal, robust="tukey", tolerance=1e-6)
     found = found.settled("robust fit that finds gross errors")
     return gross_errors(p_M - smr_positions(found.geometry, q, R_M_S), turned)
 
@@ -573,10 +575,10 @@ def _hardly_better(name: str, arm: ArmCalibration) -> list[str]:
 
 
 def _carried(name: str, fitted: _Fitted) -> list[str]:
-    """Say how many parameters the readings determine, if there are few rows for them."""
+    """Say how many parameters the readings determine, if there are few rows for them, or the flange hardly turned."""
     found, learn = fitted.identification, fitted.readings.take(fitted.readings.in_split("identify"))
     rows, names = len(np.unique(learn.q.round(6), axis=0)), found.estimated.names
-    if rows >= len(names):
+    if rows >= len(names) and TOOL_NAMES[0] not in found.prior_sigma:
         return []
     variances = np.diag(found.estimated_covariance)[: len(names)]
     priors = np.array([found.prior_sigma.get(one, np.inf) for one in names]) ** 2
@@ -589,9 +591,10 @@ def _carried(name: str, fitted: _Fitted) -> list[str]:
 
 
 def undetermined_offset(name: str, found: Identification) -> list[str]:
-    """Warn if a probe's offset is hardly determined along some direction of the flange, which then hardly turned."""
+    """Warn if the offset of a probe or point is hardly determined along some direction of the flange, which then hardly
+    turned."""
     places = [found.estimated.names.index(one) for one in TOOL_NAMES if one in found.estimated.names]
-    if found.turned is None or len(places) < len(TOOL_NAMES):
+    if (found.turned is None and TOOL_NAMES[0] not in found.prior_sigma) or len(places) < len(TOOL_NAMES):
         return []
     variances, axes = np.linalg.eigh(found.estimated_covariance[np.ix_(places, places)])
     sd_mm = 1e3 * float(np.sqrt(variances[-1]))
@@ -599,10 +602,11 @@ def undetermined_offset(name: str, found: Identification) -> list[str]:
         return []
     direction = axes[:, -1] * np.sign(axes[np.argmax(np.abs(axes[:, -1])), -1])
     words = ", ".join(f"{round(one, 2) + 0.0:.2f}" for one in direction.tolist())
+    what, of = ("probe", "itself") if found.turned is not None else ("SMR", "with the flange turned so")
     return [
-        f"arm '{name}': the probe's offset along ({words}) of the flange is not determined (95 % within"
-        f" +-{1.96 * sd_mm:.0f} mm), as that direction hardly turned; positions of the probe are not affected, those of"
-        " another tool are: measure with the wrist turned to more sides"
+        f"arm '{name}': the offset of the {what} along ({words}) of the flange is not determined (95 % within"
+        f" +-{1.96 * sd_mm:.0f} mm), as that direction hardly turned; positions of the {what} {of} are not affected,"
+        " those of another tool are: measure with the wrist turned to more sides"
     ]
 
 

@@ -116,6 +116,7 @@ def test_a_way_that_the_gate_refuses_is_noted_and_nothing_moves(
 
 def test_without_verification_nothing_is_measured_and_an_earlier_one_is_kept(run: RunFile) -> None:
     verified = push_run(run, TARGETS[:2], verify=True)
+    assert any("common to all are in the flange frame" in line for line in verify_lines(verified))
     assert verified.arms["left"].compensated_mm.n == 2
     pushed = push_run(run, (TARGETS[0], FAR), verify=False)
     (note,) = pushed.notes

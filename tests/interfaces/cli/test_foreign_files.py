@@ -170,7 +170,7 @@ def test_a_table_of_another_program(name: str, call: Any) -> None:  # noqa: F811
     said = " ".join((made.out + imported.out).split())
     for words in case.says:
         assert words in said, said
-    assert "next: cellapp calibrate 'my cell/logs/own'" in said
+    assert 'next: cellapp calibrate "my cell/logs/own"' in said
     with RunFile.open(Path("my cell/logs/own")) as run:
         (arm,) = run.arms()
         readings = run.readings(arm)
@@ -219,18 +219,36 @@ def test_a_recording_of_other_programs(name: str, call: Any) -> None:  # noqa: F
     text, words = STREAMS[name]
     Path("joints.csv").write_text(JOINTS, "utf-8")
     Path("points.txt").write_text(text, "utf-8")
-    one_sentence(call("init", "--readings", "points.txt", "--arm", "ur5"), "--joints JOINTS.csv --points points.txt")
-    assert call("init", "--readings", "joints.csv", "--arm", "ur5").code == 0
-    ended = call("import", "profiles/joints.yaml", "--joints", "joints.csv", "--points", "points.txt", "--run", "run")
+    one_sentence(call("init", "--readings", "points.txt", "--arm", "ur5"), "its next command takes these points")
+    made = call("init", "my cell", "--readings", "joints.csv", "--arm", "ur5")
+    _, *following = shlex.split(made.out.rpartition("next: ")[2])
+    assert following[-4:] == ["--points", "points.txt", "--run", "my cell/logs/joints"]
+    ended = call(*following)
     assert ended.code == 0, ended.err
     said = " ".join(ended.out.split())
     assert "q3 = field.position0, q2 = field.position1, q1 = field.position2" in said
     for one in words:
         assert one in said, said
-    with RunFile.open(Path("run")) as run:
+    with RunFile.open(Path("my cell/logs/joints")) as run:
         (recording,) = read_recordings_of(run, "robot")
     np.testing.assert_allclose(recording.joints.q, SWUNG, atol=1e-12)
     np.testing.assert_allclose(np.diff(recording.points.time_s), np.diff(T), atol=1e-4)
+
+
+def test_joints_alone_lead_to_the_chapter(call: Any) -> None:  # noqa: F811
+    Path("joints.csv").write_text(JOINTS, "utf-8")
+    assert call("init", "--readings", "joints.csv", "--arm", "ur5").out.endswith("next: cellapp docs readings\n")
+
+
+def test_four_joints_counted_from_0(call: Any) -> None:  # noqa: F811
+    """Their columns look like those of a quaternion."""
+    np.savetxt("rows.csv", UR5[:4], delimiter=",", header="theta_rad,d_m,a_m,alpha_rad", comments="")
+    arm = true_geometry(at_station(UR5[:4], OFF_AXIS), np.random.default_rng(1))
+    points = smr_positions(arm, Q[:, :4])
+    Path("own.csv").write_text(table([*numbered("q{}", 0, 4), *"xyz"], Q[:, :4], points), "utf-8")
+    made = call("init", "--readings", "own.csv", "--arm", "rows.csv")
+    assert "q0 = q1, q1 = q2, q2 = q3, q3 = q4" in " ".join(made.out.split())
+    assert "arm, units and signs fit" in " ".join(made.out.split())
 
 
 def test_tables_of_a_maker(call: Any) -> None:  # noqa: F811
