@@ -1,27 +1,40 @@
-"""Progress of a run: what is measured of each arm, and the verb that comes next."""
+"""Progress of a run: what is measured of each arm, and what comes next. Only this module says what is left to do."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.recordings import recordings_digest
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.commands.certificate.iso9283_judgements import unmeasured_tests
+from cellapp.commands.certificate.judgements import judge_run, other_arms_found
+from cellapp.commands.conclusions import stage_conclusions
+from cellapp.commands.run_results import StageResults, read_stage_results
 from cellapp.commands.stages import CERTIFICATE_FILE, NextVerb, RunStages, next_command
+from cellapp.commands.view.words import named_errors
 from cellapp.estimation.iso9283.norm import IsoTest
-from cellapp.estimation.iso9283.records import Iso9283Result
-from cellapp.ground.errors import InputError
-from cellapp.ground.results import CERTIFICATE, CHECK, COMPENSATE, ISO9283, Record
+from cellapp.estimation.uncertainty.budget import measured_conditions
+from cellapp.estimation.uncertainty.records import Characteristic, Judgement
+from cellapp.ground.profile import Profile
+from cellapp.ground.results import (
+    CERTIFICATE,
+    CHECK,
+    COMPENSATE,
+    DISCOVER,
+    ISO9283,
+    PATH,
+    PUSH,
+    VERIFY,
+    Record,
+)
 from cellapp.ground.shell import shell_word
 
-_AGAIN: Mapping[str, NextVerb] = {
-    f"'{CHECK}'": "check",
-    REPORT_FILE: "report",
-    f"'{CERTIFICATE}'": "certificate",
-    CERTIFICATE_FILE: "certificate",
-}
-"""Beginning of a complaint -> the verb that mends it, in the order of the steps."""
+AT_TARGETS: tuple[Characteristic, ...] = ("position", "distance", "orientation", "cooperative")
+"""Characteristics that a verification at targets measures; the others are of ISO 9283."""
+_PROPOSED_STOPS = 30
+"""Stops to propose if discovery could not decide: about a quarter of an hour of measuring."""
 
 
 class ArmState(Record):
@@ -32,6 +45,20 @@ class ArmState(Record):
     measured: int
     splits: Mapping[str, int]
     recorded: int = 0
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing to do next: words, the command if cellapp does it, and the verb to whose screen it belongs."""
+
+    text: str
+    command: str = ""
+    verb: NextVerb = ""
+
+    @property
+    def short(self) -> str:
+        """The command, else the words."""
+        return self.command or self.text
 
 
 def arm_states(run: RunFile) -> dict[str, ArmState]:
@@ -50,25 +77,125 @@ def arm_states(run: RunFile) -> dict[str, ArmState]:
     return states
 
 
-def next_step(
-    run: RunFile, stages: RunStages, arms: Mapping[str, ArmState], complaints: Sequence[str] = ()
-) -> tuple[NextVerb, str]:
-    """Return the verb that comes next and its command; both empty if nothing is left to do and nothing complained of.
-
-    ``complaints``: what is out of date, as ``complaints_of`` says; then the last steps renew check, page, certificate.
-    """
+def missing_step(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> Step | None:
+    """Return the first step of the day that is missing or out of date; None if there is none."""
     if run.removed_kinds():
-        return "", ""
-    verb = _next_verb(run, stages, arms)
-    if not verb and (tests := _missing_tests(run, stages)):
-        return "iso9283", f"cellapp iso9283 {tests[0]} --run {shell_word(run.folder)}"
-    if not verb:
-        verb = next((again for words, again in _AGAIN.items() if any(one.startswith(words) for one in complaints)), "")
+        return Step("Measure the cell anew:", next_command("plan", run.folder), "plan")
+    if not (verb := _missing_verb(run, stages, arms)):
+        return None
     begun = verb == "collect" and any(arm.measured for arm in arms.values())
-    return verb, next_command(verb, run.folder) + (" --resume" if begun else "")
+    words = "Repeat what is out of date:" if stages.out_of_date else "Go on with:"
+    if verb == "collect":
+        words = "Measure the planned stops that are left, then calibrate and discover again:"
+    return Step(words, next_command(verb, run.folder) + (" --resume" if begun else ""), verb)
 
 
-def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> NextVerb:
+def next_step(
+    run: RunFile,
+    stages: RunStages,
+    arms: Mapping[str, ArmState],
+    complaints: Sequence[str] = (),
+    results: StageResults | None = None,
+) -> Step:
+    """Return what comes next; it is empty only if nothing is missing, out of date, undecided or failed.
+
+    ``complaints``: what is out of date, as ``complaints_of`` says; ``results``: those of the run, if they were read.
+    """
+    if missing := missing_step(run, stages, arms):
+        return missing
+    results = results or read_stage_results(run, stages)
+    readings = {name: run.readings(name) for name in run.profile.arms if arms[name].measured}
+    left = list(open_steps(run.profile, results, judge_run(run.profile, results, measured_conditions(readings))))
+    tests = (one for one in left if one.verb == ISO9283 and one.command)
+    again = (step for words, step in _again(run) if any(one.startswith(words) for one in complaints))
+    return next((one for found in (tests, again, left) for one in found), Step(""))
+
+
+def open_steps(profile: Profile, results: StageResults, judgements: Sequence[Judgement]) -> Iterator[Step]:
+    """Yield what settles each result that is not decided, not measured, or outside a tolerance."""
+    folder = shell_word(results.run)
+    driven = [name for name, arm in profile.arms.items() if arm.driver.has_device]
+    if driven:
+        for test in _missing_tests(profile, results, driven)[:1]:
+            yield Step("Measure by ISO 9283 what has a tolerance:", f"cellapp iso9283 {test} --run {folder}", ISO9283)
+    yield from _of_stages(results, folder)
+    out = [one for one in judgements if one.conformity == "does not conform"]
+    if driven and results.verify is not None and any(one.characteristic in AT_TARGETS for one in out):
+        words = "Correct by measuring what the model leaves at targets:"
+        yield Step(words, f"cellapp push {folder} TARGETS --verify --iterate 2", "push")
+    elif out:
+        yield Step(f"Decide what follows: outside its tolerance is {named_errors(out)}.")
+    missing = [one for one in judgements if one.value is None and one.characteristic in AT_TARGETS]
+    if missing and not driven:
+        yield Step(f"Not decided: {named_errors(missing)} is judged at targets, and these arms cannot be driven there.")
+    elif missing:
+        yield _targets_step(results, missing, folder)
+    near = [one for one in judgements if one.conformity == "cannot say" and one.value is not None]
+    if near and not other_arms_found(results):
+        yield Step(f"Measure with a smaller uncertainty, as with the tracker nearer: {named_errors(near)}.")
+
+
+def _of_stages(results: StageResults, folder: str) -> Iterator[Step]:
+    """Yield what settles stages that stopped, failed or decided nothing; those out of date are repeated instead."""
+    for name, one in stage_conclusions(results).items():
+        kind, words = one.kind, f"{one.words[:1].upper()}{one.words[1:]}"
+        if kind in ("done", "conforms", "out of date"):
+            continue
+        if name == DISCOVER:
+            text = f"{words}: measure stops that decide what discovery left open:"
+            yield Step(text, f"cellapp discover {folder} --propose {_PROPOSED_STOPS}", DISCOVER)
+        elif name == PATH:
+            yield Step(f"{words}: mend the path, then compute it again:", f"cellapp compensate {folder} PATHS")
+        elif name == CHECK and kind == "cannot say":
+            yield Step(f"{words}:", f"cellapp check {folder}", CHECK)
+        elif name in (PUSH, VERIFY) and kind == "cannot say":
+            yield Step(f"{words}: measure with a smaller uncertainty, as with the tracker nearer.")
+        elif name in (PUSH, VERIFY):
+            again = {"part": "", "does not conform": " --iterate 2"}[kind]
+            yield Step(
+                f"{words}:", f"cellapp push {folder} TARGETS" + (f" --verify{again}" if name == VERIFY else ""), PUSH
+            )
+        elif name == ISO9283 and kind == "part":
+            yield Step(f"{words}:", f"cellapp iso9283 --run {folder}", ISO9283)
+
+
+def _targets_step(results: StageResults, missing: Sequence[Judgement], folder: str) -> Step:
+    """Return how targets that have a tolerance come to be measured: what a list lacks, no repetition measures."""
+    verify = results.verify
+    listed = set() if verify is None else {one.arm for one in verify.targets}
+    pairs = verify is not None and bool(verify.pairs)
+    lacking = [one for one in missing if not (pairs if one.characteristic == "cooperative" else one.where in listed)]
+    measure = f"cellapp push {folder} TARGETS --verify"
+    if not lacking:
+        return Step(f"Measure {named_errors(missing)}, which has a tolerance:", measure, PUSH)
+    of_pairs, of_arm = "cooperative targets (partner)", "targets of {}"
+    what = dict.fromkeys(
+        of_pairs if one.characteristic == "cooperative" else of_arm.format(one.where) for one in lacking
+    )
+    text = (
+        f"Add {' and '.join(what)} to the list, which have a tolerance and are not in it; then measure them: {measure}"
+    )
+    return Step(text, verb=PUSH)
+
+
+def _again(run: RunFile) -> Iterator[tuple[str, Step]]:
+    """Yield the beginning of each complaint and the step that mends it, in the order of the steps."""
+    folder, words = shell_word(run.folder), "Repeat what is out of date:"
+    verbs: dict[str, tuple[NextVerb, str]] = {
+        f"'{COMPENSATE}'": ("compensate", f"compensate {folder} TARGETS"),
+        f"'{PUSH}'": ("push", f"push {folder} TARGETS"),
+        f"'{PATH}'": ("", f"compensate {folder} PATHS"),
+        f"'{ISO9283}'": ("iso9283", f"iso9283 --run {folder}"),
+        f"'{CHECK}'": ("check", f"check {folder}"),
+        REPORT_FILE: ("report", f"report {folder}"),
+        f"'{CERTIFICATE}'": ("certificate", f"certificate {folder}"),
+        CERTIFICATE_FILE: ("certificate", f"certificate {folder}"),
+    }
+    for begins, (verb, command) in verbs.items():
+        yield begins, Step(words, f"cellapp {command}", verb)
+
+
+def _missing_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> NextVerb:
     if not any(arm.measured or arm.recorded for arm in arms.values()):
         return "collect" if any(arm.planned for arm in arms.values()) else ""  # a run of tests alone has no plan
     sessions = [one for one in run.sessions() if not one.again]
@@ -84,17 +211,10 @@ def _next_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) ->
     return verb or ("" if (run.folder / REPORT_FILE).exists() else "report")
 
 
-def _missing_tests(run: RunFile, stages: RunStages) -> tuple[IsoTest, ...]:
+def _missing_tests(profile: Profile, results: StageResults, driven: Sequence[str]) -> tuple[IsoTest, ...]:
     """Return the tests of ISO 9283 that the tolerances need and the run lacks, for arms that can be driven."""
-    names = [name for name, arm in run.profile.arms.items() if arm.driver.has_device]
-    stored = None if ISO9283 in stages.out_of_date else stages.current.get(ISO9283)
-    if not run.profile.tolerances.any_given or not names:
-        return ()
-    try:
-        tested = {} if stored is None else Iso9283Result.from_json(stored.text, ISO9283).arms
-    except InputError:  # of another version: the page and the terminal say so
-        tested = {}
-    return unmeasured_tests(run.profile.tolerances, names, tested)
+    stored = None if ISO9283 in results.out_of_date else results.iso9283
+    return unmeasured_tests(profile.tolerances, driven, {} if stored is None else stored.arms)
 
 
 def _has_new_stops(run: RunFile) -> bool:

@@ -66,7 +66,7 @@ def test_what_rests_on_readings_that_were_replaced_is_out_of_date(run: RunFile, 
 def test_a_page_is_out_of_date_as_soon_as_the_run_holds_something_newer(
     finished_copy: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("cellapp.commands.next_step._missing_tests", lambda run, stages: ())
+    monkeypatch.setattr("cellapp.commands.next_step._missing_tests", lambda profile, results, driven: ())
     with RunFile.open(finished_copy, write=True) as run:
         assert complaints_of(run) == []
         report_run(run, write_page)

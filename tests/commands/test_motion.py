@@ -46,7 +46,7 @@ def test_one_arm_is_calibrated_from_a_recording_alone(tmp_path: Path) -> None:
     assert (imported.readings, imported.recordings[0].points.n) == ({}, 3800)
     assert isinstance(IMPORT.view(imported).parts[0], Table)
     with RunFile.open(tmp_path / "run", write=True) as run:
-        assert next_step(run, read_stages(run), arm_states(run))[0] == "calibrate"
+        assert next_step(run, read_stages(run), arm_states(run)).verb == "calibrate"
         result = calibrate_run(run)
         samples = known_readings(run, "left")
         assert len(run.readings("left")) == 0
@@ -173,7 +173,7 @@ def test_long_fits_of_recordings_say_what_they_do_and_end_on_request(tmp_path: P
     ]
     assert of_calibrate[-1].note == "arm left: step 1 with all points", "nothing is done after the request"
     with RunFile.open(tmp_path / "run", write=True) as run:
-        assert next_step(run, read_stages(run), arm_states(run))[0] == "calibrate"
+        assert next_step(run, read_stages(run), arm_states(run)).verb == "calibrate"
         seen: list[Progress] = []
         calibrate_run(run, seen.append)
     assert [(event.done, event.total) for event in seen if event.job == "recordings of motion"][-1] == (1, 1)

@@ -20,9 +20,17 @@ from cellapp.commands.push.run import push_run
 from cellapp.commands.report.run import report_run
 from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
-from cellapp.commands.stages import CALIBRATION_FILE, NOT_RECORDED, read_stages, readings_digest
+from cellapp.commands.show.view import overview_sentences
+from cellapp.commands.stages import (
+    CALIBRATION_FILE,
+    NOT_RECORDED,
+    append_stage,
+    basis_of,
+    read_stages,
+    readings_digest,
+)
 from cellapp.ground.errors import InputError
-from cellapp.ground.results import CALIBRATE, DISCOVER, VERIFY
+from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, VERIFY
 from cellapp.interfaces.page.page import write_page
 from cellapp.interfaces.tui.keys import way_to, with_keys
 from cellapp.robot.model import CellModel
@@ -67,6 +75,48 @@ def test_a_tolerance_of_iso_9283_that_nothing_measured_comes_next(finished_copy:
     assert overview.next_verb == "iso9283"
     assert overview.next_step == f"cellapp iso9283 pose --run {finished_copy}"
     assert with_keys(f"next: {overview.next_step}") == f"next: {way_to('iso9283')}"
+
+
+@pytest.mark.parametrize(
+    ("change", "verb", "says"),
+    [
+        ("undecided", "push", "Add targets of right and cooperative targets (partner) to the list"),
+        ("stopped", "push", "TARGETS --verify"),
+        ("outside", "push", "TARGETS --verify --iterate 2"),
+        ("ambiguous", "discover", "discover DIR --propose 30"),
+        ("out of date", "compensate", "compensate DIR TARGETS"),
+    ],
+)
+def test_something_comes_next_while_anything_is_undecided_failed_or_out_of_date(
+    change: str, verb: str, says: str, finished_copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cellapp.commands.next_step._missing_tests", lambda *given: ())
+    with RunFile.open(finished_copy, write=True) as run:
+        results = read_results(run)
+        assert results.verify is not None
+        assert results.compensate is not None
+        assert results.discover is not None
+        if change == "stopped":
+            verify = results.verify.model_copy(update={"stopped": "stopped after 1 of 2 targets: link lost"})
+            append_stage(run, VERIFY, verify, basis_of(run))
+        elif change == "outside":
+            far = tuple(
+                one.model_copy(update={"verdict": "out", "tolerance_mm": 1e-6}) for one in results.verify.targets
+            )
+            append_stage(run, VERIFY, results.verify.model_copy(update={"targets": far}), basis_of(run))
+        elif change == "ambiguous":
+            found = {
+                name: arm.model_copy(update={"verdict": "ambiguous"}) for name, arm in results.discover.arms.items()
+            }
+            changed = results.model_copy(update={"discover": results.discover.model_copy(update={"arms": found})})
+            monkeypatch.setattr("cellapp.commands.next_step.read_stage_results", lambda run, stages: changed)
+        elif change == "out of date":
+            append_stage(run, COMPENSATE, results.compensate, None)
+        write_page(run)
+        overview = run_overview(run)
+    (said,) = [one for one in overview_sentences(overview) if one.startswith("next: ")]
+    assert overview.next_verb == verb
+    assert says in said.replace(str(finished_copy), "DIR")
 
 
 def test_every_stage_states_what_it_rests_on(finished_run: Path) -> None:

@@ -14,7 +14,7 @@ from cellapp.cell.run.sqlite_file import Event
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.certificate.judgements import judge_run
-from cellapp.commands.next_step import arm_states, next_step
+from cellapp.commands.next_step import arm_states, missing_step
 from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import RunStages, read_stages
 from cellapp.estimation.calibration.quantities import conditions_of_arms
@@ -131,8 +131,7 @@ def read_report_data(run: RunFile) -> ReportData:
     if calibrated is None or stages.in_force is None or stages.in_force.model is None:
         raise InputError(f"{run.path}: the calibrated model is missing; run 'cellapp calibrate' first")
     discovered = None if results.held.discover is None else _stored_model(run, stages, DISCOVER)
-    verb, command = next_step(run, stages, arm_states(run))
-    measured = run.arms()
+    measured, missing = run.arms(), missing_step(run, stages, arm_states(run))
     return ReportData(
         profile=run.profile,
         results=results,
@@ -145,7 +144,7 @@ def read_report_data(run: RunFile) -> ReportData:
         in_order=read_in_order(run),
         events=tuple(run.events()),
         model_in_force=stages.in_force.model,
-        next_step="" if verb == "report" else command,
+        next_step="" if missing is None or missing.verb == "report" else missing.command,
     )
 
 

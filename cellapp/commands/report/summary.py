@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import date
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.certificate.judgements import judge_run, other_arms_found
+from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.discover.words import verdict_sentence
+from cellapp.commands.next_step import Step, open_steps
 from cellapp.commands.report.before_after import BeforeAfterFigure, before_after_figure
 from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.run_results import read_results
@@ -21,14 +22,14 @@ from cellapp.commands.view.words import (
     VERDICT_TITLES,
     Verdict,
     judgement_table,
-    named_errors,
     place_words,
     verdict_of,
 )
 from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult
-from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement, overall
+from cellapp.estimation.uncertainty.records import Conformity, Judgement, overall
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER
+from cellapp.ground.shell import shell_word
 from cellapp.ground.times import day_of
 
 # -- Errors against their tolerances, as shown on the page's first screen ---------------------------------------------
@@ -75,13 +76,6 @@ def judged_matrix(judgements: Sequence[Judgement], arms: Sequence[str]) -> Judge
     return JudgedMatrix(shown, tuple(rows))
 
 
-_AT_TARGETS: tuple[Characteristic, ...] = ("position", "distance", "cooperative")
-"""Characteristics that a verification at targets measures; the others are of ISO 9283."""
-_VERIFY = "cellapp push DIR TARGETS --verify"
-_PROPOSED_STOPS = 30
-"""Stops to propose if discovery could not decide: about a quarter of an hour of measuring."""
-
-
 @dataclass(frozen=True)
 class Found:
     """One finding: an effect and its place, its meaning in plain words; ``anchor`` links to the details."""
@@ -89,14 +83,6 @@ class Found:
     heading: str
     text: str
     anchor: str
-
-
-@dataclass(frozen=True)
-class Step:
-    """One thing to do next, with the command if cellapp does it."""
-
-    text: str
-    command: str = ""
 
 
 @dataclass(frozen=True)
@@ -181,7 +167,10 @@ def _steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> It
     if data.next_step:
         command = data.next_step.replace(data.results.run, "DIR")  # the page's readers may not have that folder
         yield Step(_next_words(data), command)
-    yield from _accuracy_steps(data, judgements)
+    for one in open_steps(data.profile, data.results, judgements):
+        if one.verb != "push" or "--verify" not in data.next_step:
+            folder = shell_word(data.results.run)
+            yield replace(one, text=one.text.replace(folder, "DIR"), command=one.command.replace(folder, "DIR"))
     for name, arm in ({} if data.discover is None else data.discover.arms).items():
         yield from _effect_steps(name, arm)
     due = data.profile.traceability.tracker.due
@@ -198,30 +187,10 @@ def _next_words(data: ReportData) -> str:
     return "Repeat what is out of date:" if data.out_of_date else "Go on with:"
 
 
-def _accuracy_steps(data: ReportData, judgements: Sequence[Judgement]) -> Iterator[Step]:
-    out = [one for one in judgements if one.conformity == "does not conform"]
-    if any(one.characteristic in _AT_TARGETS for one in out) and data.verify is not None:
-        yield Step("Correct by measuring what the model leaves at targets:", f"{_VERIFY} --iterate 2")
-    unmeasured = {one.characteristic for one in judgements if one.value is None}
-    if unmeasured & set(_AT_TARGETS) and "--verify" not in data.next_step:
-        what = "cooperative targets" if unmeasured.isdisjoint(("position", "distance")) else "targets"
-        yield Step(f"Measure {what}, which have a tolerance:", _VERIFY)
-    near = [one for one in judgements if one.conformity == "cannot say" and one.value is not None]
-    if near and not other_arms_found(data.results):
-        yield Step(f"Measure with a smaller uncertainty, as with the tracker nearer: {named_errors(near)}.")
-    if unmeasured - set(_AT_TARGETS):
-        yield Step("Measure by ISO 9283 what has a tolerance:", "cellapp iso9283 PROFILE --run DIR")
-
-
 def _effect_steps(name: str, arm: ArmDiscoveryResult) -> Iterator[Step]:
     for effect in arm.accepted:
         if effect.meaning is not None and effect.meaning.check:
             yield Step(f"Arm {name}, {place_words(effect.where)}: {_first_sentence(effect.meaning.check[0])}")
-    if arm.verdict in ("unknown effect", "ambiguous"):
-        yield Step(
-            f"Arm {name}: measure stops that decide what discovery left open:",
-            f"cellapp discover DIR --propose {_PROPOSED_STOPS}",
-        )
 
 
 def _first_sentence(text: str) -> str:

@@ -174,7 +174,7 @@ def _first_words(error: Exception) -> str:
 
 def _summary(run: RunFile, known: RunSummary) -> RunSummary:
     stages, arms, sessions = read_stages(run, counted_basis), arm_states(run), run.sessions()
-    verb, command = next_step(run, stages, arms)
+    after = next_step(run, stages, arms)
     done, total = run.stops_done(), max(run.planned_counts().values(), default=0)
     reserves = run.profile.plan.reserves(total)
     left = sum(stop not in done and stop not in reserves for stop in range(total))
@@ -198,8 +198,8 @@ def _summary(run: RunFile, known: RunSummary) -> RunSummary:
             for name, stage in stages.current.items()
         ),
         figures=figures,
-        next_verb=verb,
-        next_step=command,
+        next_verb=after.verb,
+        next_step=after.short,
         interrupted=last is not None and last not in _DONE and left > 0,
         in_use=known.in_use,
         size_bytes=known.size_bytes,

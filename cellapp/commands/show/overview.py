@@ -19,7 +19,7 @@ def run_overview(run: RunFile) -> OverviewResult:
     """Return profile, arms, current stages, and the next command."""
     stages, arms = read_stages(run), arm_states(run)
     complaints = complaints_of(run, stages)
-    verb, command = next_step(run, stages, arms, complaints)
+    after = next_step(run, stages, arms, complaints)
     return OverviewResult(
         run=str(run.folder),
         profile=run.profile.name,
@@ -28,8 +28,8 @@ def run_overview(run: RunFile) -> OverviewResult:
         stages=tuple(_state(stage, stages) for stage in (*stages.current.values(), *_of_removed_steps(run))),
         in_force=None if stages.in_force is None else stages.in_force.name,
         stale="" if stages.in_force is None else stages.stale_model(),
-        next_verb=verb,
-        next_step=command,
+        next_verb=after.verb,
+        next_step=after.short,
         complaints=tuple(complaints),
         not_seen_at_rest={
             name: UnseenArmState(since=arm.since, reason=arm.reason) for name, arm in unseen_arms(run).items()

@@ -27,6 +27,7 @@ from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
+from rich.console import RenderableType
 from rich.text import Text
 from textual import on, work
 from textual.app import ScreenStackError, SystemCommand
@@ -49,6 +50,7 @@ from cellapp.interfaces.tui.jobs import JobEnded, MotionAsked
 from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind, key_table, with_keys
 from cellapp.interfaces.tui.live_run import LOOK_EVERY_S, Detached, JobsOfOthers
 from cellapp.interfaces.tui.offers import (
+    QuitQuestion,
     offer_at_rest,
     offer_to_quit,
     offer_to_resume,
@@ -211,7 +213,7 @@ HIGH_CONTRAST = Theme(
 
 _REQUESTS = ("stop", "stop_job", "pause", "resume", "abort")
 _OWN = ("show", "next_step", "whole_day", "explain", "handbook", "quit", *_REQUESTS)
-_ALWAYS = ("stop", "stop_job", "abort")
+_ALWAYS = ("stop", "stop_job", "abort", "leave")
 """Actions that stay available over an open dialog."""
 _DRAWING_S = 0.1
 """Interval of drawing a running job: people read no faster, and keys are handled in between."""
@@ -270,7 +272,7 @@ class CellApp(JobKeys):
         bind("help", "explain", "Help", "explain this screen"),
         bind("handbook", "handbook", "Handbook", KEYS["handbook"].meaning, show=False),
         bind("quit", "quit", "Quit"),
-        Binding("ctrl+q", "quit", show=False, priority=True),
+        Binding("ctrl+q", "leave", show=False, priority=True),
     ]
 
     def __init__(
@@ -294,6 +296,15 @@ class CellApp(JobKeys):
     def close_terminal(self) -> None:
         """Leave because the terminal is gone; from any thread."""
         self.leaving.close_terminal()
+
+    def end_if_stalled(self) -> None:
+        """End the process if the terminal takes nothing any more; from any thread."""
+        self.leaving.end_if_stalled(LEFT)
+
+    def exit(self, result: None = None, return_code: int = 0, message: RenderableType | None = None) -> None:
+        """Leave the screen, or end the process if the terminal does not let go of it."""
+        self.leaving.end_if_stalled(LEFT, until_ended=True)
+        super().exit(result, return_code, message)
 
     @contextlib.contextmanager
     def lend_terminal(self) -> Iterator[None]:
@@ -348,11 +359,15 @@ class CellApp(JobKeys):
         if self.jobs.running:
             self.jobs.wait(self._patience_s)
 
+    async def action_leave(self) -> None:
+        """Quit, also over a dialog."""
+        await self.action_quit()
+
     async def action_quit(self) -> None:
         """Quit; with a running job or unsaved changes, ask first; stop the job and wait for its end."""
         unsaved = [words for screen in self._screens.values() if (words := screen.unsaved)]
         if self.jobs.running or unsaved:
-            if not self._leaving:
+            if not self._leaving and not isinstance(self.screen, QuitQuestion):
                 offer_to_quit(self, self._leave, unsaved)
         else:
             self.exit(return_code=self.code)

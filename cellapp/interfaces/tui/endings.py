@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import signal
+import sys
 import threading
 import time
 import traceback
@@ -130,6 +132,9 @@ _LAST_WRITES_S = 0.5
 """The same if the terminal is gone: nobody reads it, and the next start waits for the files that this one holds."""
 
 
+_STALLED_S, _LOOK_S = 1.5, 0.05
+
+
 class Leaving:
     """Stops the job, then ends the application.
 
@@ -173,6 +178,7 @@ class Leaving:
             self.close_terminal()
         elif number in INTERRUPTS:
             control.leave(ended_by(number))
+            self.end_if_stalled(ended_by(number), until_ended=True)
             self._end(_LAST_WORDS_S)
         elif control.request == "pause":
             control.resume()
@@ -184,6 +190,26 @@ class Leaving:
         self._app.jobs.control.leave(TERMINAL_CLOSED)
         forget_terminal()
         self._end(_LAST_WRITES_S)
+
+    def end_if_stalled(self, how: str, *, until_ended: bool = False) -> None:
+        """End the process as soon as the terminal has taken nothing for a while, as of a broken connection: leaving its
+        screen would wait for it. ``until_ended``: look until the process ends, not only now."""
+        if self._ends_process and os.name == "posix":
+            threading.Thread(target=self._look_at_terminal, args=(how, until_ended), daemon=True).start()
+
+    def _look_at_terminal(self, how: str, until_ended: bool) -> None:
+        assert sys.__stderr__ is not None
+        began_s = taken_s = time.monotonic()
+        while time.monotonic() - taken_s < _STALLED_S:
+            if select.select([], [sys.__stderr__], [], 0.0)[1]:
+                taken_s = time.monotonic()
+                if not until_ended and taken_s - began_s > _STALLED_S:
+                    return
+            time.sleep(_LOOK_S)
+        running = self._app.jobs.running and not self._app.jobs.watched
+        self._app.jobs.control.leave(how)
+        self._app.jobs.wait(_LAST_WRITES_S)
+        os._exit(STOPPED if running else self._app.code)
 
     def _end(self, after_s: float) -> None:
         self._app.post_message(LeaveAsked())

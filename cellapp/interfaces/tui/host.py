@@ -155,6 +155,10 @@ class Host(App[None]):
         """Wait, with a time limit, until an abandoned job has brought its arms to rest."""
         raise NotImplementedError
 
+    def end_if_stalled(self) -> None:
+        """End the process if the terminal takes nothing any more; from any thread."""
+        raise NotImplementedError
+
     def close_terminal(self) -> None:
         """Leave because the terminal is gone; from any thread."""
         raise NotImplementedError

@@ -140,22 +140,24 @@ def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str, begun: Callable
     screen.app.push_screen(VerbQuestion(verb, text, BEGIN, {"folder": folder}, simulated=simulated), begin)
 
 
+class QuitQuestion(Choice):
+    """Whether to quit, and what that ends or loses."""
+
+
 def offer_to_quit(app: Host, leave: Callable[[bool], None], unsaved: Sequence[str] = ()) -> None:
     """Ask whether to stop the job or to lose unsaved changes, and quit; ``leave`` receives the answer."""
-    lost = f"Not saved, and lost: {', '.join(unsaved)}. " if unsaved else ""
+    text = f"Not saved, and lost: {', '.join(unsaved)}. " if unsaved else ""
+    stay, quits = "Stay", Answer("leave", "Quit, lose them", "y", "error")
     if not app.jobs.running:
-        lose = (Answer("stay", "Stay", "n"), Answer("leave", "Quit, lose them", "y", "error"))
-        text = f"{lost}Key {SHOWN['save']} saves on the screen that has them."
-        app.push_screen(Choice("Quit?", text, lose), lambda answer: leave(answer == "leave"))
-        return
-    if app.jobs.watched:
-        text = f"{lost}'{app.record.name}' runs in another process and goes on; its arms are not stopped."
-        stay = (Answer("stay", "Stay", "n"), Answer("leave", "Quit, it goes on", "y", "warning"))
-        app.push_screen(Choice("Quit?", text, stay), lambda answer: leave(answer == "leave"))
-        return
-    brake = "Brake all arms, end it" if app.jobs.control.has_brakes else "End it"
-    answers = (Answer("stay", "Continue", "n"), Answer("leave", "Stop and quit", "y", "error"))
-    question = Choice("Quit?", f"{lost}'{app.record.name}' is in progress. {brake} and quit?", answers)
+        text += f"Key {SHOWN['save']} saves on the screen that has them."
+    elif app.jobs.watched:
+        quits = Answer("leave", "Quit, it goes on", "y", "warning")
+        text += f"'{app.record.name}' runs in another process and goes on; its arms are not stopped."
+    else:
+        stay, quits = "Continue", Answer("leave", "Stop and quit", "y", "error")
+        brake = "Brake all arms, end it" if app.jobs.control.has_brakes else "End it"
+        text += f"'{app.record.name}' is in progress. {brake} and quit?"
+    question = QuitQuestion("Quit?", text, (Answer("stay", stay, "n"), quits))
     app.push_screen(question, lambda answer: leave(answer == "leave"))
 
 

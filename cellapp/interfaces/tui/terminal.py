@@ -102,6 +102,8 @@ class UrgentDriver(LinuxDriver):
         if self._presses_stop(message):
             given = cast(Host, self._app).presses.give()
             message = message if given is None else given
+        if isinstance(message, events.Key) and message.key == "ctrl+q":
+            cast(Host, self._app).end_if_stalled()  # the event loop may wait for the terminal
         super().process_message(message)
 
     def _presses_stop(self, message: Message) -> bool:

@@ -127,10 +127,14 @@ class PseudoTerminal:
             while self._changed.wait(for_s) and time.monotonic() < end_s:
                 pass
 
-    def hang_up(self) -> float:
-        """Close the terminal, as a person closes its window; return when [s] (``time.monotonic``), just before."""
+    def stall(self) -> None:
+        """Read nothing any more, as a terminal behind a broken connection."""
         self._open = False
         self._reader.join()
+
+    def hang_up(self) -> float:
+        """Close the terminal, as a person closes its window; return when [s] (``time.monotonic``), just before."""
+        self.stall()
         closed_s = time.monotonic()
         os.close(self._master)
         return closed_s

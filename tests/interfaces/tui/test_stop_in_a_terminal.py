@@ -44,6 +44,8 @@ ENCODINGS = {
     "Ctrl-C (Cyrillic)": b"\x1b[1089;5u",
     "Shift-Escape": b"\x1b[27;2u",
 }
+ENDS_WITHIN_S = 3.0
+"""From leaving with a terminal that reads nothing to the end of the process."""
 PRESSES = 5
 """A person who sees no STOP presses again."""
 MOTION, PALETTE = "REAL ARMS WILL MOVE", "Search for commands"
@@ -238,6 +240,31 @@ def test_leaving_stops_first_and_says_what_it_was(tmp_path: Path, leave: Callabl
         assert comes_about(lambda: bool(app.calls()), time.monotonic() + WAIT_S)
         assert app.terminal.process.wait(WAIT_S) == 4
         assert set(app.calls()) == {f"stop {how}"}
+
+
+@pytest.mark.parametrize("leave", [lambda one: one.send(b"\x11"), ends(signal.SIGTERM)], ids=["Ctrl-Q", "SIGTERM"])
+def test_a_terminal_that_reads_nothing_does_not_hold_the_process(
+    tmp_path: Path, leave: Callable[[Terminal], None]
+) -> None:
+    with held(tmp_path) as app:
+        app.terminal.stall()
+        for _ in range(40):  # all that it draws fills what the system keeps, then it waits
+            app.terminal.send("1234567")
+            time.sleep(0.02)
+        app.terminal.send(b"\x03")
+        assert comes_about(lambda: "stop" in app.calls(), time.monotonic() + WAIT_S)
+        time.sleep(1.0)
+        leave(app.terminal)
+        assert app.terminal.process.wait(ENDS_WITHIN_S) == 4
+        app.terminal.hang_up()
+
+
+def test_ctrl_q_quits_over_a_dialog(tmp_path: Path) -> None:
+    with held(tmp_path, "--no-job") as app:
+        app.terminal.send("h")
+        app.says("Up and down choose")
+        app.terminal.send(b"\x11")
+        assert app.terminal.process.wait(WAIT_S) == 0
 
 
 # -- The terminal application on emulated controllers, as an operator tries it: the stop key, resume, pause, abort -----
