@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from cellapp.cell.driving.verification import measured_turn
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
-from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.commands.check.request import FEWEST_STOPS, STOPS, CheckRequest
 from cellapp.commands.confirm import Ask, confirmation
 from cellapp.commands.locate.result import LocateResult
@@ -27,16 +25,14 @@ from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
 from cellapp.estimation.calibration.station_location import displacement_m, predicted_points
-from cellapp.estimation.monitoring.check import CheckBelief, Conclusion, SequentialTest, check_belief, choose_stops
-from cellapp.estimation.monitoring.check.belief import FALSE_ALARM, MISS
-from cellapp.estimation.monitoring.check.naming import SPENT_EARLY
+from cellapp.estimation.monitoring.check import CheckBelief, SequentialTest, check_belief, choose_stops, design_of
+from cellapp.estimation.monitoring.check.naming import Design
 from cellapp.estimation.monitoring.check.records import (
     CHANGES_OF_ARMS,
     CheckedPoint,
     CheckedStop,
     CheckResult,
     CheckVerdict,
-    WeakChange,
 )
 from cellapp.estimation.readings import Readings
 from cellapp.ground.control import JobControl
@@ -46,7 +42,7 @@ from cellapp.ground.profile.schema import Plant
 from cellapp.ground.progress import Listener, ignore, with_eta
 from cellapp.ground.results import CHECK, LOCATE
 from cellapp.ground.shell import shell_word
-from cellapp.robot.kinematics.transforms import Array, invert, rows_of, xyz_of
+from cellapp.robot.kinematics.transforms import Array, invert, xyz_of
 from cellapp.robot.model import ArmModel, CellModel
 
 
@@ -94,10 +90,11 @@ def check_run(
         raise InputError(f"check: at least {FEWEST_STOPS} stops are needed, better {STOPS}; not {stops}")
     probed = [name for name, arm in run.profile.arms.items() if arm.smr.probe is not None]
     checked = _checked(run, probed)
-    chosen = _stops(run.profile, checked, stops)
+    design = design_of(checked.belief)
+    chosen = _stops(run.profile, checked, design, stops)
     profile = _with_plant(profile_at_station(run, checked.stages), simulated_plant)
     task = CheckTask(profile, checked.model, chosen, excess_of_readings(run, checked.model))
-    test = SequentialTest(checked.belief, len(chosen))
+    test = SequentialTest(design, len(chosen))
     notes: list[str] = []
     if checked.stale:
         notes.append(f"the model in force, that of '{checked.used.name}', was checked although {checked.stale}")
@@ -108,7 +105,7 @@ def check_run(
         driven = drive_check(
             task, test, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with
         )
-        result = _result(run, checked, len(chosen), driven, test.conclusion())
+        result = _result(run, checked, driven, test.conclusion())
         result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": simulated_plant is not None})
         _store(run, checked, result)  # before the end is reported: listeners then read the run
     return result
@@ -138,7 +135,6 @@ class _Checked:
     arms: StoredStage
     model: CellModel
     belief: CheckBelief
-    readings: Mapping[str, Readings]
     located_T: Array | None
 
     @property
@@ -163,7 +159,7 @@ def _checked(run: RunFile, turned: Collection[str] = ()) -> _Checked:
         station_free=located_T is not None,
         T_new_old=located_T,
     )
-    return _Checked(stages, used, arms, model_of(run, used), belief, readings, located_T)
+    return _Checked(stages, used, arms, model_of(run, used), belief, located_T)
 
 
 def _with_plant(profile: Profile, plant: Plant | None) -> Profile:
@@ -180,44 +176,36 @@ def _with_plant(profile: Profile, plant: Plant | None) -> Profile:
     return profile.model_copy(update={"plant": placed})
 
 
-def _stops(profile: Profile, checked: _Checked, count: int) -> list[dict[str, Array]]:
-    """Choose the stops to measure, arm -> joint positions (N,) [rad], in the order of driving."""
-    candidates = check_candidates(profile, checked.model, checked.readings)
-    free = len(next(iter(candidates.values())))
-    chosen = choose_stops(checked.belief, candidates, min(count, free), start=home_positions(profile))
-    return [{name: q[row] for name, q in candidates.items()} for row in chosen.order.tolist()]
+def _stops(profile: Profile, checked: _Checked, design: Design, count: int) -> list[dict[str, Readings]]:
+    """Choose the stops to measure, arm -> its reading of the calibration, in the order of driving."""
+    known = {name: arm.positions.readings for name, arm in checked.belief.arms.items()}
+    candidates = check_candidates(profile, checked.model, known)
+    order = choose_stops(design, candidates, count)
+    return [{name: its.take([row]) for name, its in candidates.items()} for row in order.tolist()]
 
 
-def _result(run: RunFile, checked: _Checked, planned: int, driven: DrivenCheck, found: Conclusion) -> CheckResult:
+def _result(run: RunFile, checked: _Checked, driven: DrivenCheck, found: CheckResult) -> CheckResult:
     verdict = _verdict(run.profile, checked, driven, found)
-    return CheckResult.like(
-        found,
-        verdict=verdict,
-        model=checked.used.name,
-        planned=planned,
-        false_alarm=FALSE_ALARM,
-        miss=MISS,
-        sure_change=-math.log(SPENT_EARLY * FALSE_ALARM),
-        sure_valid=-math.log(SPENT_EARLY * MISS),
-        weak=tuple(map(WeakChange.like, found.weak)),
-        T_new_old=None if found.T_new_old is None else rows_of(found.T_new_old),
-        moved_bases={name: rows_of(T) for name, T in found.moved_bases.items()},
-        smr_offsets_F={name: xyz_of(offset) for name, offset in found.smr_offsets_F.items()},
-        stops=tuple(_checked_stop(checked.model, stop) for stop in driven.stops),
-        seconds=driven.seconds,
-        stale=checked.stale,
-        next_step=_next_step(verdict, run.folder),
-        notes=(*driven.notes, *found.notes),
+    return found.model_copy(
+        update={
+            "verdict": verdict,
+            "model": checked.used.name,
+            "stops": tuple(_checked_stop(checked.model, stop) for stop in driven.stops),
+            "seconds": driven.seconds,
+            "stale": checked.stale,
+            "next_step": _next_step(verdict, run.folder),
+            "notes": (*driven.notes, *found.notes),
+        }
     )
 
 
-def _verdict(profile: Profile, checked: _Checked, driven: DrivenCheck, found: Conclusion) -> CheckVerdict:
+def _verdict(profile: Profile, checked: _Checked, driven: DrivenCheck, found: CheckResult) -> CheckVerdict:
     """Return the verdict: that of the test; if valid, a located tracker may have moved again, or an arm not be seen."""
     if found.verdict != "valid":
         return found.verdict
     if checked.located_T is not None and found.T_new_old is not None:
         points = points_of([one for stop in driven.stops for one in stop.found.values()])
-        since = found.T_new_old @ invert(checked.located_T)
+        since = np.array(found.T_new_old) @ invert(checked.located_T)
         if displacement_m(checked.model, points, since) > profile.collection.reference.drift:
             return "tracker moved"
     return "cannot say" if driven.lost else "valid"

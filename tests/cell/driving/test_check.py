@@ -66,7 +66,7 @@ def task(finished_run: Path) -> CheckTask:
     with RunFile.open(finished_run) as run:
         model = model_of(run, stage_in_force(run, read_stages(run)))
         candidates = check_candidates(run.profile, model, {name: run.readings(name) for name in run.profile.arms})
-        stops = [{name: q[row] for name, q in candidates.items()} for row in range(0, 60, 10)]
+        stops = [{name: its.take([row]) for name, its in candidates.items()} for row in range(0, 60, 10)]
         return CheckTask(run.profile, model, stops, excess_of_readings(run, model))
 
 
@@ -150,7 +150,7 @@ def test_readings_without_common_stops_are_paired(task: CheckTask, finished_run:
     found = check_candidates(task.profile, task.model, apart)
     assert 0 < len(found["left"]) == len(found["right"])
     again = check_candidates(task.profile, task.model, apart)
-    np.testing.assert_array_equal(found["left"], again["left"])
+    np.testing.assert_array_equal(found["left"].q, again["left"].q)
 
 
 def test_a_cell_without_a_free_stop_is_refused(task: CheckTask, finished_run: Path) -> None:
