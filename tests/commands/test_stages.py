@@ -109,7 +109,7 @@ def test_something_comes_next_while_anything_is_undecided_failed_or_out_of_date(
                 name: arm.model_copy(update={"verdict": "ambiguous"}) for name, arm in results.discover.arms.items()
             }
             changed = results.model_copy(update={"discover": results.discover.model_copy(update={"arms": found})})
-            monkeypatch.setattr("cellapp.commands.next_step.read_stage_results", lambda run, stages: changed)
+            monkeypatch.setattr("cellapp.commands.next_step.read_results", lambda run, stages: changed)
         elif change == "out of date":
             append_stage(run, COMPENSATE, results.compensate, None)
         write_page(run)

@@ -133,7 +133,7 @@ def _cell(case: Mapping[str, Any]) -> Profile:
 
 def changes(profile: Profile, visible: Mapping[str, Mapping[str, float]], rng: np.random.Generator) -> list[Change]:
     """List the changes that a check states as visible, three times as large, with random signs and directions."""
-    found = []
+    found: list[Change] = []
 
     def shifts(kind: str, moved: str, what: str, arm: str, words: str) -> Iterator[Change]:
         sizes = [size for one, size in visible.get(arm, {}).items() if one.startswith(words)]

@@ -610,7 +610,10 @@ class RunFile:
         with self.look() as connection:
             again = "COALESCE(again, '')" if schema_version(connection) >= 9 else "''"
         asked = f"SELECT number, began, ended, outcome, reason, {again} FROM session ORDER BY number"
-        return [Session(*row, tuple(requests.get(row[0], ())), stops) for *row, stops in self._select(asked, _SESSIONS)]
+        return [
+            Session(number, began, ended, outcome, reason, tuple(requests.get(number, ())), again)
+            for number, began, ended, outcome, reason, again in self._select(asked, _SESSIONS)
+        ]
 
     def outcomes(self) -> list[Outcome]:
         """Return why arms have no reading at stops that were tried, by stop."""
@@ -632,7 +635,10 @@ class RunFile:
     def references(self) -> list[ReferenceRow]:
         """Return all reference measurements, oldest first."""
         rows = self._select("SELECT name, stops_done, time_s, p_m, session FROM reference ORDER BY rowid", _SESSIONS)
-        return [ReferenceRow(*row, np.array(json.loads(p_M)), session) for *row, p_M, session in rows]
+        return [
+            ReferenceRow(name, done, time_s, np.array(json.loads(p_M)), session)
+            for name, done, time_s, p_M, session in rows
+        ]
 
     # -- inside ------------------------------------------------------------------------------------------------------
 

@@ -51,4 +51,4 @@ def _import(profile: Path, given: Sequence[str | None], run: Path) -> str:
     known = [one for one in given if one is not None]
     if len(known) < len(given):
         return "cellapp docs readings"
-    return " ".join(["cellapp import", *map(shell_word, [profile, *known, "--run", run])])
+    return " ".join(["cellapp import", *(shell_word(str(word)) for word in (profile, *known, "--run", run))])

@@ -26,7 +26,6 @@ from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.trials.judge_records import (
     ArmFindings,
-    DescribedTerm,
     HiddenEffect,
     JudgeResult,
     Likeness,
@@ -36,7 +35,7 @@ from cellapp.commands.trials.judge_records import (
     SecondName,
 )
 from cellapp.commands.trials.scoring import scores
-from cellapp.commands.trials.sealed import GroundTruth, check_readings, check_seal, open_truth
+from cellapp.commands.trials.sealed import DescribedTerm, GroundTruth, check_readings, check_seal, open_truth
 from cellapp.commands.trials.sealed_setup import FLIP, HARD, POSITION
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.discovery.outcome import Discovery, HeldOut

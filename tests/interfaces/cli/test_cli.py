@@ -607,7 +607,7 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
     one_sentence(call("stop", long_run.name), "no job runs in planned")
     with RunFile.open(long_run) as run:
         (session,) = run.sessions()
-        assert session.requests[0][1] == "pause"
+        assert session.requests[0].kind == "pause"
         assert session.outcome == "stopped"
     check_resumes(long_run, call)
 

@@ -356,7 +356,7 @@ async def test_the_arms_stop_under_ones_finger(profile: Path, tmp_path: Path) ->
                 took.update(await one_session(profile, folder, control))
                 with RunFile.open(folder) as run:
                     (session,) = run.sessions()
-                    assert [kind for _, kind, _ in session.requests] == ["stop", "resume", "pause", "resume", "abort"]
+                    assert [one.kind for one in session.requests] == ["stop", "resume", "pause", "resume", "abort"]
                     assert session.outcome == "aborted"
                     assert len(run.stops_done()) == 1
             except AssertionError:

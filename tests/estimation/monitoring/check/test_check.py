@@ -252,7 +252,7 @@ def test_what_comes_again_is_expected_and_what_may_not_is_scatter(pair: Simulate
     its = pair.belief.arms["left"].measured.readings
     conditions = MeasurementConditions(approach=its.approach)
     calm = posterior_of(pair, its, conditions).arms["left"]
-    assert (calm.of_points.noise, calm.of_points.again) == (pytest.approx(SIGMA_M, rel=0.02), pytest.approx(0.0))
+    assert [calm.of_points.noise, calm.of_points.again] == [pytest.approx(SIGMA_M, rel=0.02), pytest.approx(0.0)]
     errors = np.random.default_rng(1).normal(0.0, 10 * SIGMA_M, its.p_M.shape)
     wild = posterior_of(pair, replace(its, p_M=its.p_M + errors), conditions)
     scatter = wild.arms["left"].of_points
