@@ -21,7 +21,6 @@ from cellapp.commands.check.run import check_run, plant_of
 from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.locate.run import locate_run
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.commands.push.run import push_run
 from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
@@ -38,6 +37,7 @@ from drivers.trackers.simulated import SimulatedTracker
 from tests.cell.driving.test_check import SOME, away, swap_splits
 from tests.twin import PROFILES, finished_twin
 from tests.twin import plant_of as opened_plant
+from tests.verbs import push_run
 
 TEN_MINUTES_S = 600.0
 

@@ -19,13 +19,10 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import refuse_motion
 from cellapp.cell.targets.targets import load_targets
-from cellapp.commands.collect.run import collect_stops
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.locate.run import locate_run, typed_pose
 from cellapp.commands.locate.station import excess_of_readings
 from cellapp.commands.locate.view import location_sentences, location_tables
-from cellapp.commands.push.run import push_run
-from cellapp.commands.report.run import report_run
 from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
@@ -42,6 +39,7 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.trackers.simulated import SimulatedTracker
 from tests.twin import PROFILES, plant_of, small_twin
+from tests.verbs import collect_stops, push_run, report_run
 
 
 @dataclass

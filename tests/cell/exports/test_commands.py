@@ -26,12 +26,12 @@ from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.records import TargetCommand
 from cellapp.cell.targets.targets import Target, load_targets
 from cellapp.commands.compensate.run import compensate_run
-from cellapp.commands.export.run import export_as_run, export_commands
-from cellapp.commands.push.run import push_run
+from cellapp.commands.export.run import export_commands
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
 from cellapp.ground.errors import InputError
 from cellapp.robot.model import CellModel
 from tests.twin import PROFILES
+from tests.verbs import export_as_run, push_run
 
 COMMAND_FORMATS = formats_of(CommandFormat)
 

@@ -26,14 +26,12 @@ from cellapp.cell.targets.targets import (
     same_target,
 )
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.certificate.run import certificate_run
 from cellapp.commands.certificate.view import certificate_sections, certificate_tables
 from cellapp.commands.compensate.tables import measured_turn_tables, turn_tables
 from cellapp.commands.compensate.target_list import target_states
 from cellapp.commands.compensate.view import view as compensated_view
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.export.run import export_commands
-from cellapp.commands.push.run import push_run
 from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
@@ -44,6 +42,7 @@ from cellapp.interfaces.page.page import certificate_page
 from cellapp.robot.kinematics.transforms import Array, apply, transform
 from cellapp.robot.model import CellModel
 from tests.twin import HIDDEN, PROFILES, finished_twin, small_twin
+from tests.verbs import certificate_run, push_run
 
 PROFILE = small_twin()
 
