@@ -13,9 +13,9 @@ from cellapp.cell.driving.iso9283 import programme
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.commands.iso9283.request import VERB, Iso9283Request
-from cellapp.commands.iso9283.run import iso9283_run
+from cellapp.commands.iso9283.run import iso9283_run, opened_run
 from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
-from cellapp.commands.record import Work, opened_run
+from cellapp.commands.record import Work
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.sections import report_sections
 from cellapp.commands.run_results import read_results
