@@ -20,7 +20,6 @@ from cellapp.commands.discover.run import discover_run
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.export.run import export
 from cellapp.commands.import_ import VERB as IMPORT
-from cellapp.commands.import_ import import_new_run
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import read_stages
@@ -34,7 +33,7 @@ from cellapp.robot.kinematics.chain import smr_positions
 from tests.commands.moved_arms import OFFSET_S, RATE_PPM, SIGMA_M, add_arm, true_arm, write_recording
 from tests.interfaces.page.runs import without_devices
 from tests.program import app
-from tests.verbs import export_as_run
+from tests.verbs import export_as_run, import_new_run
 
 
 def files_of(folder: Path, profile, *names: str, **options: float) -> tuple[list[Path], list[Path]]:
