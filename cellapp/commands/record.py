@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
@@ -316,9 +316,3 @@ NewRun = Annotated[Path, Asked("Folder of the new run; must not hold one yet.", 
 Prior = Annotated[Path | None, Asked("Folder of an earlier calibrated run of the same arms, as prior.", "EARLIER")]
 OutOfDate = Annotated[bool, Asked("Use the latest model even if it no longer fits the run's data.")]
 Strict = Annotated[bool, Asked("Exit code 1 if a result, the page or the certificate is out of date.")]
-Jobs = Annotated[
-    int | None,
-    Field(ge=1, le=1024),
-    Asked("Processes, each of one thread; all cores if left out; 1: no other.", "N"),
-]
-Scheduler = Annotated[str | None, Asked("Compute on the workers of a Dask scheduler, as tcp://HOST:8786.", "ADDRESS")]
