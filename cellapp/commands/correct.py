@@ -87,10 +87,7 @@ class CorrectRequest(Request):
     ] = False
     insignificant: Annotated[
         bool,
-        Asked(
-            "Correct targets whose correction is not significant too.",
-            label="correct what is not significant too",
-        ),
+        Asked("Correct targets whose correction is not significant too.", label="correct what is not significant too"),
     ] = False
 
 

@@ -32,8 +32,7 @@ class ImportRequest(Request):
     csv: Annotated[Path | None, Asked("Readings; 'cellapp docs files' has the columns.", "CSV", argument=True)] = None
     folder: NewRun
     in_order: Annotated[
-        bool,
-        Asked("Rows stand in the order of measurement (with time_s: by time); derive missing approach and step."),
+        bool, Asked("Rows stand in the order of measurement (with time_s: by time); derive missing approach and step.")
     ] = False
     reference_nests: Annotated[
         Path | None, Asked("Nests on the floor that tie tracker stations: station, nest, x_m, y_m, z_m.", "FILE")

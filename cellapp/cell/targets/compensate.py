@@ -44,14 +44,7 @@ from cellapp.robot.kinematics.inverse import all_branches, errors_and_jacobian, 
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 
-__all__ = [
-    "Command",
-    "compensate",
-    "compensate_result",
-    "invert_model",
-    "with_approach",
-    "without_effects",
-]
+__all__ = ["Command", "compensate", "compensate_result", "invert_model", "with_approach", "without_effects"]
 
 _TOGETHER_ROUNDS = 2
 """Iterations for two arms that act on each other: in the second one their interaction changes by a thousandth."""
@@ -135,8 +128,7 @@ class _Group:
         goals = {name: goals_of_arm(model, targets, name) for name in names}
         stated = {
             name: replace(
-                stated_conditions(profile, targets, name),
-                record=ranges[name].record if name in ranges else None,
+                stated_conditions(profile, targets, name), record=ranges[name].record if name in ranges else None
             )
             for name in names
         }

@@ -274,11 +274,7 @@ def _arm_sentences(export: ArmExport, *, listed: bool = False) -> list[str]:
 
 def _arm_file(export: ArmExport, file: Path, smr: Array, off_mm: float) -> ArmFile:
     return ArmFile(
-        file=str(file),
-        smr_m=xyz_of(smr),
-        conversion_mm=off_mm,
-        lost=export.lost,
-        lost_together=export.lost_together,
+        file=str(file), smr_m=xyz_of(smr), conversion_mm=off_mm, lost=export.lost, lost_together=export.lost_together
     )
 
 
