@@ -19,13 +19,7 @@ from cellapp.ground.progress import CancelToken
 from cellapp.ground.results import Record, Result
 from drivers.arms.settings import EmulatedController
 from drivers.emulators.tracker_bridge import TrackerBridgeEmulator
-from drivers.emulators.ur_controller import (
-    REAL_TIME,
-    Addresses,
-    ControllerConfig,
-    Personality,
-    UrControllerServer,
-)
+from drivers.emulators.ur_controller import REAL_TIME, Addresses, ControllerConfig, Personality, UrControllerServer
 from drivers.emulators.ur_controller.personality import STANDARD_PORTS
 from drivers.plant import Plant
 from drivers.plant.factory import factory_calibration

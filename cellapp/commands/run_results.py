@@ -20,13 +20,7 @@ from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.estimation.monitoring.check.records import CheckResult
 from cellapp.estimation.uncertainty.budget import Evidence, MeasuredConditions
 from cellapp.ground.errors import InputError
-from cellapp.ground.results import (
-    CALIBRATE,
-    DISCOVER,
-    STAGE_NAMES,
-    Result,
-    StageName,
-)
+from cellapp.ground.results import CALIBRATE, DISCOVER, STAGE_NAMES, Result, StageName
 
 
 def evidence_of(results: RunResults, arm: str, measured: MeasuredConditions | None = None) -> Evidence:

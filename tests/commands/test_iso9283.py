@@ -15,6 +15,7 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.iso9283.request import VERB, Iso9283Request
 from cellapp.commands.iso9283.run import iso9283_run, opened_run
 from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
+from cellapp.commands.record import Work
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.sections import report_sections
 from cellapp.commands.run_results import read_results
@@ -62,7 +63,7 @@ def asked(run: RunFile, **options: Any) -> Iso9283Request:
 
 def test_a_calibrated_run_is_tested_as_found_and_as_left(finished_copy: Path) -> None:
     with RunFile.open(finished_copy, write=True) as run:
-        result = iso9283_run(run, asked(run, tests=("pose", "cooperative"), cycles=3))
+        result = iso9283_run(run, asked(run, tests=("pose", "cooperative"), cycles=3), Work())
         stages = read_stages(run)
         assert ISO9283 in stages.current
         assert ISO9283 not in stages.out_of_date
@@ -103,7 +104,7 @@ def test_what_was_measured_before_a_fault_is_stored(finished_copy: Path, monkeyp
     with RunFile.open(finished_copy, write=True) as run:
         request = asked(run, tests=["distance"], cycles=3, arms=["right"], commands="nominal")
         with pytest.raises(HardwareError, match="protective stop"):
-            iso9283_run(run, request, listen)
+            iso9283_run(run, request, Work(listen))
         stored = read_results(run).iso9283
     assert stored is not None
     assert stored.stopped == "stopped: arm right: protective stop"

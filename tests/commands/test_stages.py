@@ -16,8 +16,6 @@ from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.discover.run import discover_run
-from cellapp.commands.push.run import push_run
-from cellapp.commands.report.run import report_run
 from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.view import overview_sentences
@@ -35,6 +33,7 @@ from cellapp.interfaces.page.page import write_page
 from cellapp.interfaces.tui.keys import way_to, with_keys
 from cellapp.robot.model import CellModel
 from tests.twin import PROFILES, small_twin
+from tests.verbs import push_run, report_run
 
 OLD_RUN = Path(__file__).parents[1] / "fixtures" / "run-schema-2"
 TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())[:2]

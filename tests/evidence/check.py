@@ -21,7 +21,6 @@ from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.check.run import check_run
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.estimation.monitoring.check.records import TRACKER, CheckResult
@@ -33,6 +32,7 @@ from drivers.plant.suggest import suggest
 from tests.evidence.shared.cells import TWIN
 from tests.evidence.shared.changes import Changed, parameter_plant, shifted_plant, worn_plant
 from tests.evidence.skeleton import Evidence, Limit, Share, Table
+from tests.verbs import check_run
 
 TITLE = "Check"
 MODELS = ("geometry", "network", "effects")

@@ -212,11 +212,7 @@ def murmur(data: bytes) -> int:
 
 
 UR_DESCRIPTION = ExportFormat(
-    "ur-description",
-    "kinematics of UR's ROS 2 description",
-    ".yaml",
-    ur_description,
-    smr=smr_in_tool0,
+    "ur-description", "kinematics of UR's ROS 2 description", ".yaml", ur_description, smr=smr_in_tool0
 )
 
 

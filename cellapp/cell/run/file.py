@@ -72,8 +72,7 @@ def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings
     names = reading_columns()
     places = ", ".join("?" * len(names))
     connection.executemany(
-        f"INSERT INTO reading ({', '.join(names)}) VALUES ({places})",
-        ((arm, *row) for row in _table_rows(readings)),
+        f"INSERT INTO reading ({', '.join(names)}) VALUES ({places})", ((arm, *row) for row in _table_rows(readings))
     )
 
 
@@ -393,12 +392,7 @@ class RunFile:
 
     # -- readings ----------------------------------------------------------------------------------------------------
 
-    def add_stop(
-        self,
-        configuration: int,
-        rows: Mapping[str, Reading],
-        outcomes: Sequence[Outcome] = (),
-    ) -> None:
+    def add_stop(self, configuration: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
         """Store one stop of all arms, and why arms have no reading there, in one transaction; on return it is on disk.
 
         Raises

@@ -36,12 +36,7 @@ class Earlier:
     replaced: tuple[str, ...]
 
 
-def replace_stop(
-    run: RunFile,
-    stop: int,
-    rows: Mapping[str, Reading],
-    outcomes: Sequence[Outcome] = (),
-) -> None:
+def replace_stop(run: RunFile, stop: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
     """Store one stop that was measured again, in one transaction; on return it is on disk.
 
     The previous reading is kept, and the new one takes its split: measuring again moves no stop between identification

@@ -432,6 +432,5 @@ class ReferenceRow:
 def insert_outcome(connection: sqlite3.Connection, outcome: Outcome) -> None:
     """Add an outcome; it replaces an earlier one of the same stop and arm."""
     connection.execute(
-        "INSERT OR REPLACE INTO outcome VALUES (?, ?, ?, ?)",
-        (outcome.stop, outcome.arm, outcome.kind, outcome.reason),
+        "INSERT OR REPLACE INTO outcome VALUES (?, ?, ?, ?)", (outcome.stop, outcome.arm, outcome.kind, outcome.reason)
     )

@@ -56,13 +56,7 @@ def _difference_cells(nominal: float, estimate: Estimate) -> tuple[Cell, ...]:
     if estimate.unit == "rad":
         delta = math.remainder(delta, 2.0 * math.pi)
     error = estimate.standard_error
-    return (
-        nominal * factor,
-        estimate.value * factor,
-        delta * factor,
-        None if error is None else error * factor,
-        unit,
-    )
+    return (nominal * factor, estimate.value * factor, delta * factor, None if error is None else error * factor, unit)
 
 
 def merged_tables(calibrate: CalibrateResult) -> list[Table]:

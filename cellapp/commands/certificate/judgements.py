@@ -31,12 +31,7 @@ from cellapp.estimation.uncertainty.budget import (
     position_budget,
     turn_budget,
 )
-from cellapp.estimation.uncertainty.records import (
-    Characteristic,
-    Judgement,
-    TurnContribution,
-    UncertaintyContribution,
-)
+from cellapp.estimation.uncertainty.records import Characteristic, Judgement, TurnContribution, UncertaintyContribution
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile

@@ -15,13 +15,7 @@ from cellapp.commands.certificate.result import (
 from cellapp.commands.record import View
 from cellapp.commands.view.parts import Facts, Section
 from cellapp.commands.view.table import Cell, Field, Table, columns_of, table_of
-from cellapp.commands.view.words import (
-    CHARACTERISTIC_WORDS,
-    RULE_WORDS,
-    Verdict,
-    judgement_table,
-    verdict_of,
-)
+from cellapp.commands.view.words import CHARACTERISTIC_WORDS, RULE_WORDS, Verdict, judgement_table, verdict_of
 from cellapp.estimation.iso9283.coverage import not_done
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm
@@ -59,10 +53,7 @@ _ERROR_COLUMNS = columns_of(
     ("largest", ".3f"),
     ("n", "d"),
 )
-_TURNED: tuple[Field, ...] = (
-    ("rotation as found [mrad]", "found_mrad", ".3f"),
-    ("as left [mrad]", "left_mrad", ".3f"),
-)
+_TURNED: tuple[Field, ...] = (("rotation as found [mrad]", "found_mrad", ".3f"), ("as left [mrad]", "left_mrad", ".3f"))
 _NOWHERE = (None, None, None)
 """Coordinates of a target whose position was not stored."""
 

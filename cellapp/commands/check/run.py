@@ -17,8 +17,8 @@ from cellapp.cell.driving.verification import measured_turn
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
-from cellapp.commands.check.request import FEWEST_STOPS, STOPS, CheckRequest
-from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.check.request import CheckRequest
+from cellapp.commands.confirm import confirmation
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.locate.station import excess_of_readings, profile_at_station
 from cellapp.commands.record import Work
@@ -35,11 +35,10 @@ from cellapp.estimation.monitoring.check.records import (
     CheckVerdict,
 )
 from cellapp.estimation.readings import Readings
-from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant
-from cellapp.ground.progress import Listener, ignore, with_eta
+from cellapp.ground.progress import with_eta
 from cellapp.ground.results import CHECK, LOCATE
 from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.transforms import Array, invert, xyz_of
@@ -49,30 +48,17 @@ from cellapp.robot.model import ArmModel, CellModel
 def run(request: CheckRequest, work: Work) -> CheckResult:
     """Measure whether the calibration still holds."""
     with RunFile.open(request.folder, write=True) as opened:
-        return check_run(
-            opened,
-            work.listener,
-            work.control,
-            stops=request.stops,
-            simulated_plant=None if request.simulated_plant is None else plant_of(request.simulated_plant),
-            ask=work.ask(opened.profile.name),
-        )
+        plant = None if request.simulated_plant is None else plant_of(request.simulated_plant)
+        return check_run(opened, request, work, plant)
 
 
 def check_run(
-    run: RunFile,
-    listener: Listener = ignore,
-    control: JobControl | None = None,
-    *,
-    stops: int = STOPS,
-    simulated_plant: Plant | None = None,
-    ask: Ask | None = None,
-    open_with: Opened | None = None,
+    run: RunFile, request: CheckRequest, work: Work, plant: Plant | None = None, open_with: Opened | None = None
 ) -> CheckResult:
-    """Measure at most ``stops`` stops of all arms, judge the model in force by them, and store the result.
+    """Measure stops of all arms, judge the model in force by them, and store the result.
 
-    The test ends early once it decides. ``simulated_plant`` replaces the simulated cell's hidden physics for this job,
-    to show a change. ``ask`` is called before the first motion of real arms, ``open_with`` opens the cell.
+    The test ends early once it decides. ``plant`` replaces the simulated cell's hidden physics for this job,
+    to show a change. ``open_with`` opens the cell.
 
     Raises
     ------
@@ -85,14 +71,12 @@ def check_run(
     Cancelled
         Nothing is stored.
     """
-    control = control or JobControl()
-    if stops < FEWEST_STOPS:
-        raise InputError(f"check: at least {FEWEST_STOPS} stops are needed, better {STOPS}; not {stops}")
+    control = work.control
     probed = [name for name, arm in run.profile.arms.items() if arm.smr.probe is not None]
     checked = _checked(run, probed)
     design = design_of(checked.belief)
-    chosen = _stops(run.profile, checked, design, stops)
-    profile = _with_plant(profile_at_station(run, checked.stages), simulated_plant)
+    chosen = _stops(run.profile, checked, design, request.stops)
+    profile = _with_plant(profile_at_station(run, checked.stages), plant)
     task = CheckTask(profile, checked.model, chosen, excess_of_readings(run, checked.model))
     test = SequentialTest(design, len(chosen))
     notes: list[str] = []
@@ -100,13 +84,13 @@ def check_run(
         notes.append(f"the model in force, that of '{checked.used.name}', was checked although {checked.stale}")
 
     opened = noting_controllers(run, notes)
-    with running_job(run, control, "check", listener) as listener:
-        confirm = confirmation(run.profile, ask)
+    with running_job(run, control, "check", work.listener) as listener:
+        confirm = confirmation(run.profile, work.ask(run.profile.name))
         driven = drive_check(
             task, test, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with
         )
         result = _result(run, checked, driven, test.conclusion())
-        result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": simulated_plant is not None})
+        result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": plant is not None})
         _store(run, checked, result)  # before the end is reported: listeners then read the run
     return result
 

@@ -114,13 +114,7 @@ def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
         profile=tuple(_profile_differences(a.profile, b.profile)),
         arms=arms,
         pair=tuple(_of_pair(first.calibrate, second.calibrate)),
-        notes=(
-            *_other_arms(a, b),
-            *_other_types(a, b, common),
-            *others.values(),
-            *_missing(first),
-            *_missing(second),
-        ),
+        notes=(*_other_arms(a, b), *_other_types(a, b, common), *others.values(), *_missing(first), *_missing(second)),
     )
 
 

@@ -9,13 +9,7 @@ import math
 
 from cellapp.cell.targets.records import CompensateResult, MeasuredTarget, TargetCommand, VerifyResult
 from cellapp.commands.calibrate.view import ERROR_COLUMNS, MM, error_cells
-from cellapp.commands.compensate.words import (
-    PART_WORDS,
-    Measured,
-    all_measured,
-    arms_words,
-    shown_tolerance,
-)
+from cellapp.commands.compensate.words import PART_WORDS, Measured, all_measured, arms_words, shown_tolerance
 from cellapp.commands.view.table import (
     MOST_ROWS,
     Cell,
@@ -138,12 +132,7 @@ def measured_targets(verify: VerifyResult, arm: str) -> list[MeasuredTarget]:
 
 def measured_tables(verify: VerifyResult) -> list[Table]:
     """Show each target with its errors, one table for each arm; cooperative targets; targets without measurement."""
-    return [
-        *_arm_tables(verify),
-        *measured_turn_tables(verify),
-        *pair_tables(verify),
-        *not_measured_tables(verify),
-    ]
+    return [*_arm_tables(verify), *measured_turn_tables(verify), *pair_tables(verify), *not_measured_tables(verify)]
 
 
 def measured_turn_tables(verify: VerifyResult) -> list[Table]:

@@ -11,11 +11,10 @@ from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, TargetCom
 from cellapp.cell.targets.targets import Target, same_target
 from cellapp.commands.compensate.words import Measured, arms_words, shown_tolerance
 from cellapp.commands.run_results import RunResults
-from cellapp.commands.stages import change_words
 from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.estimation.uncertainty.budget import target_verdict
 from cellapp.ground.grouping import grouped
-from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, DecisionRule
+from cellapp.ground.results import DecisionRule
 
 R = TypeVar("R", bound=TargetRecord)
 J = TypeVar("J", MeasuredTarget, MeasuredPair)
@@ -155,20 +154,6 @@ def target_words(target: Target, results: RunResults | None) -> str:
     frame = "" if target.frame == "base" else f" in frame {target.frame}"
     state = _state_words(target, target_state(target, results))
     return f"{target.name}: {state}.\nx {x}, y {y}, z {z} mm{frame}; {rotation}"
-
-
-def stale_model(results: RunResults) -> str:
-    """Say why the model in force should not be used; empty if it holds."""
-    located = results.locate
-    if located is not None and located.verdict != "located":
-        return "no motion of the tracker explains the points of the last 'locate'"
-    asked = (CALIBRATE, DISCOVER, LOCATE) if located is not None and located.moved else (CALIBRATE, DISCOVER)
-    reasons = [
-        f"'{name}' is out of date ({results.out_of_date[name]})" for name in asked if name in results.out_of_date
-    ]
-    if (checked := results.held.check) is not None and checked.found_change:
-        reasons.append(change_words(checked.verdict))
-    return "; ".join(reasons)
 
 
 def _state_words(target: Target, state: TargetState) -> str:

@@ -21,7 +21,6 @@ from cellapp.robot.effects import EFFECTS
 from cellapp.robot.plugins import in_words
 from drivers.arms.protocol import ArmError
 from drivers.findings import Finding
-from drivers.plugins import Plugin
 
 
 def run(request: DoctorRequest, work: Work) -> DoctorResult:
@@ -96,14 +95,9 @@ def _reports(result: DoctorResult) -> dict[str, tuple[tuple[tuple[float, ...], .
     }
 
 
-def installed_plugins() -> tuple[Plugin, ...]:
-    """Return every entry point in a group of this program, including unusable ones."""
-    return (*device_plugins(), *EFFECTS.plugins, *all_formats().plugins)
-
-
 def installed_findings() -> list[Finding]:
     """Return what each installed plug-in adds; unusable plug-ins are only warnings and stop no job."""
-    installed = installed_plugins()
+    installed = (*device_plugins(), *EFFECTS.plugins, *all_formats().plugins)
     added = in_words(one for one in installed if not one.problem)
     findings = [Finding(f"plug-in {name}", "ok", f"adds {words}") for name, words in added.items()]
     refused = dict.fromkeys(one.refusal for one in installed if one.problem)  # an unreadable list has no group

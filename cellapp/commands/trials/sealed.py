@@ -403,13 +403,7 @@ class _HiddenCell:
 
 
 def _write_run(
-    profile: Profile,
-    folder: Path,
-    number: int,
-    case: Case,
-    plan: _Plan,
-    seed: int,
-    setup: Setup,
+    profile: Profile, folder: Path, number: int, case: Case, plan: _Plan, seed: int, setup: Setup
 ) -> GroundTruth:
     """Write one run; return its ground truth."""
     rng = np.random.default_rng([seed, 0x5EA1, number])

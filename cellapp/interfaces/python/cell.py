@@ -167,11 +167,7 @@ _OTHER = "other_q"
 
 
 def stated_conditions(
-    q: Array,
-    given: Mapping[str, Any],
-    arm: str,
-    other: ArmModel | None,
-    record: TemperatureRecord | None,
+    q: Array, given: Mapping[str, Any], arm: str, other: ArmModel | None, record: TemperatureRecord | None
 ) -> MeasurementConditions | None:
     """Return the conditions at configurations ``q`` (n, N) [rad]; None if none are given, so that all are unknown.
 

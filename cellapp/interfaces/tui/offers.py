@@ -122,11 +122,9 @@ def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:
 
 def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str, begun: Callable[[], None] = lambda: None) -> None:
     """Ask for the request of a verb that measures with the model in force, then run it; ``begun`` is called before."""
-    from cellapp.commands.compensate.target_list import stale_model  # numerics, which the start must not wait for
-
     if (calibrated := screen.calibrated_run()) is None:
         return
-    folder, results, _ = calibrated
+    folder, *_ = calibrated
 
     def begin(request: Request | None) -> None:
         if request is not None:
@@ -134,7 +132,7 @@ def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str, begun: Callable
             screen.start(work.verb_job(verb, request))
 
     text = f"{words} {arms_words(screen.workspace)}."
-    if stale := stale_model(results):
+    if stale := screen.workspace.stale:
         text += f"\nThe model is not up to date: {stale}."
     simulated = screen.workspace.kind == "simulated"
     screen.app.push_screen(VerbQuestion(verb, text, BEGIN, {"folder": folder}, simulated=simulated), begin)

@@ -112,6 +112,11 @@ class Workspace:
         return {} if self.overview is None else {n: a.reason for n, a in self.overview.not_seen_at_rest.items()}
 
     @property
+    def stale(self) -> str:
+        """Why the model in force should not be used; empty if it may be, or there is none."""
+        return "" if self.overview is None else self.overview.stale
+
+    @property
     def next_step(self) -> Step:
         """The step that comes next."""
         if self.profile is None:

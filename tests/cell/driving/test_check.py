@@ -19,13 +19,10 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import refuse_motion
 from cellapp.cell.targets.targets import load_targets
-from cellapp.commands.collect.run import collect_stops
 from cellapp.commands.locate.result import LocateResult
-from cellapp.commands.locate.run import locate_run, typed_pose
+from cellapp.commands.locate.run import typed_pose
 from cellapp.commands.locate.station import excess_of_readings
 from cellapp.commands.locate.view import location_sentences, location_tables
-from cellapp.commands.push.run import push_run
-from cellapp.commands.report.run import report_run
 from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
@@ -42,6 +39,7 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.trackers.simulated import SimulatedTracker
 from tests.twin import PROFILES, plant_of, small_twin
+from tests.verbs import collect_stops, locate_run, push_run, report_run
 
 
 @dataclass
@@ -343,6 +341,6 @@ def test_a_pose_that_is_none_is_refused(text: str) -> None:
 
 
 def test_what_cannot_be_done_is_refused_before_anything_moves(run: RunFile) -> None:
-    with pytest.raises(InputError, match="at least 3 points"):
+    with pytest.raises(InputError, match="--points: expected at least 3, got 2"):
         locate_run(run, 2)
     assert typed_pose("3.8,0,0.6,0,0,180", "").rpy[2] == pytest.approx(np.pi)

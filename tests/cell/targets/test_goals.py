@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.exports.arm_export import lost_by, workspace
-from cellapp.cell.exports.command_table import COMMAND_TABLE
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate, compensate_result
@@ -26,14 +25,11 @@ from cellapp.cell.targets.targets import (
     same_target,
 )
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.certificate.run import certificate_run
 from cellapp.commands.certificate.view import certificate_sections, certificate_tables
 from cellapp.commands.compensate.tables import measured_turn_tables, turn_tables
 from cellapp.commands.compensate.target_list import target_states
 from cellapp.commands.compensate.view import view as compensated_view
 from cellapp.commands.discover.run import discover_run
-from cellapp.commands.export.run import export_commands
-from cellapp.commands.push.run import push_run
 from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
@@ -44,6 +40,7 @@ from cellapp.interfaces.page.page import certificate_page
 from cellapp.robot.kinematics.transforms import Array, apply, transform
 from cellapp.robot.model import CellModel
 from tests.twin import HIDDEN, PROFILES, finished_twin, small_twin
+from tests.verbs import certificate_run, export_as_run, push_run
 
 PROFILE = small_twin()
 
@@ -202,7 +199,7 @@ def test_the_certificate_states_rotations_with_their_own_budget(run: RunFile, ve
 
 def test_commands_are_exported_with_what_is_known_of_the_rotation(run: RunFile, verified: VerifyResult) -> None:
     out = run.folder / "commands.csv"
-    export_commands(run, read_stages(run), COMMAND_TABLE, out)
+    export_as_run(run, "commands", out)
     rows = list(csv.DictReader(line for line in out.read_text("utf-8").splitlines() if not line.startswith("#")))
     assert [row["orientation_verdict"] for row in rows] == ["in"] * len(LEFT)
     assert all(float(row["orientation_within_mrad"]) < 0.5 < float(row["nominal_mrad"]) for row in rows)

@@ -25,7 +25,7 @@ from cellapp.cell.targets.records import ArmVerification, CompensateResult, Veri
 from cellapp.cell.targets.targets import Target, load_targets, same_target
 from cellapp.commands.compensate.tables import predicted_tables, verification_tables
 from cellapp.commands.compensate.words import verify_lines
-from cellapp.commands.push.run import judge_of, push_run
+from cellapp.commands.push.run import judge_of
 from cellapp.commands.run_results import read_results
 from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.estimation.uncertainty.budget import Judge
@@ -39,6 +39,7 @@ from drivers.plant import Clearance
 from tests.cell.planning.planned_cells import three_arms
 from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.twin import PROFILES, plant_of, small_twin
+from tests.verbs import push_run
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 TARGETS = (*ALL[:6], *ALL[20:26], *ALL[6:8])

@@ -23,11 +23,8 @@ from cellapp.cell.targets.ranges import ConditionRanges, payload_covariance
 from cellapp.cell.targets.targets import Target, WorkingConditions, load_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.run import compensate_run
-from cellapp.commands.export.run import export_as_run
-from cellapp.commands.import_ import import_new_run
 from cellapp.commands.init.own_data import write_own_data
 from cellapp.commands.init.request import InitRequest
-from cellapp.commands.push.run import push_run
 from cellapp.commands.run_results import read_results
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
@@ -41,6 +38,7 @@ from drivers.arms.protocol import ArmIdentity
 from drivers.arms.simulated import SimulatedArm
 from tests.arms import UR5
 from tests.twin import PROFILES, plant_of, small_twin
+from tests.verbs import export_as_run, import_new_run, push_run
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 TARGETS = (*ALL[:4], *ALL[20:22])

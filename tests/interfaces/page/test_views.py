@@ -32,7 +32,6 @@ from cellapp.cell.targets.records import (
 from cellapp.cell.targets.targets import Partner, Target
 from cellapp.commands.check.request import VERB as CHECK_VERB
 from cellapp.commands.collect.charts import stored_residual_chart
-from cellapp.commands.collect.run import collect_stops
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import collect_lines, other_notes, residual_range_words, stored_view
 from cellapp.commands.compensate.target_list import target_list, target_state, target_words
@@ -74,6 +73,7 @@ from tests.interfaces.page.cases import ERRORS, discovery, unknown_effect
 from tests.interfaces.page.plan_cases import plan_design
 from tests.robot.effects.cell import context_of
 from tests.twin import small_twin
+from tests.verbs import collect_stops
 
 APPROVED = Path(__file__).parent / "approved"
 

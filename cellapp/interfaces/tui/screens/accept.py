@@ -20,7 +20,6 @@ from textual.worker import get_current_worker
 
 from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
 from cellapp.commands.check.request import VERB as CHECK_VERB
-from cellapp.commands.compensate.target_list import stale_model
 from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
 from cellapp.commands.record import Request
 from cellapp.commands.report.request import VERB as REPORT
@@ -70,7 +69,7 @@ def ask_iso9283(screen: ScreenOfResults) -> None:
     folder = workspace.folder or new_folder(profile)
     calibrated = results is not None and results.calibrate is not None
     commands = ISO_COMMANDS if calibrated else ("nominal",)
-    stale = stale_model(results) if results is not None and calibrated else ""
+    stale = workspace.stale
 
     def begin(request: Request | None) -> None:
         if request is not None:

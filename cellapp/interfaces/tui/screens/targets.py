@@ -30,7 +30,6 @@ from cellapp.commands.compensate.request import VERB as COMPENSATE
 from cellapp.commands.compensate.tables import all_measured_tables, stored_tables
 from cellapp.commands.compensate.target_list import (
     COLUMN_GROUPS,
-    stale_model,
     target_list,
     target_state,
     target_states,
@@ -190,7 +189,7 @@ def ask_push(screen: DayScreen, targets: Sequence[Target]) -> None:
         if answer == "begin":
             screen.start(work.job_of(PUSH, **given))
 
-    stale = _stale(screen)
+    stale = screen.workspace.stale
     text = _push_words(screen, targets, "", stale)
     screen.app.push_screen(Choice("Push?", text, USE_STALE if stale else BEGIN), begin)
 
@@ -204,7 +203,7 @@ def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
         if request is not None:
             screen.start(work.verb_job(PUSH, request))
 
-    stale = _stale(screen)
+    stale = screen.workspace.stale
     measured = " with the nominal and the compensated command, measured by the tracker"
     text = _push_words(screen, targets, measured, stale)
     screen.app.push_screen(VerbQuestion(PUSH, text, USE_STALE if stale else BEGIN, given), begin)
@@ -256,13 +255,8 @@ def _pushed(screen: DayScreen, targets: Sequence[Target], *, verify: bool) -> di
     """Return the request values of a push except those of the question; None with a sentence if it cannot be pushed."""
     if (folder := _ready(screen, targets)) is None:
         return None
-    stale = bool(_stale(screen))
+    stale = bool(screen.workspace.stale)
     return {"folder": folder, "targets": tuple(targets), "verify": verify, "out_of_date": stale}
-
-
-def _stale(screen: DayScreen) -> str:
-    results = screen.workspace.results
-    return "" if results is None else stale_model(results)
 
 
 def _push_words(screen: DayScreen, targets: Sequence[Target], measured: str, stale: str) -> str:
