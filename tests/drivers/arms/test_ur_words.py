@@ -214,7 +214,6 @@ EXPECTED = UrExpectation(
 )
 PROBE = UrProbe(
     host="192.168.0.10",
-    greeting="",
     software="3.15.8",
     series="CB3",
     model="UR10",
