@@ -31,6 +31,7 @@ from drivers.arms.protocol import (
     ProtectiveStop,
 )
 from drivers.arms.ur_checks import JOINTS
+from drivers.arms.ur_control import Refusal
 from drivers.arms.ur_links import (
     DASHBOARD_PORT,
     RTDE_PORT,
@@ -42,7 +43,7 @@ from drivers.arms.ur_links import (
 )
 from drivers.arms.ur_options import UrOptions
 from drivers.arms.ur_rtde_reader import not_ready, samples, wait_at_rest
-from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess, WorkerRefusal
+from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess
 from drivers.patience import SLICE_S, Patience, patient_get
 
 ANSWER_WITHIN_S = 2.0
@@ -107,7 +108,7 @@ class GuardedLink:
             fault = worker.call("confirm", patience.left_s)["fault"]
         except WorkerGone as error:
             raise self._doubted(error.kind, str(error)) from error
-        except WorkerRefusal as error:
+        except Refusal as error:
             raise arm_error(self._name, error.kind, error.text) from error
         if fault is not None:
             raise arm_error(self._name, fault["kind"], fault["text"])
@@ -163,7 +164,7 @@ class GuardedLink:
                 self._program.wait_at_rest()
                 with suppress(MotionStopped):
                     worker.call("release", ANSWER_WITHIN_S, self._require_last_stop)
-            except (LinkLost, WorkerGone, WorkerRefusal) as error:
+            except (LinkLost, WorkerGone, Refusal) as error:
                 kind = error.kind if isinstance(error, WorkerGone) else "link"
                 why = cause(error) if isinstance(error, LinkLost) else str(error)
                 doubt = self._link_in_doubt(f"the stop failed: {why}", kind)
@@ -219,7 +220,7 @@ class GuardedLink:
             return doubt or stopped
         if isinstance(doubt, LinkLost):
             return self._link_in_doubt(self._doubt.text, self._doubt.kind)
-        with suppress(WorkerGone, WorkerRefusal):
+        with suppress(WorkerGone, Refusal):
             fault = worker.call("state", ANSWER_WITHIN_S)["fault"]  # the worker may know the cause better by now
             if fault is not None:
                 return arm_error(self._name, fault["kind"], fault["text"])
@@ -269,7 +270,7 @@ class GuardedLink:
             return worker.call(request, within_s, permitted, **arguments)
         except MotionStopped as stopped:
             raise self._fault_or(stopped) from stopped
-        except WorkerRefusal as error:
+        except Refusal as error:
             refused = arm_error(self._name, error.kind, error.text)
             raise (self._fault_or(refused) if isinstance(refused, MotionStopped) else refused) from error
         except WorkerGone as error:

@@ -455,42 +455,26 @@ class LmfTracker:
 FINDING_S = 30.0
 
 
-@dataclass(frozen=True)
-class FoundTracker:
-    """A tracker that answers in the network."""
+def visible_trackers(library: str = DEFAULT_LIBRARY, load: Callable[[str], Lmf] = load_lmf) -> str:
+    """Return the trackers that LMF finds in this computer's networks, or why it cannot search, as a sentence."""
 
-    address: str
-    model: str
-    serial: str
-
-
-def find_trackers(library: str = DEFAULT_LIBRARY, load: Callable[[str], Lmf] = load_lmf) -> list[FoundTracker]:
-    """Return the trackers in this computer's networks. Raises ``LmfMissing``, ``TrackerTimeout``, ``TrackerError``."""
-
-    def find() -> list[FoundTracker]:
+    def find() -> str:
         lmf = load(library)
         try:
             finder = lmf.TrackerFinder()
             finder.Refresh()
-            return [FoundTracker(str(t.IPAddress), str(t.Type), str(t.SerialNumber)) for t in finder.Trackers]
+            names = ", ".join(f"{t.Type} {t.SerialNumber} at {t.IPAddress}" for t in finder.Trackers)
         except lmf.exceptions as error:
-            raise TrackerError(f"tracker: LMF could not search for trackers: {describe(error)}") from error
+            return f"tracker: LMF could not search for trackers: {describe(error)}"
+        return f"LMF sees {names}" if names else "LMF sees no tracker in the networks of this computer"
 
     calls = CallThread()
     try:
         return calls.call("searching for trackers", find, FINDING_S)
-    finally:
-        calls.close()
-
-
-def visible_trackers(library: str, load: Callable[[str], Lmf] = load_lmf) -> str:
-    """Return the trackers that LMF finds in this computer's networks, as a sentence for a person."""
-    try:
-        found = find_trackers(library, load)
     except TrackerError as error:
         return str(error)
-    names = ", ".join(f"{t.model} {t.serial} at {t.address}" for t in found)
-    return f"LMF sees {names}" if names else "LMF sees no tracker in the networks of this computer"
+    finally:
+        calls.close()
 
 
 # -- A thread for calls that may hang; every wait for a call has a time limit -----------------------------------------

@@ -230,8 +230,7 @@ def _stops(arm: Emulated, arguments: Sequence[str], _: float) -> list[dict[str, 
 
 
 def _starts(arm: Emulated, arguments: Sequence[str], _: float) -> list[float]:
-    since_s = _number(arguments, 0, limit=_LATEST_S, default=0.0)
-    return [began_s for began_s in arm.controller.began_s if began_s >= since_s]
+    return [event["at_s"] for event in _journal(arm, arguments, _) if event["kind"] == "begun"]
 
 
 def _journal(arm: Emulated, arguments: Sequence[str], _: float) -> list[dict[str, Any]]:

@@ -73,7 +73,6 @@ _TEMPERATURE_EVERY_S = 0.5
 _MAX_PAUSE_S = 0.05
 """Largest pause of this process that the watchdog counts: during a longer one the client was not silent."""
 _STEADY_S = 0.1
-_MOST_STARTS = 2000
 _LEAST_RATE = 1e-6
 """Joint speeds [rad/s] or accelerations [rad/s^2] below this count as 0: the motion would take days."""
 _ZERO6: Values = (0.0,) * 6
@@ -99,8 +98,6 @@ class Controller:
         Events, newest last; shows the reasons of refusals.
     moves : int
         Number of motions started; resumed ones count again.
-    began_s : deque of float
-        When the last motions were started, by ``clock``.
     journal : Journal
         All stops received, and the motions begun and ended.
     start_delay_s : float
@@ -129,9 +126,7 @@ class Controller:
         self.program: Program[Controller] | None = None
         self.log: deque[str] = deque(maxlen=200)
         self.moves = 0
-        self.began_s: deque[float] = deque(maxlen=_MOST_STARTS)
         self.journal = Journal(clock)
-        self._monotonic = clock
         self.now_s = 0.0
         self._uploaded: tuple[float, Program[Controller]] | None = None
         self._was_moving = False
@@ -264,7 +259,6 @@ class Controller:
         self.journal.note("begun", how)
         self._move_from = self.motions.q(self.name)
         self.moves += 1
-        self.began_s.append(self._monotonic())
 
     def follow(self, q: Sequence[float], rate: float) -> None:
         """Follow a position of a stream with the lag ``rate`` [1/s]; ignore it while the arm brakes."""
