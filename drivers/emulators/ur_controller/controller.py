@@ -120,7 +120,6 @@ class Controller:
         self.payload_center: Values = tuple(config.payload_center)
         self.payload_inertia: Values = _ZERO6
         self.tcp: Values = tuple(config.tcp)
-        self.gravity: Values = (0.0, 0.0, 9.82)
         self.slider = SpeedSlider()
         self.brakes = Brakes(config.name, motions, config.braking, config.speed, config.acceleration, clock)
         self.program: Program[Controller] | None = None
@@ -234,19 +233,20 @@ class Controller:
     def move(self, q: Sequence[float], speed: float, acceleration: float) -> None:
         """Start a joint motion like ``movej``: no joint exceeds ``speed`` or its own limit. The slider scales it.
 
-        Raises ``ScriptError`` for a goal outside the limits, or a value that is not a finite number.
+        All values are finite. Raises ``ScriptError`` for a goal outside the limits.
         """
         config = self.config
-        numbers = (*q, speed, acceleration)
-        if not all(map(math.isfinite, numbers)):
-            raise ScriptError("movej: a value is not a finite number")
-        for joint, (value, (low, high)) in enumerate(zip(q, config.limits, strict=True), start=1):
-            if not low - 1e-9 <= value <= high + 1e-9:
-                raise ScriptError(f"movej: {value:.4f} rad of joint {joint} is outside [{low:.4f}, {high:.4f}] rad")
+        self.require_inside("movej", q)
         if speed < _LEAST_RATE or acceleration < _LEAST_RATE:
             raise ScriptError("movej: speed and acceleration must be above 0")
         goal = np.array(q, dtype=np.float64)
         self._start(goal, np.minimum(speed, config.speed), np.minimum(acceleration, config.acceleration))
+
+    def require_inside(self, command: str, q: Sequence[float]) -> None:
+        """Raise ``ScriptError`` for a goal (6,) outside the limits."""
+        for joint, (value, (low, high)) in enumerate(zip(q, self.config.limits, strict=True), start=1):
+            if not low - 1e-9 <= value <= high + 1e-9:
+                raise ScriptError(f"{command}: {value:.4f} rad of joint {joint} is outside [{low:.4f}, {high:.4f}] rad")
 
     def _start(self, goal: Array, speed: Array, acceleration: Array) -> None:
         self._note_start("move" if self._goal is None else "resume")
