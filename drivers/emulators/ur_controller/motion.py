@@ -16,7 +16,7 @@ from drivers.plant import Plant
 
 Array = NDArray[np.float64]
 
-_STANDSTILL_S = 5.0
+_STANDSTILL_S = 30.0
 
 
 class PacedCell:
