@@ -701,38 +701,28 @@ class StopLine:
 # Translation of a UR worker's answers to the terms of the arm's protocol: errors with their remedies, and states.
 
 
-REFUSALS: Mapping[str, type[ArmError]] = {
-    "protective": ProtectiveStop,
-    "emergency": EmergencyStop,
-    "local": NotInRemoteControl,
-    "link": LinkLost,
-    "driver": LinkLost,
-    "ended": LinkLost,
-    "nonsense": LinkLost,
-    "timeout": ArmTimeout,
-    "stopped": MotionStopped,
-    "stalled": HostStalled,
-    "failed": ArmError,
-    "advised": ArmError,
-    "occupied": ArmError,
+REFUSALS: Mapping[str, tuple[type[ArmError], str]] = {
+    "protective": (ProtectiveStop, ""),
+    "emergency": (EmergencyStop, ""),
+    "local": (NotInRemoteControl, ""),
+    "link": (LinkLost, "see whether the controller is on and the network between works, then connect again"),
+    "driver": (LinkLost, "possible: other programs take its time; close them, then connect again"),
+    "ended": (LinkLost, "connect again; if it ends again, report it"),
+    "nonsense": (LinkLost, "look at the pendant's log, restart the controller"),
+    "timeout": (ArmTimeout, "see what the pendant shows"),
+    "stopped": (MotionStopped, "connect again when it may move"),
+    "stalled": (HostStalled, "nothing is wrong at the arm; close other programs on this computer"),
+    "failed": (ArmError, "look at the arm and at the pendant's log, then connect again"),
+    "advised": (ArmError, ""),
+    "occupied": (ArmError, ""),
 }
-"""Exception for each kind of refusal of the worker. A kind without a remedy here has the remedy in its text."""
-_REMEDIES = {
-    "link": "see whether the controller is on and the network between works, then connect again",
-    "driver": "possible: other programs take its time; close them, then connect again",
-    "ended": "connect again; if it ends again, report it",
-    "nonsense": "look at the pendant's log, restart the controller",
-    "timeout": "see what the pendant shows",
-    "stopped": "connect again when it may move",
-    "stalled": "nothing is wrong at the arm; close other programs on this computer",
-    "failed": "look at the arm and at the pendant's log, then connect again",
-}
+"""Exception and remedy for each kind of refusal of the worker. A kind without a remedy here has it in its text."""
 
 
 def arm_error(name: str, kind: str, text: str) -> ArmError:
     """Return the exception for a refusal of arm ``name``; its message says what is wrong and what to do."""
-    remedy = _REMEDIES.get(kind, "")
-    return REFUSALS[kind](f"arm {name}: {text}" + (f"; {remedy}" if remedy else ""))
+    error, remedy = REFUSALS[kind]
+    return error(f"arm {name}: {text}" + (f"; {remedy}" if remedy else ""))
 
 
 def arm_state(answer: Mapping[str, Any], moving_rad_s: float) -> ArmState:

@@ -10,7 +10,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
@@ -54,11 +53,6 @@ def of_modes(robot_mode: RobotMode, safety_mode: SafetyMode, runtime: ProgramSta
         "joint_mode": (JOINT_MODE.get(robot_mode, JOINT_POWER_OFF),) * 6,
         "actual_robot_voltage": (48.0 * powered,),
     }
-
-
-def of_load(mass: float, center: Values, inertia: Values, tcp: Values) -> dict[str, Values]:
-    """Return the variables that show payload and TCP."""
-    return {"payload": (mass,), "payload_cog": center, "payload_inertia": inertia, "tcp_offset": tcp}
 
 
 def of_tool(rows: Rows, q: Values, qd: Values, tcp: Values) -> dict[str, Values]:
@@ -511,7 +505,8 @@ class Controller:
 
     def publish_load(self) -> None:
         """Update the streamed payload and TCP."""
-        self.values |= of_load(self.payload_mass, self.payload_center, self.payload_inertia, self.tcp)
+        self.values |= {"payload": (self.payload_mass,), "payload_cog": self.payload_center}
+        self.values |= {"payload_inertia": self.payload_inertia, "tcp_offset": self.tcp}
         self._pose_inputs = None
 
     def tool_pose(self, q: Sequence[float], tcp: Sequence[float]) -> Values:
@@ -535,32 +530,23 @@ EventKind = Literal["stop", "begun", "ended"]
 _MOST = 5000
 
 
-@dataclass(frozen=True)
-class Event:
-    """One event at ``at_s`` (``time.monotonic`` of this process, comparable on one computer) [s].
+class Journal:
+    """The last events of one controller, oldest first, each at ``at_s`` (``time.monotonic`` of this process) [s].
 
     ``how`` is the way in which a stop arrived, or the cause of a motion: "move", "resume" or "stream".
     """
 
-    at_s: float
-    kind: EventKind
-    how: str
-
-
-class Journal:
-    """The last events of one controller, oldest first."""
-
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._events: deque[Event] = deque(maxlen=_MOST)
+        self._events: deque[dict[str, Any]] = deque(maxlen=_MOST)
 
     def note(self, kind: EventKind, how: str) -> None:
         """Record an event at the current time."""
-        self._events.append(Event(self._clock(), kind, how))
+        self._events.append({"at_s": self._clock(), "kind": kind, "how": how})
 
     def since(self, at_s: float) -> list[dict[str, Any]]:
         """Return the events from ``at_s`` on, for the control channel."""
-        return [asdict(event) for event in self._events if event.at_s >= at_s]
+        return [event for event in self._events if event["at_s"] >= at_s]
 
 
 # -- Digital outputs of a controller, which clients set ----------------------------------------------------------------
