@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -137,7 +136,7 @@ def _serve_tracker(
     )
     bridge = TrackerBridgeEmulator(
         plant,
-        clock=threading.Condition(server.cell.lock),
+        cell=server.cell,
         imperfections=own,
         host=tracker.host,
         port=tracker.port,

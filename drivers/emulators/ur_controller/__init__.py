@@ -15,7 +15,7 @@ emulator runs in a separate process, and each arm has a loopback address of its 
 
 Clients with plain sockets may share its process: ``with UrControllerServer([left, right], plant) as server: ...`` with
 ``server.addresses`` and ``server.control()``; ``ports=FREE_PORTS`` in a ``ControllerConfig`` takes free ones.
-``serve`` runs it in the foreground. ``control.py`` lists all commands of the control channel.
+``open`` and ``run`` serve in the foreground. ``control.py`` lists all commands of the control channel.
 
 Another server on the same plant, such as a tracker's, runs in a thread of the same process. It holds
 ``server.cell.lock`` while it accesses the plant and waits for the cell's clock with ``server.cell.wait(seconds)`` or on
@@ -49,7 +49,6 @@ from drivers.emulators.ur_controller.server import (
     EmulatorProcess,
     UrControllerServer,
     ideal,
-    serve,
     start_in_process,
 )
 
@@ -73,6 +72,5 @@ __all__ = [
     "ideal",
     "kinematics_info",
     "personality",
-    "serve",
     "start_in_process",
 ]

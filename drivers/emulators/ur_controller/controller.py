@@ -10,7 +10,6 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
@@ -56,11 +55,6 @@ def of_modes(robot_mode: RobotMode, safety_mode: SafetyMode, runtime: ProgramSta
     }
 
 
-def of_load(mass: float, center: Values, inertia: Values, tcp: Values) -> dict[str, Values]:
-    """Return the variables that show payload and TCP."""
-    return {"payload": (mass,), "payload_cog": center, "payload_inertia": inertia, "tcp_offset": tcp}
-
-
 def of_tool(rows: Rows, q: Values, qd: Values, tcp: Values) -> dict[str, Values]:
     """Return the variables that show pose and speed of the TCP, at joint positions and speeds (6,) [rad, rad/s]."""
     frames = poses.chain(rows, q)
@@ -73,7 +67,6 @@ _TEMPERATURE_EVERY_S = 0.5
 _MAX_PAUSE_S = 0.05
 """Largest pause of this process that the watchdog counts: during a longer one the client was not silent."""
 _STEADY_S = 0.1
-_MOST_STARTS = 2000
 _LEAST_RATE = 1e-6
 """Joint speeds [rad/s] or accelerations [rad/s^2] below this count as 0: the motion would take days."""
 _ZERO6: Values = (0.0,) * 6
@@ -99,8 +92,6 @@ class Controller:
         Events, newest last; shows the reasons of refusals.
     moves : int
         Number of motions started; resumed ones count again.
-    began_s : deque of float
-        When the last motions were started, by ``clock``.
     journal : Journal
         All stops received, and the motions begun and ended.
     start_delay_s : float
@@ -123,15 +114,12 @@ class Controller:
         self.payload_center: Values = tuple(config.payload_center)
         self.payload_inertia: Values = _ZERO6
         self.tcp: Values = tuple(config.tcp)
-        self.gravity: Values = (0.0, 0.0, 9.82)
         self.slider = SpeedSlider()
         self.brakes = Brakes(config.name, motions, config.braking, config.speed, config.acceleration, clock)
         self.program: Program[Controller] | None = None
         self.log: deque[str] = deque(maxlen=200)
         self.moves = 0
-        self.began_s: deque[float] = deque(maxlen=_MOST_STARTS)
         self.journal = Journal(clock)
-        self._monotonic = clock
         self.now_s = 0.0
         self._uploaded: tuple[float, Program[Controller]] | None = None
         self._was_moving = False
@@ -239,19 +227,20 @@ class Controller:
     def move(self, q: Sequence[float], speed: float, acceleration: float) -> None:
         """Start a joint motion like ``movej``: no joint exceeds ``speed`` or its own limit. The slider scales it.
 
-        Raises ``ScriptError`` for a goal outside the limits, or a value that is not a finite number.
+        All values are finite. Raises ``ScriptError`` for a goal outside the limits.
         """
         config = self.config
-        numbers = (*q, speed, acceleration)
-        if not all(map(math.isfinite, numbers)):
-            raise ScriptError("movej: a value is not a finite number")
-        for joint, (value, (low, high)) in enumerate(zip(q, config.limits, strict=True), start=1):
-            if not low - 1e-9 <= value <= high + 1e-9:
-                raise ScriptError(f"movej: {value:.4f} rad of joint {joint} is outside [{low:.4f}, {high:.4f}] rad")
+        self.require_inside("movej", q)
         if speed < _LEAST_RATE or acceleration < _LEAST_RATE:
             raise ScriptError("movej: speed and acceleration must be above 0")
         goal = np.array(q, dtype=np.float64)
         self._start(goal, np.minimum(speed, config.speed), np.minimum(acceleration, config.acceleration))
+
+    def require_inside(self, command: str, q: Sequence[float]) -> None:
+        """Raise ``ScriptError`` for a goal (6,) outside the limits."""
+        for joint, (value, (low, high)) in enumerate(zip(q, self.config.limits, strict=True), start=1):
+            if not low - 1e-9 <= value <= high + 1e-9:
+                raise ScriptError(f"{command}: {value:.4f} rad of joint {joint} is outside [{low:.4f}, {high:.4f}] rad")
 
     def _start(self, goal: Array, speed: Array, acceleration: Array) -> None:
         self._note_start("move" if self._goal is None else "resume")
@@ -264,7 +253,6 @@ class Controller:
         self.journal.note("begun", how)
         self._move_from = self.motions.q(self.name)
         self.moves += 1
-        self.began_s.append(self._monotonic())
 
     def follow(self, q: Sequence[float], rate: float) -> None:
         """Follow a position of a stream with the lag ``rate`` [1/s]; ignore it while the arm brakes."""
@@ -517,7 +505,8 @@ class Controller:
 
     def publish_load(self) -> None:
         """Update the streamed payload and TCP."""
-        self.values |= of_load(self.payload_mass, self.payload_center, self.payload_inertia, self.tcp)
+        self.values |= {"payload": (self.payload_mass,), "payload_cog": self.payload_center}
+        self.values |= {"payload_inertia": self.payload_inertia, "tcp_offset": self.tcp}
         self._pose_inputs = None
 
     def tool_pose(self, q: Sequence[float], tcp: Sequence[float]) -> Values:
@@ -541,32 +530,23 @@ EventKind = Literal["stop", "begun", "ended"]
 _MOST = 5000
 
 
-@dataclass(frozen=True)
-class Event:
-    """One event at ``at_s`` (``time.monotonic`` of this process, comparable on one computer) [s].
+class Journal:
+    """The last events of one controller, oldest first, each at ``at_s`` (``time.monotonic`` of this process) [s].
 
     ``how`` is the way in which a stop arrived, or the cause of a motion: "move", "resume" or "stream".
     """
 
-    at_s: float
-    kind: EventKind
-    how: str
-
-
-class Journal:
-    """The last events of one controller, oldest first."""
-
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._events: deque[Event] = deque(maxlen=_MOST)
+        self._events: deque[dict[str, Any]] = deque(maxlen=_MOST)
 
     def note(self, kind: EventKind, how: str) -> None:
         """Record an event at the current time."""
-        self._events.append(Event(self._clock(), kind, how))
+        self._events.append({"at_s": self._clock(), "kind": kind, "how": how})
 
     def since(self, at_s: float) -> list[dict[str, Any]]:
         """Return the events from ``at_s`` on, for the control channel."""
-        return [asdict(event) for event in self._events if event.at_s >= at_s]
+        return [event for event in self._events if event["at_s"] >= at_s]
 
 
 # -- Digital outputs of a controller, which clients set ----------------------------------------------------------------

@@ -6,8 +6,8 @@ import math
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from drivers.plant import Plant
 
 Array = NDArray[np.float64]
 
-_STANDSTILL_S = 5.0
+_STANDSTILL_S = 30.0
 
 
 class PacedCell:
@@ -118,10 +118,6 @@ class StopRecord:
     ideal_s: float
     began_s: float | None = None
     rest_s: float | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields, for the control channel."""
-        return asdict(self)
 
 
 @dataclass

@@ -319,23 +319,6 @@ class UrControllerServer:
             key.fileobj.recv(_LONGEST_LINE)
 
 
-def serve(
-    arms: Sequence[ControllerConfig],
-    plant: Plant | None = None,
-    pace: float = 1.0,
-    announce: Callable[[Addresses], None] = lambda _: None,
-    control_port: int = 0,
-) -> None:
-    """Serve in the foreground until interrupted; ``announce`` is called once, when all ports are open.
-
-    Raises ``OSError`` if a port or address is not available, ``ValueError`` like ``UrControllerServer``.
-    """
-    server = UrControllerServer(arms, plant, pace, control_port)
-    announce(server.open())
-    with suppress(KeyboardInterrupt):
-        server.run()
-
-
 # -- a separate process ---------------------------------------------------------------------------------------------
 
 

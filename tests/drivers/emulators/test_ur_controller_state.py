@@ -20,7 +20,7 @@ from drivers.emulators.ur_controller.script import ControlScript, ForeignProgram
 
 READY, DONE = 1, 2
 RUNNING_BIT = 1 << 15
-MOVE, STOP_JOINTS, PAYLOAD, TCP, WATCHDOG, STEADY, KICK, END = 1, 34, 17, 29, 35, 47, 0, 255
+MOVE, STOP_JOINTS, PAYLOAD, TCP, WATCHDOG, STEADY, KICK, END, SERVO = 1, 34, 17, 29, 35, 47, 0, 255, 11
 
 
 class Bench:
@@ -145,6 +145,36 @@ def test_steadiness_payload_and_tcp_are_reported(bench: Bench) -> None:
     assert values["tcp_offset"] == (0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
 
 
+TOOL = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+ANSWERS: dict[str, tuple[int, tuple[float, ...], Callable[[Controller], tuple[float, ...]]]] = {
+    "step time": (26, (), lambda arm: (arm.period_s,)),
+    "joints": (27, (), lambda arm: arm.q),
+    "torques": (38, (), lambda arm: (0.0,) * 6),
+    "flange": (58, (), lambda arm: arm.tool_pose(arm.q, (0.0,) * 6)),
+    "tool": (43, (), lambda arm: arm.tool_pose(arm.q, TOOL)),
+    "tool elsewhere": (44, (0.1,) * 6 + TOOL, lambda arm: arm.tool_pose((0.1,) * 6, TOOL)),
+    "product": (39, TOOL + TOOL, lambda arm: (0.0, 0.0, 0.2, 0.0, 0.0, 0.0)),
+}
+
+
+@pytest.mark.parametrize("asked", ANSWERS)
+def test_what_a_client_asks_of_the_script(bench: Bench, asked: str) -> None:
+    bench.command(TCP, TOOL)
+    command, doubles, expected = ANSWERS[asked]
+    bench.write(command, doubles)
+    bench.cycles(1)
+    values = expected(bench.controller)
+    found = [bench.controller.values[f"output_double_register_{bench.offset + k}"][0] for k in range(len(values))]
+    assert found == pytest.approx(values)
+
+
+def test_what_a_client_sets_by_the_script(bench: Bench) -> None:
+    bench.command(65, (1.5, 0.0, 0.0, 0.03, 0.01, 0.02, 0.03, 0.0, 0.0, 0.0))
+    assert bench.controller.values["payload_inertia"][:3] == (0.01, 0.02, 0.03)
+    bench.write(31)
+    bench.until(lambda: bench.controller.safety_mode is SafetyMode.PROTECTIVE_STOP)
+
+
 @pytest.mark.parametrize(
     ("command", "doubles", "why"),
     [
@@ -152,6 +182,8 @@ def test_steadiness_payload_and_tcp_are_reported(bench: Bench) -> None:
         (MOVE, (7.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0), "7.0000 rad of joint 1 is outside"),
         (MOVE, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), "above 0"),
         (PAYLOAD, (-1.0, 0.0, 0.0, 0.0), "mass"),
+        (SERVO, (7.0, *(0.0,) * 7, 0.008, 0.1, 300.0), "servoj: 7.0000 rad of joint 1 is outside"),
+        (SERVO, (*(0.0,) * 8, 0.008, 0.0, 300.0), "servoj: look-ahead 0.0 s"),
         (3, (0.0,) * 8, "command 3 of ur_rtde is not emulated"),
         (9, (0.0,) * 8, "command 9 of ur_rtde is not emulated"),
     ],
