@@ -18,7 +18,7 @@ from cellapp.estimation.prior.calibrate import calibration_posterior
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
+from cellapp.robot.effects import EFFECTS, DriverVariable, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array, apply
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.model import relocated
@@ -47,6 +47,7 @@ TRACKER = "tracker"
 ChangeKind = Literal["tracker", "base", "smr", "parameter", "effect"]
 
 
+_OF_DAY = {DriverVariable.TIME, DriverVariable.AIR_TEMPERATURE, DriverVariable.JOINT_TEMPERATURE}
 UNREPEATED = 3e-5
 """What of an arm's errors may be new at each visit, as a standard deviation [m, rad]: arms of this class state a
 repeatability of 0.1 mm by ISO 9283."""
@@ -272,13 +273,17 @@ def _rms(sigma: Array) -> float:
 
 def _day_m(model: ArmModel, measured: Measured) -> float:
     """Compute the rms motion [m] of the SMR over the calibration's readings by effects of that day, such as drift."""
-    terms = tuple(term for term in model.effects if not EFFECTS[term.slug].arm_bound)
-    if not terms:
+    rest = replace(model, effects=tuple(term for term in model.effects if not _is_of_day(term)))
+    if len(rest.effects) == len(model.effects):
         return 0.0
     q, conditions = measured.readings.q, measured.conditions
-    rest = replace(model, effects=tuple(term for term in model.effects if EFFECTS[term.slug].arm_bound))
     moved = model.predict(q, conditions=conditions) - rest.predict(q, conditions=conditions)
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+
+
+def _is_of_day(term: EffectTerm) -> bool:
+    """Return whether a term depends on the time or on temperatures."""
+    return bool((term.law.form.variables or EFFECTS[term.slug].variables) & _OF_DAY)
 
 
 def measured_vectors(arm: ArmBelief, readings: Readings, conditions: MeasurementConditions) -> Measured:
