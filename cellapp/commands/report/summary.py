@@ -208,7 +208,7 @@ def _accuracy_steps(data: ReportData, judgements: Sequence[Judgement]) -> Iterat
         yield Step(f"Measure {what}, which have a tolerance:", _VERIFY)
     near = [one for one in judgements if one.conformity == "cannot say" and one.value is not None]
     if near and not other_arms_found(data.results):
-        yield Step(f"Measure with a smaller uncertainty, as with the tracker nearer: {named_errors(near)}.")
+        yield Step(f"Measure with a smaller uncertainty: {named_errors(near)}.")
     if unmeasured - set(_AT_TARGETS):
         yield Step("Measure by ISO 9283 what has a tolerance:", "cellapp iso9283 PROFILE --run DIR")
 
