@@ -9,7 +9,7 @@ from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run.file import note_profile
-from cellapp.cell.targets.targets import Target, load_targets
+from cellapp.cell.targets.targets import named_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences
 from cellapp.commands.collect.run import collect_planned, hanging
@@ -25,6 +25,7 @@ from cellapp.commands.report.result import RunResults, read_results, shown_by
 from cellapp.commands.report.run import PageWriter
 from cellapp.commands.run.request import RunRequest
 from cellapp.commands.view.parts import Part
+from cellapp.estimation.calibration.calibrate import planned_splits
 from cellapp.ground.control import JobControl
 from cellapp.ground.progress import Listener, ignore
 from cellapp.ground.threads import give_back
@@ -79,9 +80,8 @@ def run_whole(
     profile = load_profile(profile_path)
     require_permission(profile, ask)
     with_loads, ask = ask, None if ask is None else asked_once(ask)
-    targets: tuple[Target, ...] = ()
-    if profile.targets is not None:  # read now: report errors before hours of measuring
-        targets = load_targets(profile_path.parent / profile.targets, profile)
+    targets = named_targets(profile, profile_path)  # read now: report errors before hours of measuring
+    planned_splits(profile, sweeps)
     notes: list[str] = []
     with (
         new_planned_run(profile, folder or default_folder(profile.name), listener, control, sweeps=sweeps) as run,
