@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -132,8 +133,8 @@ def test_the_command_makes_one_test_in_a_new_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     profile = left_alone()
-    loose = profile.tolerances.model_copy(update={"pose_accuracy": 0.05, "pose_repeatability": 0.05})
-    path = saved(profile.model_copy(update={"tolerances": loose}), tmp_path)
+    its_own = profile.tolerances.model_copy(update={"pose_accuracy": 0.05, "distance_accuracy": 1e-6})
+    path = saved(profile.model_copy(update={"tolerances": its_own}), tmp_path)
     out = tmp_path / "result.json"
     assert code_of(monkeypatch, "iso9283", "distance", path, "--run", tmp_path / "run") == 2  # a folder mistyped
     assert "holds no run" in capsys.readouterr().err
@@ -141,8 +142,10 @@ def test_the_command_makes_one_test_in_a_new_run(
     assert code_of(monkeypatch, "iso9283", "distance", path) == 2
     assert "--nominal" in capsys.readouterr().err
     arguments = ("--run", tmp_path / "run", "--cycles", 2, "--nominal", "--json", out)
-    assert code_of(monkeypatch, "iso9283", "distance", path, *arguments) == 0
-    printed = capsys.readouterr().out
+    assert code_of(monkeypatch, "iso9283", "distance", path, *arguments) == 1
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "not all that has a tolerance conforms" in printed
+    assert not re.search("nearer|wider|more cycles|another instrument", printed), "a calibration would help"
     assert "Distance accuracy AD and repeatability RD" in printed
     assert "arm left has a distance accuracy AD of" in printed
     found = json.loads(out.read_text("utf-8"))

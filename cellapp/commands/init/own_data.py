@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,10 +27,7 @@ from cellapp.cell.run.columns import (
 )
 from cellapp.cell.run.csv_text import (
     NUMBER,
-    CsvTable,
     Problems,
-    check_names,
-    read_csv_table,
     read_header,
     short,
     table_text,
@@ -48,9 +45,15 @@ from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import Array
 
-_ANGLES, _LENGTHS = ("theta", "alpha"), ("d", "a")
-_DH_UNITS = {"deg": math.pi / 180.0, "rad": 1.0, "m": 1.0, "mm": 1e-3}
-_HEADING = re.compile(r"(theta|d|a|alpha)_(deg|rad|m|mm)")
+_ANGLES = ("theta", "alpha")
+_DH_UNITS = {
+    True: {"deg": math.pi / 180.0, "°": math.pi / 180.0, "rad": 1.0},
+    False: {"mm": 1e-3, "m": 1.0, "cm": 1e-2, "in": 0.0254},
+}
+"""Factors to SI by whether a quantity is an angle."""
+_USUAL = {True: ("deg", "rad"), False: ("mm", "m")}
+_LARGE = {True: 2.0 * math.pi + 0.01, False: 5.0}
+"""Angles and lengths beyond these, without a unit, are degrees and millimetres."""
 _FEWEST = 2
 _EXAMPLE = "theta_deg,d_mm,a_mm,alpha_deg"
 
@@ -70,18 +73,17 @@ def arm_type_text(path: Path, joints: int = 0, *, modified: bool = False) -> tup
     InputError
         If the file cannot be read, a heading is missing or has no unit, or a cell is no number.
     """
-    table = read_csv_table(path, "D-H rows", "a row per joint")
-    rows = _rows(table)
+    rows, said = _rows(path)
     if modified:
         after = [(a, alpha) for _, _, a, alpha in rows[1:]] + [(0.0, 0.0)]
         rows = [(theta, d, *link) for (theta, d, _, _), link in zip(rows, after, strict=True)]
-    notes: tuple[str, ...] = ()
+    notes = tuple(said)
     if len(rows) == joints + 1:
         theta, d, a, alpha = rows.pop()
         fixed = (
             f"theta {math.degrees(theta):g} deg, d {1e3 * d:g} mm, a {1e3 * a:g} mm, alpha {math.degrees(alpha):g} deg"
         )
-        notes = (f"{path}: row {joints + 1} of {joints} joints is the flange ({fixed}): taken as part of the tool",)
+        notes += (f"{path}: row {joints + 1} of {joints} joints is the flange ({fixed}): taken as part of the tool",)
     named = [dict(zip(("theta", "d", "a", "alpha"), map(float, row), strict=True)) for row in rows]
     content = {"model": path.stem, "source": f"D-H rows of {path.name}", "joints": named}
     head = (
@@ -91,35 +93,57 @@ def arm_type_text(path: Path, joints: int = 0, *, modified: bool = False) -> tup
     return head + yaml.safe_dump(content, sort_keys=False, allow_unicode=True), notes
 
 
-def _rows(table: CsvTable) -> list[tuple[float, float, float, float]]:
-    """Return theta, d, a, alpha of each joint [rad, m]."""
-    problems = Problems(table.place)
-    check_names(table, problems)
-    headings = {match.group(1): name for name in table.names if (match := _HEADING.fullmatch(name.lower()))}
-    for quantity in (*_ANGLES, *_LENGTHS):
-        if quantity not in headings:
-            units = "deg or rad" if quantity in _ANGLES else "mm or m"
-            problems.add(1, quantity, f"expected a column {quantity}_UNIT with {units}; write the header as {_EXAMPLE}")
+def _rows(path: Path) -> tuple[list[tuple[float, float, float, float]], list[str]]:
+    """Return theta, d, a, alpha of each joint [rad, m], and a sentence on units that the file does not say."""
+    file = read_header(path, "D-H rows", _EXAMPLE)
+    rows, problems = [*file.rows()], Problems(lambda line: f"{path}:{line}")
+    columns, large = dict[str, tuple[str, list[tuple[float, bool]]]](), {True: False, False: False}
+    for quantity in ("theta", "d", "a", "alpha"):
+        angle = quantity in _ANGLES
+        found = [(place, match[2]) for place, name in enumerate(file.names) if (match := _named(name, quantity))]
+        if len(found) != 1 or (found[0][1] or _USUAL[angle][0]) not in _DH_UNITS[angle]:
+            units = " or ".join(_USUAL[angle])
+            text = f"expected one column {quantity}_UNIT with {units}; write the header as {_EXAMPLE}"
+            problems.add(file.head, quantity, text)
+            continue
+        ((place, unit),) = found
+        values = [_value(cells[place], angle) for _, cells in rows]
+        for (line, cells), value in zip(rows, values, strict=True):
+            if value is None:
+                problems.add(line, file.names[place], f"expected a number, got '{short(cells[place])}'")
+        numbers = [value for value in values if value is not None]
+        large[angle] |= not unit and any(abs(one) > _LARGE[angle] for one, radians in numbers if not radians)
+        columns[quantity] = unit, numbers
     problems.check()
-    columns = {quantity: _numbers(table, name, problems) for quantity, name in headings.items()}
-    problems.check()
-    if len(table.lines) < _FEWEST:
-        raise InputError(f"{table.path}: expected a row for each of at least {_FEWEST} joints")
-    return list(zip(*(columns[quantity] for quantity in ("theta", "d", "a", "alpha")), strict=True))
+    if len(rows) < _FEWEST:
+        raise InputError(f"{path}: expected a row for each of at least {_FEWEST} joints")
+    taken, si = {angle: _USUAL[angle][not large[angle]] for angle in large}, list[list[float]]()
+    for quantity, (unit, numbers) in columns.items():
+        factor = _DH_UNITS[quantity in _ANGLES][unit or taken[quantity in _ANGLES]]
+        si.append([number * (1.0 if radians else factor) for number, radians in numbers])
+    unsaid = [f"{name} in {_UNITS[taken[name in _ANGLES]]}" for name, (unit, _) in columns.items() if not unit]
+    notes = [f"{path}: {', '.join(unsaid)}, by their size"] if unsaid else []
+    return list(zip(*si, strict=True)), notes
 
 
-def _numbers(table: CsvTable, name: str, problems: Problems) -> Sequence[float]:
-    factor = _DH_UNITS[name.lower().rpartition("_")[2]]
-    if (name.lower().partition("_")[0] in _ANGLES) != (name.lower().rpartition("_")[2] in ("deg", "rad")):
-        problems.add(1, name, "the unit does not fit the quantity")
-    values = []
-    for line, cell in zip(table.lines, table.cells[name], strict=True):
-        text = cell.strip()
-        if not NUMBER.fullmatch(text):
-            problems.add(line, name, f"expected a number, got '{short(text)}'")
-            return []
-        values.append(float(text) * factor)
-    return values
+def _named(name: str, quantity: str) -> re.Match[str] | None:
+    """Return a match with the unit in its second group if a heading, as ``α_{i-1} [deg]``, is of this quantity."""
+    plain = re.sub(r"[\\{}]|_?\(?i(?: ?- ?1)?\)?(?=[\W_]|$)", "", name.lower().replace("θ", "theta"))
+    return re.fullmatch(rf"({quantity})(?:[ _]*[ _\[(]\s*([a-z°]+)\s*[\])]?)?[ _]*", plain.replace("α", "alpha"))
+
+
+def _value(cell: str, angle: bool) -> tuple[float, bool] | None:
+    """Return a number, and whether it is in radians whatever the heading says; None if it is none.
+
+    An angle may be a fraction of pi, have a degree sign, and stand beside its joint's variable: ``θ1 - π/2``.
+    """
+    text = re.sub(r"[\s\\{}*]", "", cell.replace("\N{MINUS SIGN}", "-")).replace("π", "pi")
+    if angle:
+        text = re.sub(r"^\+?(?:theta|θ|q)_?[0-9i]\+?|\+(?:theta|θ|q)_?[0-9i]$", "", text).rstrip("°") or "0"
+        if match := re.fullmatch(rf"([+-]?)({NUMBER.pattern})?pi(?:/({NUMBER.pattern}))?", text):
+            number = float(match[2] or 1.0) * math.pi / float(match[3] or 1.0)
+            return (-number if match[1] == "-" else number), True
+    return (float(text), False) if NUMBER.fullmatch(text) else None
 
 
 ARM = "robot"
@@ -131,7 +155,8 @@ _LOOKED_AT, _SWIFT_ROWS = 2000, 50
 """Numbers of rows, at most and at least, that decide between a motion and stops."""
 _OTHER_WAY = 0.3
 """Share of the remaining error below which the other convention of D-H rows is named."""
-_UNITS = {"rad": "radians", "deg": "degrees", "m": "metres", "mm": "millimetres", "um": "micrometres"}
+_UNITS = {"rad": "radians", "deg": "degrees"} | {"m": "metres", "mm": "millimetres", "um": "micrometres"}
+_UNITS |= {"cm": "centimetres", "in": "inches"}
 
 _MOTION_S, _USUAL_MOTION_S, _STOPS_S = (5e-5, 0.2), (5e-4, 0.05), (0.5, 300.0)
 """Times from row to row [s] of a recording of motion, the same where the unit is not sure, and of readings at rest."""
@@ -206,7 +231,8 @@ def _rows_are(own: InitRequest, recorded: Recorded, choose: Choose) -> tuple[str
     if not recorded.points and stamps is None:
         raise InputError(
             f"{own.readings}: joint positions without points and without time; readings at rest need x, y, z in each"
-            " row, a recording of a motion needs a column of time, such as time_s"
+            " row, a recording of a motion needs a column of time, such as time_s; the file has"
+            f" {short(', '.join(recorded.known.others.get(one, one) for one in recorded.table.names), 200)}"
         )
     if own.rows or not recorded.points:
         return (own.rows if own.rows and recorded.points else "motion"), ()

@@ -9,7 +9,7 @@ from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run.file import note_profile
-from cellapp.cell.targets.targets import Target, load_targets
+from cellapp.cell.targets.targets import named_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences
 from cellapp.commands.collect.request import CollectRequest
@@ -27,6 +27,7 @@ from cellapp.commands.report.result import shown_by
 from cellapp.commands.run.request import RunRequest
 from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.view.parts import Part
+from cellapp.estimation.calibration.calibrate import planned_splits
 from cellapp.ground.threads import give_back
 
 
@@ -53,9 +54,8 @@ def run(request: RunRequest, work: Work) -> WholeRunResult:
     ask = work.ask(profile.name)
     require_permission(profile, ask)
     once = None if ask is None else asked_once(ask)
-    targets: tuple[Target, ...] = ()
-    if profile.targets is not None:  # read now: report errors before hours of measuring
-        targets = load_targets(request.profile.parent / profile.targets, profile)
+    targets = named_targets(profile, request.profile)  # read now: report errors before hours of measuring
+    planned_splits(profile, request.sweeps)
     notes: list[str] = []
     folder = request.folder or default_folder(profile.name)
     with (

@@ -174,6 +174,10 @@ def left_out_words(configurations: Sequence[int]) -> str:
 # -- Random assignment of stops to identification, training and validation, reproducible by the profile's seed --------
 
 
+_FEWEST_DIFFERENT = 4
+"""Least number of different configurations to begin an identification with."""
+
+
 @dataclass(frozen=True)
 class SplitSizes:
     """Number of stops in each split; ``notes`` report if there are fewer stops than the profile requires."""
@@ -198,6 +202,30 @@ def split_sizes(n: int, identify: int, train: int, validate: int | None) -> Spli
         f" {validate or 'rest'}: used {less_identify}, {less_train}, {less_validate} instead"
     )
     return SplitSizes(less_identify, less_train, less_validate, (note,))
+
+
+def planned_splits(profile: Profile, stops: int | None = None) -> SplitSizes:
+    """Compute the split sizes of a plan with this number of ``stops``, that of the profile if None.
+
+    Raise ``InputError`` if they are too few for any calibration.
+    """
+    splits, n = profile.splits, profile.plan.stops if stops is None else stops
+    sizes = split_sizes(n, splits.identify, splits.train, _held_out(profile))
+    require_enough(f"plan.stops: {counted(n, 'stop leaves', 'stops leave')}", sizes.identify, sizes.validate)
+    return sizes
+
+
+def require_enough(stops_leave: str, different: int, held_out: int) -> None:
+    """Raise ``InputError`` if there are too few ``different`` configurations to identify, or ``held_out`` readings."""
+    if different < _FEWEST_DIFFERENT or held_out < 1:
+        raise InputError(
+            f"{stops_leave} {counted(different, 'different configuration')} to identify and {max(held_out, 0)} to"
+            f" validate; at least {_FEWEST_DIFFERENT} and 1 are needed to begin with: measure more configurations"
+        )
+
+
+def _held_out(profile: Profile) -> int | None:
+    return None if profile.splits.validate_ == "rest" else profile.splits.validate_
 
 
 def draw_splits(
@@ -425,8 +453,8 @@ def profile_splits(
     to be divided (``undivided``); return splits and notes."""
     splits = profile.splits
     first, notes = first_stops(readings)
-    validate = None if splits.validate_ == "rest" else splits.validate_
-    drawn, sizes = draw_splits(np.array([*first]), splits.identify, splits.train, validate, profile.seed, first)
+    held_out = _held_out(profile)
+    drawn, sizes = draw_splits(np.array([*first]), splits.identify, splits.train, held_out, profile.seed, first)
     words = {name: tuple(drawn[number] for number in arm.configuration.tolist()) for name, arm in readings.items()}
     return words, (*sizes, *notes)
 
@@ -474,12 +502,8 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
     identify_rows, validate_rows = readings.in_split("identify"), readings.in_split("validate")
     arm, learn = profile.arms[name], readings.take(identify_rows)
     different = len(np.unique(learn.q.round(6), axis=0))
-    if different < 4 or len(validate_rows) < 1:
-        raise InputError(
-            f"arm '{name}': {counted(len(readings), 'reading leaves', 'readings leave')}"
-            f" {counted(different, 'different configuration')} to identify and {len(validate_rows)} to validate; at"
-            " least 4 and 1 are needed to begin with: measure more configurations"
-        )
+    leave = f"arm '{name}': {counted(len(readings), 'reading leaves', 'readings leave')}"
+    require_enough(leave, different, len(validate_rows))
     nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
     refuse_odd_orientations(name, nominal, learn)
     its = measured_quantities(learn)
@@ -625,6 +649,7 @@ def _identify(
             parameter_set=settings.parameter_set,
             prior_sigma=prior_sigmas(nominal, settings.priors),
             robust=robust_loss(settings, robust=robust),
+            tool_unknown=profile.arms[name].smr.offset == "unknown",
             tolerance=settings.tolerance,
             max_iterations=settings.max_iterations,
         )

@@ -612,6 +612,7 @@ def identify_with_excess(
     parameter_set: SetName | ParameterSet = "auto",
     prior_sigma: Mapping[str, float] | None = None,
     robust: RobustName = "none",
+    tool_unknown: bool = False,
     tolerance: float = 1e-8,
     max_iterations: int = 200,
 ) -> tuple[Identification, float]:
@@ -622,8 +623,8 @@ def identify_with_excess(
     variance is then estimated from the residuals and added to the stated one, and the identification is repeated until
     it settles. Arguments are those of ``identify``; the mean of the priors is ``start``.
 
-    If the flange hardly turned, its offset to the SMR acts like a shift of the base: the offset then has a wide prior
-    about the start, without which only unmodelled physics would decide it.
+    If the flange hardly turned, its offset to the SMR acts like a shift of the base. One that is unknown
+    (``tool_unknown``) then has a wide prior about the start, without which only unmodelled physics would decide it.
 
     If the last axis hardly turns in space, the SMR's position along it is known through small angles only. Its
     mirror image about the wrist, with the opposite angles, fits nearly as well and is a second minimum. Both are
@@ -647,7 +648,7 @@ def identify_with_excess(
         q=q,
         p_M=p_M,
         R_M_S=R_M_S,
-        prior_sigma={**unknown_offset(start, q, R_M_S), **(prior_sigma or {})},
+        prior_sigma={**(unknown_offset(start, q, R_M_S) if tool_unknown else {}), **(prior_sigma or {})},
         prior_mean=start,
         robust=robust,
         tolerance=tolerance,

@@ -291,11 +291,11 @@ def auto_set(geometry: Geometry, q: Array) -> ParameterSet:
 
 
 def unknown_offset(geometry: Geometry, q: Array, R_M_S: Array | None = None) -> dict[str, float]:
-    """Return prior standard deviations [m] of the SMR's offset if points at ``q`` (n, N) [rad] do not determine it.
+    """Return prior standard deviations [m] of the SMR's offset if points at ``q`` (n, N) [rad] tell nothing of it.
 
     Orientations ``R_M_S`` do.
     """
-    determined = R_M_S is not None or {*TOOL_NAMES} <= {*auto_set(geometry, q).names}
+    determined = R_M_S is not None or {*TOOL_NAMES} & {*auto_set(geometry, q).names}
     return {} if determined else dict.fromkeys(TOOL_NAMES, _UNKNOWN["m"])
 
 

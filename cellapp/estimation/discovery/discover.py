@@ -395,7 +395,7 @@ def _gap_steps(
     found: SearchResult, held_out: HeldOut, before_mm: float, after_mm: float, fitted: int | None
 ) -> tuple[GapStep, ...]:
     """Return the held-out error after each step of the search, and after the review."""
-    errors = [("geometry alone", "", before_mm)]
+    errors = [(f"geometry, fitted to the {counted(len(found.data), 'reading')} searched", "", before_mm)]
     errors += [(step.what, step.slug, held_out.rms_mm(step.model)) for step in found.steps if step.model is not None]
     if found.dropped:
         errors.append((f"dropped in review: {_titles(found.dropped)}", "", after_mm))

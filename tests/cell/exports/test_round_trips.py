@@ -41,7 +41,7 @@ SAME_CHAIN = {"ur3e", "ur5e", "ur16e", "ur20"}
 """Types with the chain of the ur10e."""
 TYPES = {
     path.stem: ArmType.model_validate(yaml.safe_load(path.read_text("utf-8")))
-    for path in PROFILES.glob("arms/*")
+    for path in PROFILES.glob("arms/**/*.yaml")
     if path.stem not in SAME_CHAIN
 }
 TWIN = load_profile(PROFILES / "twin.yaml")

@@ -211,6 +211,7 @@ def test_every_effect_with_a_visible_size_is_named(plan, slug):
     dense = any(term.law.name == "curve" for term in found.terms)
     assert found.result.heldout_mm.after < (1.4 if dense else 1.15) * found.result.noise_floor_mm
     assert found.result.steps[0].heldout_mm == found.result.heldout_mm.before > found.result.heldout_mm.after
+    assert "readings searched" in found.result.steps[0].what, "it is not the geometry that was calibrated"
 
 
 @pytest.mark.parametrize("noise", [Noise("heavy"), Noise(repeatability=8e-6)], ids=["heavy tails", "repeatability"])
