@@ -554,8 +554,20 @@ def reweighted(data: ArmData, terms: ModelTerms) -> tuple[ArmData, Identificatio
 def uncertainty_with_scatter(data: ArmData, scatter: Excess) -> Array:
     """Add a scatter to the stated uncertainty: standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]."""
     if data.stated is None:
-        return np.full(len(data), max(scatter.m, LEAST_SCATTER_M))
-    return with_excess(data.stated, scatter.m**2, data.turned, scatter.rad**2)
+        sigma = np.full(len(data), max(scatter.m, LEAST_SCATTER_M))
+    else:
+        stated = data.stated * (scatter.claim if data.stated.ndim == 1 else scatter.claim**2)
+        sigma = with_excess(stated, scatter.m**2, data.turned, scatter.rad**2)
+    if not any(scatter.joints):
+        return sigma
+    by_joint = joint_motions(data)
+    covariance = sigma[:, None, None] ** 2 * np.eye(3) if sigma.ndim == 1 else sigma
+    return np.asarray(covariance + np.einsum("j,ajn,bjn->nab", np.square(scatter.joints), by_joint, by_joint))
+
+
+def joint_motions(data: ArmData) -> Array:
+    """Return the derivatives (3, N, n) of the readings with respect to the joint angles."""
+    return joint_jacobian(data.model.geometry, JointAngles.of(data.readings.q, data.conditions.R_M_S))[1]
 
 
 def _identify(
