@@ -490,8 +490,6 @@ _FIRST_EVALUATIONS = 40
 """Most evaluations of the evidence with the first weights; it settles to a part in a thousand after some 30."""
 _NEXT_EVALUATIONS = 12
 """Most evaluations after a change of weights or components, from the values found before."""
-_NOISE_ROUNDS = 2
-"""Rounds of estimating the noise and fitting the process: a third changes predictions by less than a percent."""
 _NOISE_STEPS, _LEAST_VARIANCE = 40, 1e-16
 """Corrections of the noise's variances, and the least variance [m^2, rad^2] of a coordinate."""
 _LEAST_SIGNAL = 0.03
@@ -604,11 +602,12 @@ def fit_process(
     if not screened.components:
         return None
     scatter = _noise(data, fit, screened)
-    process, chosen = screened, _whole(candidates, screened.components)
-    for _ in range(_NOISE_ROUNDS):  # the residuals of few waves give poor weights
+    process = screened
+    for whole in (False, True):  # the noise about few waves without it gives poor weights
         weighed = replace(data, sigma=uncertainty_with_scatter(data, scatter))
+        chosen = _whole(candidates, process.components) if whole else process.components
         fit, process = _fitted_anew(weighed, fit, chosen, process)
-        scatter, chosen = _noise(weighed, fit, process), process.components
+        scatter = _noise(weighed, fit, process)
     process = needed_components(process, needed)
     return (process, scatter) if process.components else None
 
@@ -686,26 +685,13 @@ def _whole(candidates: Sequence[Component], screened: Sequence[Component]) -> li
 
 
 def needed_components(process: StructuredProcess, needed: float) -> StructuredProcess:
-    """Remove the components that the evidence does not need, the least needed first.
-
-    Fitting the others again only raises the evidence without a component: that is done only if it may decide.
-    """
-    settled = True
+    """Remove the components that the evidence does not need, the least needed first."""
     while process.components:
         gains = process.gains()
         weakest = int(np.argmin(gains))
-        if gains[weakest] <= needed:
-            process, settled = process.without(weakest), False
-            continue
-        if not settled:
-            process, settled = process.refitted(_NEXT_EVALUATIONS), True
-            continue
-        if gains[weakest] > 2.0 * needed or len(process.components) == 1:
+        if gains[weakest] > needed:
             break
-        rest = process.without(weakest).refitted(_NEXT_EVALUATIONS)
-        if 2.0 * (process.log_evidence - rest.log_evidence) - process.price(weakest) > needed:
-            break
-        process = rest
+        process = process.without(weakest)
     return process
 
 

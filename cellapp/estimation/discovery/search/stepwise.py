@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 
@@ -56,6 +56,7 @@ from cellapp.estimation.discovery.search.state import (
     scatter,
     within_bounds,
 )
+from cellapp.estimation.discovery.search.unnamed import smooth_numbers, with_unnamed, without_names
 from cellapp.estimation.discovery.terms import (
     UNKNOWN,
     CandidateLaw,
@@ -177,9 +178,20 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
     threshold = score_threshold(null_maxima, settings.false_alarm)
     problem = SearchProblem(data, tuple(slugs), null_maxima, threshold, cancel, progress.say)
     progress.step("effects of the library")
-    best = _best_model(problem, start, progress)
+    before_names = _smooth(problem, start)
+    best = _best_model(problem, start, before_names, progress)
     progress.finish("review and rivals")
     found = _probable(problem, _result(problem, best, fit), best)
+    if found.fit.terms or not before_names:
+        ended = SearchState(found.data, found.fit, found.steps, found.dropped)
+        extended = _smooth(problem, ended)
+    else:
+        extended = before_names
+    found = with_unnamed(problem, found, extended)
+    if len(found.reviews) < len(found.fit.terms):
+        ended = SearchState(found.data, found.fit, found.steps, found.dropped)
+        added = range(len(found.reviews), len(found.fit.terms))
+        found = replace(found, reviews=(*found.reviews, *(review(problem, ended, number) for number in added)))
     return replace(found, not_fitted=tuple(dict.fromkeys(problem.not_fitted)))
 
 
@@ -223,9 +235,16 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
     """
     while True:
         probable = posteriors_of(found, remaining_scan(found))
+        answers = _probability_of_answers(found, probable)
+        smooth = smooth_numbers(state.fit.terms)
+        if nameless := [number for number in smooth if answers[number][1] or answers[number][0] < _EVEN_ODDS]:
+            improbable = {state.fit.terms[number].slug: answers[number][0] for number in nameless}
+            state = replace(state, fit=without_names(state.fit, nameless))
+            found = replace(_result(problem, state, found.geometry_only), improbable={**found.improbable, **improbable})
+            continue
         doubtful = [
             (probability, number)
-            for number, (probability, led) in enumerate(_probability_of_answers(found, probable))
+            for number, (probability, led) in enumerate(answers)
             if state.fit.terms[number].slug != UNKNOWN and (led or probability < _EVEN_ODDS)
         ]
         reviews = list(found.reviews)
@@ -287,13 +306,20 @@ class _SearchProgress:
         self.say(words)
 
 
-def _best_model(problem: SearchProblem, start: SearchState, progress: _SearchProgress) -> SearchState:
-    """Return the best reviewed model: named effects alone, extended by what the library lacks, or the reverse."""
-    named = reviewed(problem, _with_library_effects(problem, start))
+def _best_model(
+    problem: SearchProblem, start: SearchState, before_names: SearchState | None, progress: _SearchProgress
+) -> SearchState:
+    """Return the best reviewed model: named effects alone, extended by what the library lacks, or the reverse.
+
+    ``before_names`` has free functions alone.
+    """
+    named = start
+    if not _beats_all_names(problem, before_names, start):
+        named = reviewed(problem, _with_library_effects(problem, start))
     progress.step("beyond the library")
-    before_names = cache(partial(_smooth, problem, start))
-    beaten = _far_from_floor(named) and _beats_all_names(problem, before_names(), named)
-    if not beaten and not floor_reached(named):
+    if before_names is not None and _beats_all_names(problem, before_names, named):
+        return best_state([named, _reviewed_again(problem, before_names)])
+    if not floor_reached(named):
         named = _with_contradictions(problem, start, named)
     drift = problem.tried("one drift", partial(with_one_drift, problem, named))
     named = named if drift is None else best_state([named, drift])  # one common cause is one unknown effect
@@ -302,7 +328,7 @@ def _best_model(problem: SearchProblem, start: SearchState, progress: _SearchPro
     if floor_reached(best):  # a law of few parameters explains all
         return best
     named.give_up_scan()
-    free = _with_free_functions(problem, before_names(), named)
+    free = _with_free_functions(problem, before_names, named)
     if best_state([best, free]) is not best:
         best = free
     if floor_reached(best) and best is not free:  # a free function reaches the floor whatever the cause
@@ -334,7 +360,7 @@ def _far_from_floor(state: SearchState) -> bool:
 
 def _beats_all_names(problem: SearchProblem, free: SearchState | None, named: SearchState) -> bool:
     """Return whether free functions beat the names even if every law added all that it explains alone."""
-    lead = -math.inf if free is None else criterion(named.fit) - criterion(free.fit)
+    lead = -math.inf if free is None or not _far_from_floor(named) else criterion(named.fit) - criterion(free.fit)
     if lead <= 0.0:
         return False
     scores = named.scan(problem.slugs).best_of_each_effect(named.fit.projected_residual, least=0.0)
