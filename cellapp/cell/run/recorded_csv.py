@@ -178,10 +178,10 @@ def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody
     joints = _joints(table.names)
     points = POINT if set(POINT) <= {*table.names} else ()
     if known.smrs:
-        table, noted = _row_per_smr(table, known)
-        notes.append(said)
+        table, of_smrs = _row_per_smr(table, known)
+        notes.append(of_smrs)
     elif points:
-        table, noted = _with_points(table)
+        table, said = _with_points(table)
         notes += said
     if most is None:
         _check_numbers(table, (*joints, *points))
