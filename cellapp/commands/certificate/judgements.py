@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.distance import pdist
+import scipy
 
 from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
 from cellapp.commands.certificate.iso9283_judgements import TEST_OF, judge_characteristics
@@ -277,7 +277,9 @@ def _distance_errors_mm(targets: Sequence[MeasuredTarget]) -> list[float]:
     if len(points) < 2:
         return []
     measured, wanted = np.array(points).transpose(1, 0, 2)
-    errors: list[float] = (np.abs(pdist(measured) - pdist(wanted)) * 1e3).tolist()
+    errors: list[float] = (
+        np.abs(scipy.spatial.distance.pdist(measured) - scipy.spatial.distance.pdist(wanted)) * 1e3
+    ).tolist()
     return errors
 
 
