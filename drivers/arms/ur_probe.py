@@ -87,38 +87,20 @@ _ANSWERS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class UrKinematics:
     """D-H parameters that the controller uses: nominal values plus its factory calibration.
 
-    ``A_i = rot_z(q_i + theta) trans(a, 0, d) rot_x(alpha)``; each tuple has one value per joint, [rad] or [m].
-
     Attributes
     ----------
-    checksums : tuple of int
-        One per joint; all 0xFFFFFFFF without calibration (a simulator).
-    status : int
-        Calibration status: 0 none, 2 calibrated.
+    rows : array, shape (6, 4)
+        Rows theta, d, a, alpha of ``A_i = rot_z(q_i + theta) trans(a, 0, d) rot_x(alpha)`` [rad, m, m, rad].
+    checksum : str
+        The checksums of the six joints as one text; empty without calibration (a simulator).
     """
 
-    theta: tuple[float, ...]
-    d: tuple[float, ...]
-    a: tuple[float, ...]
-    alpha: tuple[float, ...]
-    checksums: tuple[int, ...]
-    status: int
-
-    @property
-    def checksum(self) -> str:
-        """The six checksums as one text; empty without calibration."""
-        if not self.status or set(self.checksums) == {0xFFFFFFFF}:
-            return ""
-        return "-".join(f"{value:08x}" for value in self.checksums)
-
-    @property
-    def rows(self) -> NDArray[np.float64]:
-        """Rows theta, d, a, alpha, shape (6, 4) [rad, m, m, rad]."""
-        return np.column_stack([self.theta, self.d, self.a, self.alpha])
+    rows: NDArray[np.float64]
+    checksum: str
 
 
 @dataclass(frozen=True)
@@ -404,14 +386,10 @@ def parse_robot_state(state: bytes) -> UrPrimary:
                 tcp = _values(_CARTESIAN, payload, "tool's position")[6:]
         elif kind == _KINEMATICS_INFO:
             values = _values(_KINEMATICS, payload, "kinematics")
-            kinematics = UrKinematics(
-                theta=values[6:12],
-                a=values[12:18],
-                d=values[18:24],
-                alpha=values[24:30],
-                checksums=values[:6],
-                status=values[30],
-            )
+            theta, a, d, alpha = np.reshape(values[6:30], (4, 6))
+            calibrated = values[30] and set(values[:6]) != {0xFFFFFFFF}
+            checksum = "-".join(f"{value:08x}" for value in values[:6]) if calibrated else ""
+            kinematics = UrKinematics(np.column_stack([theta, d, a, alpha]), checksum)
         elif kind == _CONFIGURATION:
             numbers = np.array(_values(_JOINT_LIMITS, payload, "joint limits")).reshape(12, 2)
             limits = JointLimits(position=numbers[:6], speed=numbers[6:, 0], acceleration=numbers[6:, 1])

@@ -10,9 +10,8 @@ import math
 import struct
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
 
 from drivers.arms.protocol import ArmError, EmergencyStop, LinkLost, ProtectiveStop
 from drivers.arms.ur_links import RTDE_PORT, Connection
@@ -132,10 +131,6 @@ class UrSample:
     def distance(self, q: Sequence[float]) -> float:
         """Return the largest difference of a joint from ``q`` [rad]."""
         return max(abs(a - b) for a, b in zip(self.q, q))
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields as a dict, for an answer."""
-        return asdict(self)
 
 
 def read_sample(link: Connection, patience: Patience) -> UrSample:

@@ -11,7 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, NoReturn, Protocol
 
 from drivers.arms.protocol import LinkLost, LiveArm
@@ -227,7 +227,7 @@ class Supervisor:
 
     def state(self, within_s: float = SILENT_S) -> dict[str, Any]:
         """Return the next state of the arm, which must arrive ``within_s`` [s]."""
-        state = self._states.next(within_s).as_dict()
+        state = asdict(self._states.next(within_s))
         fault = None if self._fault is None else {"kind": self._fault.kind, "text": self._fault.text}
         return {**state, "moving": self.may_move, "fault": fault}
 
@@ -626,4 +626,4 @@ class Supervisor:
             text = f"its motion was cut short: it rests {math.degrees(off):.2f} deg from its goal"
             fault = self._record_fault(failed(text))
             return {"error": fault.kind, "text": fault.text}
-        return {"ok": {**sample.as_dict(), "moving": False, "fault": None}}
+        return {"ok": {**asdict(sample), "moving": False, "fault": None}}

@@ -160,11 +160,7 @@ def _friction_windup(draw: Draw) -> dict[str, Any]:
     stiffness = np.array(_drive_stiffness(draw))
     # about 5 Nm and 5 % of the load at a shoulder of 122 Nm
     friction = [5.0 * draw.log_uniform(0.5, 1.5) * value / 8e4 for value in stiffness]
-    return {
-        "friction": friction,
-        "load_friction": draw.per_joint(0.03, 0.1),
-        "stiffness": stiffness.tolist(),
-    }
+    return {"friction": friction, "load_friction": draw.per_joint(0.03, 0.1), "stiffness": stiffness.tolist()}
 
 
 def _joint_axis_wobble(draw: Draw) -> dict[str, Any]:

@@ -21,42 +21,52 @@ from cellapp.ground.grouping import grouped
 from tests.evidence.skeleton import ROOT, Evidence, Limit, Share, Table
 
 TITLE = "Mutants"
+_CALIBRATION, _DISCOVERY = "tests/estimation/calibration/test_", "tests/estimation/discovery/test_"
+_RUN, _PRIOR, _DRIVING = "tests/cell/run/test_", "tests/estimation/prior/test_update.py", "tests/cell/driving/test_"
 GROUPS: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
     "gate": (
         ["cellapp/cell/safety/gate.py", "cellapp/cell/safety/many_motions.py"],
-        ["tests/cell/safety/test_gate.py", "tests/cell/safety/test_obstacles_independent.py"],
+        ["tests/cell/safety", f"{_DRIVING}planned_ways.py", "tests/cell/planning/test_candidates.py"],
     ),
-    "stop reaction": (["cellapp/cell/driving/reaction.py"], ["tests/cell/driving/test_reaction.py"]),
+    "stop reaction": (
+        ["cellapp/cell/driving/reaction.py"],
+        [f"{_DRIVING}reaction.py", f"{_DRIVING}planned_ways.py"],
+    ),
     "readers": (
         ["cellapp/cell/run/csv_import.py", "cellapp/cell/run/csv_text.py", "cellapp/estimation/readings/columns.py"],
-        ["tests/cell/run/test_csv.py", "tests/estimation/readings", "tests/cell/run/test_measured_again.py"],
+        [
+            f"{_RUN}csv.py",
+            f"{_RUN}measured_again.py",
+            f"{_RUN}recordings.py",
+            "tests/interfaces/python/test_library.py",
+        ],
     ),
     "identification": (
         ["cellapp/estimation/calibration/identification.py", "cellapp/estimation/calibration/normal_equations.py"],
-        ["tests/estimation/calibration/test_identification.py"],
+        [f"{_CALIBRATION}orientation.py", f"{_CALIBRATION}identification.py", _PRIOR],
     ),
     "discovery's decision": (
         ["cellapp/estimation/discovery/verdict.py", "cellapp/estimation/discovery/posterior.py"],
-        [f"tests/estimation/discovery/test_{name}.py" for name in ("findings", "propose", "structure")],
+        [f"{_DISCOVERY}findings.py", f"{_DISCOVERY}propose.py", _PRIOR, f"{_DISCOVERY}structure.py"],
     ),
     "decision rule": (
         ["cellapp/estimation/uncertainty/budget.py", "cellapp/commands/certificate/iso9283_judgements.py"],
-        ["tests/estimation/uncertainty", "tests/commands/certificate"],
+        ["tests/estimation/uncertainty", "tests/commands/certificate", "tests/commands/test_iso9283.py"],
     ),
     "exports": (
         ["cellapp/cell/exports/dh_tables.py", "cellapp/cell/exports/urdf.py"],
-        ["tests/cell/exports/test_round_trips.py", "tests/cell/exports/test_commands.py"],
+        [
+            "tests/cell/exports/test_round_trips.py",
+            "tests/commands/test_export.py",
+            "tests/cell/exports/test_commands.py",
+        ],
     ),
     "run file": (
         ["cellapp/cell/run/file.py", "cellapp/cell/run/sqlite_file.py"],
-        [
-            "tests/cell/run/test_run_file.py",
-            "tests/cell/run/test_measured_again.py",
-            "tests/cell/run/test_recordings.py",
-        ],
+        [f"{_RUN}run_file.py", f"{_RUN}measured_again.py", f"{_RUN}recordings.py"],
     ),
 }
-"""Group -> modules that are changed, and the tests that must notice, the quickest first."""
+"""Group -> modules that are changed, and the tests that run them, the quickest first: at most some 20 s a group."""
 _LEFT_OUT = (".git", "logs", ".mypy_cache", ".ruff_cache", ".pytest_cache")
 _EXCHANGED: Mapping[type[ast.AST], type[ast.AST]] = {
     **{ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq},

@@ -73,23 +73,10 @@ def _state(controller: Controller) -> list[bytes]:
     safety, values = controller.safety_mode, controller.values
     powered = controller.robot_mode is not RobotMode.POWER_OFF
     paused = controller.runtime in (ProgramState.PAUSING, ProgramState.PAUSED)
-    mode = struct.pack(
-        ">Q7?2B3dB",
-        int(controller.clock_s * _MICROSECONDS),
-        True,
-        not controller.config.simulation,
-        powered,
-        safety is SafetyMode.ROBOT_EMERGENCY_STOP,
-        safety is SafetyMode.PROTECTIVE_STOP,
-        controller.running,
-        paused,
-        int(controller.robot_mode),
-        0,
-        controller.slider.fraction,
-        1.0,
-        1.0,
-        0,
-    )
+    stops = (safety is SafetyMode.ROBOT_EMERGENCY_STOP, safety is SafetyMode.PROTECTIVE_STOP)
+    flags = (True, not controller.config.simulation, powered, *stops, controller.running, paused)
+    numbers = (int(controller.robot_mode), 0, controller.slider.fraction, 1.0, 1.0, 0)
+    mode = struct.pack(">Q7?2B3dB", int(controller.clock_s * _MICROSECONDS), *flags, *numbers)
     joint_mode = int(values["joint_mode"][0])
     rows = zip(values["actual_q"], values["actual_qd"], values["joint_temperatures"], strict=True)
     joints = b"".join(

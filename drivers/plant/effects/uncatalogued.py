@@ -156,11 +156,7 @@ def _elbow_hose(angle: float, share: float, centre: float, width: float) -> Effe
     return Hose(2, angle, 1.0, share, centre, width)
 
 
-elbow_hose = of_arms(
-    4,
-    "an elbow hose",
-    made(_elbow_hose, angle=NUMBER, share=NUMBER, centre=NUMBER, width=POSITIVE),
-)
+elbow_hose = of_arms(4, "an elbow hose", made(_elbow_hose, angle=NUMBER, share=NUMBER, centre=NUMBER, width=POSITIVE))
 """A hose over the elbow and the wrist, which loads joint 3: ``angle`` [rad], ``share``, ``centre`` [rad], ``width``
 [rad]."""
 

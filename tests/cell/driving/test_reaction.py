@@ -106,8 +106,10 @@ def test_the_first_cause_is_kept(arms: dict[str, Braking]) -> None:
     reaction = reaction_of(arms, Halted(), one_by_one)
     arms["right"].listener(HostStalled("arm right: silent"))
     arms["left"].listener(LinkLost("arm left: lost"))
+    arms["left"].listener(LinkLost("arm left: lost again"))
     assert reaction.cause is not None
     assert (reaction.cause.kind, reaction.cause.arm) == ("host stalled", "right")
+    assert [cause.text for cause in reaction.causes] == ["arm right: silent", "arm left: lost"], "each once"
 
 
 def test_a_person_brakes_again_whatever_came_before(arms: dict[str, Braking]) -> None:

@@ -18,6 +18,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, cover, home_positions
 from cellapp.cell.safety.gate import (
     CellBodies,
     clear_stops,
+    on_rows,
     predicted_smr,
     refuse_motion,
     refuse_stop,
@@ -690,3 +691,12 @@ def test_other_arms_than_those_of_the_cell_are_no_motion() -> None:
     cell = cell_bodies(small_twin())
     with pytest.raises(ValueError, match="for the arms left, right"):
         free_motions(cell, {"left": np.zeros((1, 6))}, {"left": np.zeros((1, 6))})
+
+
+def test_a_path_is_read_at_another_rate_without_leaving_it() -> None:
+    path = np.linspace([0.0, 1.0], [0.8, -1.0], 101)
+    for wanted_s in (0.008, 0.002, 0.01):
+        rows = on_rows(path, 0.008, wanted_s)
+        assert len(rows) == pytest.approx(0.8 / wanted_s, abs=1.5)
+        assert rows[[0, -1]] == pytest.approx(path[[0, -1]])
+        assert rows[:, 1] == pytest.approx(1.0 - 2.5 * rows[:, 0])

@@ -110,9 +110,7 @@ def one_ready(host: str, timeout_s: float) -> UrProbe:
 CHECKSUM = "00000001-00000002-00000003-00000004-00000005-00000006"
 CALIBRATED = replace(
     READY,
-    kinematics=UrKinematics(
-        theta=(0.0,) * 6, d=(0.1,) * 6, a=(0.0,) * 6, alpha=(0.0,) * 6, checksums=(1, 2, 3, 4, 5, 6), status=2
-    ),
+    kinematics=UrKinematics(np.tile([0.0, 0.1, 0.0, 0.0], (6, 1)), CHECKSUM),
 )
 E_SERIES = replace(READY, series="e-Series", software="5.11.1.1108318", safety_status="NORMAL", remote_control=True)
 

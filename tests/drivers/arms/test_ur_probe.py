@@ -144,7 +144,7 @@ def test_calibrated_kinematics_come_with_their_checksums() -> None:
         found = ask(emulator).kinematics
     assert found is not None
     assert found.rows.tolist() == [list(row) for row in rows]
-    assert (found.checksums, found.status) == ((1, 2, 3, 4, 5, 0xDEADBEEF), 2)
+    assert found.checksum == "00000001-00000002-00000003-00000004-00000005-deadbeef"
 
 
 @pytest.mark.parametrize(
@@ -251,9 +251,8 @@ def test_the_kinematics_sub_package_has_its_published_size_and_order() -> None:
 def test_unknown_sub_packages_and_appended_fields_are_skipped(before: list[tuple[int, bytes]], appended: bytes) -> None:
     longer = sub_package(5, KINEMATICS[5:] + appended)
     found = parse_robot_state(b"".join(sub_package(kind, payload) for kind, payload in before) + longer).kinematics
-    assert found == parse_robot_state(KINEMATICS).kinematics
     assert found is not None
-    assert found.d[0] == 0.1273
+    assert (found.rows.tolist(), found.checksum) == ([list(row) for row in CB3.rows], "")
 
 
 @given(st.binary(max_size=400))
