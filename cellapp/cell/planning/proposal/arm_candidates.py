@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,9 @@ from cellapp.cell.planning.proposal.hypotheses import (
     open_hypotheses,
     refitted_discovery,
 )
+from cellapp.cell.planning.transit_paths import ArmRoadmap
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies
-from cellapp.cell.safety.many_motions import free_motions
 from cellapp.estimation.design.information import HOPELESS, Discrimination, SequentialDesign, joint_gains
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.outcome import Discovery
@@ -248,7 +248,7 @@ class ArmCandidates:
     approaches: Approaches
     allowed: NDArray[np.bool_]
     comparisons: list[tuple[Hypothesis, list[Discrimination]]]
-    designs: list[tuple[Hypothesis, SequentialDesign]] = field(default_factory=list)
+    designs: list[tuple[Hypothesis, SequentialDesign]]
 
     @classmethod
     def of(cls, arm: ArmHypotheses, poses: CandidatePoses) -> ArmCandidates:
@@ -264,18 +264,13 @@ class ArmCandidates:
                 designs[id(one.fit)] = CandidateDesign.of(one.data, one.fit, q, conditions)
             discriminations = one.discriminations(designs[id(one.fit)])
             comparisons.append((one, _decidable(discriminations, one.needed, arm.run.count)))
-        return cls(arm.run, approaches, ((start >= low) & (start <= high)).all(axis=2), comparisons)
+        begun = [(one, each.start_design()) for one, comparison in comparisons for each in comparison]
+        return cls(arm.run, approaches, ((start >= low) & (start <= high)).all(axis=2), comparisons, begun)
 
     @property
     def name(self) -> str:
         """Name of the arm."""
         return self.run.name
-
-    def restart(self, chosen: Iterable[tuple[int, int]]) -> None:
-        """Restart the designs with some candidates (pose, approach)."""
-        self.designs = [(one, each.start_design()) for one, comparison in self.comparisons for each in comparison]
-        for pose, approach in chosen:
-            self.add(pose, approach)
 
     def gains(self, stops_left: int) -> Array:
         """Compute the gain (n, f) of each candidate over all hypotheses, at most 1; -inf where it is not allowed."""
@@ -313,12 +308,6 @@ def _decidable(comparison: list[Discrimination], needed: float, count: int) -> l
 
 
 # -- Candidate poses of all arms for further stops: visible to the tracker, free of collision, and easy to reach ------
-
-
-_NEIGHBOURS = 7
-"""Number of other poses (besides home) from which a straight motion to a pose is checked."""
-_LEAST_REACHED_FROM = 3
-"""Number of these motions that must be free: an isolated pose (above the floor, folded) rarely fits into an order."""
 
 
 @dataclass(frozen=True)
@@ -401,9 +390,9 @@ def candidate_poses(
 def _drawn_poses(profile: Profile, effort: Effort, rng: np.random.Generator, cancel: CancelToken) -> CandidatePoses:
     gate, homes = cell_bodies(profile), home_positions(profile)
     drawn = draw_stops(gate, profile, effort.drawn, rng, cancel)
-    reached = np.all([_within_reach(gate, name, q, homes[name]) for name, q in drawn.items()], axis=0)
+    reached = np.all([ArmRoadmap(profile, gate, name, rng).reaches(q) for name, q in drawn.items()], axis=0)
     if not reached.any():
-        raise InputError("propose: no candidate can be reached on a straight motion; make plan.clearance smaller")
+        raise InputError("propose: no candidate can be reached; make plan.clearance smaller")
     kept = {name: q[reached][: effort.kept] for name, q in drawn.items()}
     q, posture = rolled_stops(gate, kept, effort.rolls, rng)
     mixed = rng.permutation(len(posture))
@@ -421,17 +410,6 @@ def _measured_poses(readings: Mapping[str, Readings], effort: Effort, rng: np.ra
         row_of = {stop: row for row, stop in enumerate(arm.configuration.tolist())}
         q[name] = arm.q[[row_of[stop] for stop in stops]]
     return CandidatePoses(q, np.arange(len(stops)), None, {})
-
-
-def _within_reach(gate: CellBodies, name: str, q: Array, home: Array) -> NDArray[np.bool_]:
-    """Mask (n,) of configurations (n, N) that an arm alone in the cell reaches on straight motions from others."""
-    without_others = alone(gate, name)
-    free = np.zeros(len(q), dtype=np.intp)
-    neighbours = (np.roll(q, -1 - i, axis=0) for i in range(min(_NEIGHBOURS, len(q) - 1)))
-    for start in (np.broadcast_to(home, q.shape), *neighbours):
-        left = np.flatnonzero(free < _LEAST_REACHED_FROM)
-        free[left] += free_motions(without_others, {name: start[left]}, {name: q[left]})
-    return np.asarray(free >= _LEAST_REACHED_FROM)
 
 
 def alone(gate: CellBodies, name: str) -> CellBodies:
