@@ -7,10 +7,12 @@ Joint offsets enter the chain exactly; all other channels move the SMR by less t
 
 from __future__ import annotations
 
+import inspect
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 import numpy as np
 
@@ -58,6 +60,20 @@ class Meaning:
     size_source: SizeSource
     check: tuple[str, ...]
     settle: tuple[str, ...]
+
+    @classmethod
+    def of(cls, text: str) -> Meaning:
+        """Read paragraphs ``cause: ...``, ``size (source): ...`` and any number of ``check: ...`` and ``settle: ...``.
+
+        Their further lines are indented.
+        """
+        found: dict[str, list[str]] = {"check": [], "settle": []}
+        for paragraph in re.split(r"\n(?=\S)", inspect.cleandoc(text)):
+            label, words = " ".join(paragraph.split()).split(": ", 1)
+            found.setdefault(label, []).append(words)
+        source: SizeSource = next(one for one in get_args(SizeSource) if f"size ({one})" in found)
+        (cause,), (size,) = found["cause"], found[f"size ({source})"]
+        return cls(cause, size, source, tuple(found["check"]), tuple(found["settle"]))
 
     def at(self, place: str) -> Meaning:
         """The same with the place in words, for example ``joints 2 and 3``: texts then speak of ``each of`` them."""
