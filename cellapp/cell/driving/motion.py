@@ -44,6 +44,7 @@ from cellapp.ground.progress import (
     PointMeasured,
     SweepLive,
 )
+from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.model.nominal import joint_rates
 from drivers.arms.path_checks import driven
 from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, MotionStopped, PathFollower
@@ -519,6 +520,17 @@ class Mover:
         """
         since_s = self._rest_since_s.get(name)
         return None if since_s is None else self._cell.clock.now_s() - since_s
+
+    def conditions(self, name: str, state: ArmState, later_s: float) -> MeasurementConditions:
+        """Return the known conditions of an arm at rest, one row, ``later_s`` [s] from now."""
+        step, rested_s = self.step(name), self.rested_s(name)
+        return MeasurementConditions(
+            approach=self.approach(name)[None].astype(np.float64),
+            step=None if step is None else step[None],
+            dwell_s=None if rested_s is None else np.array([max(rested_s + later_s, 0.0)]),
+            payload_kg=None if state.payload_kg is None else np.array([state.payload_kg]),
+            joints_c=None if state.joint_temperature_c is None else state.joint_temperature_c[None],
+        )
 
     def rest(self, name: str, dwell_s: float, cancel: CancelToken) -> None:
         """Wait until an arm has been at rest for ``dwell_s`` [s]. Raise as soon as the cell is stopped."""

@@ -198,12 +198,13 @@ def _subset(tracks: Sequence[Track], stops: Stops | None) -> tuple[Array, Array]
     """Return some joint positions (n, N) and points (n, 3) of all sources, at the start values of the clocks."""
     parts = [] if stops is None else [(stops.q, stops.p_M)]
     for track in tracks:
-        rows = _thinned(np.flatnonzero(track.learnt), 1000 // len(tracks) + 10)
+        rows = thinned(np.flatnonzero(track.learnt), 1000 // len(tracks) + 10)
         parts.append((track.path.at(track.controller_times(rows, track.offsets_s, 0.0))[0], track.p_M[rows]))
     return np.concatenate([q for q, _ in parts]), np.concatenate([p for _, p in parts])
 
 
-def _thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+def thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    """Return at most ``count`` of the rows, evenly spread."""
     if len(rows) <= count:
         return rows
     return rows[np.linspace(0, len(rows) - 1, count).astype(np.intp)]
@@ -246,7 +247,7 @@ def solve(
 def _first_fit(problem: Problem, stop_rows: NDArray[np.intp], told: Told) -> tuple[Array, list[float]]:
     """Fit a subset robustly; return the values and the sizes of the steps. It is a start: it need not end."""
     share = max(_FIRST_POINTS // max(len(problem.tracks), 1), 200)
-    rows = [_thinned(np.flatnonzero(track.learnt), share) for track in problem.tracks]
+    rows = [thinned(np.flatnonzero(track.learnt), share) for track in problem.tracks]
     rows += [] if problem.stops is None else [stop_rows]
     values, steps = problem.mean.copy(), []
     for number in range(_FIRST_STEPS):

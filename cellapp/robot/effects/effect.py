@@ -363,13 +363,16 @@ class Displacement:
         )
 
 
+def ordered_columns(term: EffectTerm, effects: Mapping[str, Effect], context: EffectContext) -> list[EffectColumn]:
+    """Return the columns of a term in the order of its parameters."""
+    of_law = effects[term.slug].columns(context, term.law, frozenset(term.law_names))
+    by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
+    return [by_name[name] for name in term.names]
+
+
 def displacement(terms: Sequence[EffectTerm], effects: Mapping[str, Effect], context: EffectContext) -> Displacement:
     """Compute the sum of the displacements of all terms."""
-    columns: list[EffectColumn] = []
-    for term in terms:
-        of_law = effects[term.slug].columns(context, term.law, frozenset(term.law_names))
-        by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
-        columns += [by_name[name] for name in term.names]
+    columns = [column for term in terms for column in ordered_columns(term, effects, context)]
     values = [value for term in terms for value in term.values.tolist()]
     return displacement_by(columns, values, *context.q.shape)
 

@@ -28,7 +28,7 @@ from cellapp.robot.effects import (
     term_from_json,
     term_to_json,
 )
-from cellapp.robot.effects.modulation import with_modulations
+from cellapp.robot.effects.effect import ordered_columns
 from cellapp.robot.kinematics.chain import (
     BASE_NAMES,
     PROBE_NAMES,
@@ -719,16 +719,9 @@ class PosteriorDraws:
         moved = np.zeros_like(by_geometry)
         joints = np.zeros((len(self.geometry), *context.q.shape))
         for term, drawn in zip(terms, self.terms, strict=True):
-            _add(joints, moved, _columns(term, context), drawn)
+            _add(joints, moved, ordered_columns(term, EFFECTS, context), drawn)
         moved += np.einsum("snj,cjn->snc", joints, by_joint, optimize=True)
         return np.asarray(by_geometry), moved
-
-
-def _columns(term: EffectTerm, context: EffectContext) -> list[EffectColumn]:
-    """Return the columns of a term in the order of its parameters."""
-    of_law = EFFECTS[term.slug].columns(context, term.law, frozenset(term.law_names))
-    by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
-    return [by_name[name] for name in term.names]
 
 
 def _add(joints: Array, moved: Array, columns: Sequence[EffectColumn], drawn: Array) -> None:
