@@ -316,6 +316,8 @@ _LATTICE_M = 0.057
 cubic lattice, and every tracker's driver accepts an SMR within at least 50 mm."""
 _KNOWN_M = 1e-3
 """Prediction error [m] below which the station is not fitted again: it is far within the smallest search radius."""
+MISSED = {False: 2, True: 3}
+"""Consecutive SMRs that are not found after which the search ends: if none was found before, and if one was."""
 APART_M = 0.4
 """Least distance [m] between SMRs that are present at the same time: more than twice the largest search radius, so that
 none is mistaken for another."""

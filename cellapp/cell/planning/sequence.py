@@ -20,12 +20,12 @@ from cellapp.cell.safety.many_motions import FreeMotions
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, ignore
+from cellapp.robot.kinematics.inverse import turned_into
 from cellapp.robot.kinematics.transforms import Array
 
 _JOB = "order"
 _LARGEST_REPEATED_SHARE = 4
 """At most every fourth stop is a repeat."""
-_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,9 +120,8 @@ def nearest_turns(profile: Profile, cell: CellBodies, name: str, q: Array) -> Ar
     home = profile.arms[name].home
     low, high = joint_ranges(cell, profile, name).T if profile.plan.ranges is not None else cell.arms[name].limits.T
     centre = 0.5 * (low + high) if home is None else np.array(home)
-    near = centre + np.remainder(q - centre + 0.5 * _TURN, _TURN) - 0.5 * _TURN
-    near = np.where(near < low, near + _TURN, np.where(near > high, near - _TURN, near))
-    return np.asarray(np.where((near >= low) & (near <= high), near, q))
+    near, beyond = turned_into(q, np.stack([low, high], axis=1), centre)
+    return np.where(beyond > 0.0, q, near)
 
 
 @dataclass(frozen=True, eq=False)

@@ -413,7 +413,10 @@ def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharac
     two cycles."""
     if len(runs.tracks) < FEWEST_CYCLES:
         return None
-    crossed = np.stack([_crossings(runs, one) for one in runs.tracks], axis=1)
+    points = [np.column_stack([one.p_M, one.time_s]) for one in runs.tracks]
+    crossed = np.stack(
+        [plane_crossings(one, runs.commanded_M, runs.tangents_M, _SAME_STRETCH_M) for one in points], axis=1
+    )
     kept = np.isfinite(crossed).all(axis=(1, 2))
     if not kept.any():
         return None
@@ -432,13 +435,6 @@ def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharac
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _crossings(runs: PathRuns, track: PathTrack) -> Array:
-    """Compute where and when one cycle crosses the planes at the points, (m, 4) [m, s]; NaN where it does not."""
-    return plane_crossings(
-        np.column_stack([track.p_M, track.time_s]), runs.commanded_M, runs.tangents_M, _SAME_STRETCH_M
-    )
 
 
 def _velocity(runs: PathRuns, times: Array, rng: np.random.Generator) -> PathVelocity | None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.plan import draw_stops, rolled_stops
+from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.planned_stops import StopConditions
 from cellapp.cell.planning.proposal.hypotheses import (
     CandidateDesign,
@@ -320,15 +320,12 @@ class Effort:
         Poses that are drawn: enough that ``kept`` of them are within easy reach in the twin's crowded cell.
     kept : int
         Poses that are kept of these.
-    rolls : int
-        Copies of each with other angles of the last joint, which rotate the SMR with little motion.
     candidates : int
         Upper limit of poses times approaches of one arm.
     """
 
-    drawn: int = 280
-    kept: int = 200
-    rolls: int = 2
+    drawn: int = 840
+    kept: int = 600
     candidates: int = 8000
 
 
@@ -340,8 +337,6 @@ class CandidatePoses:
     ----------
     q : mapping
         Arm -> joint positions (n, N) [rad].
-    posture : array, shape (n,)
-        Number shared by poses that differ in wrist rolls only.
     gate : CellBodies or None
         Checks motions; None where the profile does not describe the cell.
     homes : mapping
@@ -349,16 +344,15 @@ class CandidatePoses:
     """
 
     q: Mapping[str, Array]
-    posture: NDArray[np.intp]
     gate: CellBodies | None
     homes: Mapping[str, Array]
 
     def __len__(self) -> int:
-        return len(self.posture)
+        return len(next(iter(self.q.values())))
 
     def first(self, count: int) -> CandidatePoses:
         """Return the first ``count`` poses."""
-        return replace(self, q={name: q[:count] for name, q in self.q.items()}, posture=self.posture[:count])
+        return replace(self, q={name: q[:count] for name, q in self.q.items()})
 
 
 def candidate_poses(
@@ -393,23 +387,19 @@ def _drawn_poses(profile: Profile, effort: Effort, rng: np.random.Generator, can
     reached = np.all([ArmRoadmap(profile, gate, name, rng).reaches(q) for name, q in drawn.items()], axis=0)
     if not reached.any():
         raise InputError("propose: no candidate can be reached; make plan.clearance smaller")
-    kept = {name: q[reached][: effort.kept] for name, q in drawn.items()}
-    q, posture = rolled_stops(gate, kept, effort.rolls, rng)
-    mixed = rng.permutation(len(posture))
-    return CandidatePoses({name: rows[mixed] for name, rows in q.items()}, posture[mixed], gate, homes)
+    return CandidatePoses({name: q[reached][: effort.kept] for name, q in drawn.items()}, gate, homes)
 
 
 def _measured_poses(readings: Mapping[str, Readings], effort: Effort, rng: np.random.Generator) -> CandidatePoses:
     common = set.intersection(*(set(arm.configuration.tolist()) for arm in readings.values()))
-    most = effort.kept * (1 + effort.rolls)
-    stops = rng.permutation(np.array(sorted(common), dtype=np.int64))[:most].tolist()
+    stops = rng.permutation(np.array(sorted(common), dtype=np.int64))[: effort.kept].tolist()
     if not stops:
         raise InputError("propose: the arms have no stop in common from which candidates could be made")
     q = {}
     for name, arm in readings.items():
         row_of = {stop: row for row, stop in enumerate(arm.configuration.tolist())}
         q[name] = arm.q[[row_of[stop] for stop in stops]]
-    return CandidatePoses(q, np.arange(len(stops)), None, {})
+    return CandidatePoses(q, None, {})
 
 
 def alone(gate: CellBodies, name: str) -> CellBodies:

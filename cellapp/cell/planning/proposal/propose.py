@@ -234,7 +234,7 @@ def propose_stops(
 
 
 _MOST_OFTEN = 3
-"""How often a posture, whatever its wrist roll, is proposed at most: optimal designs repeat few stops, which would hide
+"""How often a pose is proposed at most: optimal designs repeat few stops, which would hide
 that a law is wrong elsewhere."""
 _REFUSALS = 400
 """Refusals in a row after which the search for a further stop ends: bounds the time in a crowded cell."""
@@ -272,7 +272,7 @@ class StopSelection:
 
     def select(self, count: int, listener: Listener, cancel: CancelToken) -> list[ChosenStop]:
         """Choose ``count`` stops, each the best in addition to those before; fewer if the gate refuses."""
-        used = [np.zeros(int(self.poses.posture.max()) + 1, dtype=np.intp) for _ in self.arms]
+        used = [np.zeros(len(self.poses), dtype=np.intp) for _ in self.arms]
         found: list[ChosenStop] = []
         while len(found) < count:
             cancel.check()
@@ -282,7 +282,7 @@ class StopSelection:
                 break
             for arm, counts, pose, approach in zip(self.arms, used, stop.poses, stop.approaches, strict=True):
                 arm.add(pose, approach)
-                counts[self.poses.posture[pose]] += 1
+                counts[pose] += 1
             found.append(stop)
         return [found[k] for k in self.rng.permutation(len(found))]
 
@@ -299,7 +299,7 @@ class StopSelection:
         """Choose the best stop whose last steps the gate accepts; None if there is none."""
         gains = [arm.gains(stops_left) for arm in self.arms]
         for gain, counts in zip(gains, used, strict=True):
-            gain[counts[self.poses.posture] >= _MOST_OFTEN] = -math.inf
+            gain[counts >= _MOST_OFTEN] = -math.inf
         for _ in range(_REFUSALS):
             stop = self._best(gains)
             if stop is None:
