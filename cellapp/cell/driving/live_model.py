@@ -426,12 +426,7 @@ def _slip(arm: str, linear: Array, squared: Array, freedom: float, depends: floa
 
 
 def _motion(
-    kind: Literal["move", "drift"],
-    arm: str | None,
-    linear: Array,
-    squared: Array,
-    freedom: float,
-    depends: float,
+    kind: Literal["move", "drift"], arm: str | None, linear: Array, squared: Array, freedom: float, depends: float
 ) -> list[_Explanation]:
     """Return the best motion in the tracker frame, sudden or slow, as a list of one; empty without readings."""
     rows = _SUDDEN if kind == "move" else _SLOW
@@ -440,14 +435,7 @@ def _motion(
 
 
 def _best(
-    kind: ChangeKind,
-    arm: str | None,
-    b: Array,
-    A: Array,
-    raw: Array,
-    count: Array,
-    freedom: float,
-    depends: float,
+    kind: ChangeKind, arm: str | None, b: Array, A: Array, raw: Array, count: Array, freedom: float, depends: float
 ) -> list[_Explanation]:
     """Return the best of the patterns, as a list, from their normal equations b (patterns, p) and A (patterns, p p).
 

@@ -17,11 +17,7 @@ from cellapp.cell.driving.supervision import Opened, moving_cell
 from cellapp.cell.driving.target_visit import Driver
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, visible
-from cellapp.estimation.calibration.station_location import (
-    ArmPoints,
-    StationFit,
-    fit_station,
-)
+from cellapp.estimation.calibration.station_location import ArmPoints, StationFit, fit_station
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError

@@ -22,12 +22,7 @@ from numpy.typing import NDArray
 from cellapp.cell.driving.motion import Mover, PointAtRest, Vector
 from cellapp.cell.driving.supervision import Supervisor
 from cellapp.cell.run import ReferenceRow, RunFile
-from cellapp.estimation.calibration.station_location import (
-    ArmPoints,
-    RoughStation,
-    fit_station,
-    predicted_points,
-)
+from cellapp.estimation.calibration.station_location import ArmPoints, RoughStation, fit_station, predicted_points
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Repeat
@@ -38,13 +33,7 @@ from cellapp.robot.model import CellModel
 from cellapp.robot.model.model import relocated
 from cellapp.robot.model.nominal import pose_matrix
 from drivers.arms.protocol import ArmState
-from drivers.trackers.protocol import (
-    NotReady,
-    TargetLost,
-    TrackerError,
-    Unstable,
-    WrongTarget,
-)
+from drivers.trackers.protocol import NotReady, TargetLost, TrackerError, Unstable, WrongTarget
 
 Measure = Callable[[], PointAtRest]
 

@@ -14,12 +14,7 @@ from cellapp.cell.planning.balance import Columns, fair_blocks, posture_function
 from cellapp.cell.planning.duration import motion_s
 from cellapp.cell.planning.transit_paths import Order, TourTask, best_order
 from cellapp.cell.safety.bodies import place
-from cellapp.cell.safety.gate import (
-    CellBodies,
-    clear_alone,
-    clear_pairs,
-    with_margin_for_ways,
-)
+from cellapp.cell.safety.gate import CellBodies, clear_alone, clear_pairs, with_margin_for_ways
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array

@@ -118,10 +118,7 @@ def _admitted(cell: CellBodies, q: Mapping[str, Array]) -> NDArray[np.bool_]:
 
 
 def _next_stop(
-    cell: CellBodies,
-    drawn: Mapping[str, Iterator[Array]],
-    here: Mapping[str, Array],
-    homes: Mapping[str, Array] | None,
+    cell: CellBodies, drawn: Mapping[str, Iterator[Array]], here: Mapping[str, Array], homes: Mapping[str, Array] | None
 ) -> tuple[Mapping[str, Array] | None, str]:
     """Draw a stop reachable from ``here``, from which ``homes``, if given, are; None with the last refusal."""
     refusal = ""
@@ -223,10 +220,7 @@ _SEED = 0xDE52
 
 
 def design_result(
-    profile: Profile,
-    designed: DesignedStops,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    profile: Profile, designed: DesignedStops, listener: Listener = ignore, cancel: CancelToken | None = None
 ) -> PlanDesignResult:
     """Compare the asked stops of a plan with random ones of the same number; reserves do not count.
 

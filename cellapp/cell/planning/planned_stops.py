@@ -328,11 +328,7 @@ def read_planned_stops(run: RunFile) -> PlannedStops:
 
 
 def write_planned_stops(
-    run: RunFile,
-    stops: PlannedStops,
-    *,
-    proposed: Collection[int] = (),
-    design: PlanDesignResult | None = None,
+    run: RunFile, stops: PlannedStops, *, proposed: Collection[int] = (), design: PlanDesignResult | None = None
 ) -> None:
     """Store a plan in place of the one before.
 

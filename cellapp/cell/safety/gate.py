@@ -215,10 +215,7 @@ def _within_reach(first: Placed, second: Placed, clearance: float) -> tuple[np.n
     """
     along = _between_bases(first, second)
     reach_first, reach_second = _reach(first, along), _reach(second, -along)
-    return (
-        ~(reach_first + reach_second.max() <= -clearance),
-        ~(reach_second + reach_first.max() <= -clearance),
-    )
+    return (~(reach_first + reach_second.max() <= -clearance), ~(reach_second + reach_first.max() <= -clearance))
 
 
 def _first_gap_below(first: Placed, second: Placed, clearance: float) -> float:

@@ -132,11 +132,7 @@ class Measurements:
 
 
 def pose_characteristics(
-    arm: ArmProgramme,
-    measured: Measurements,
-    base_M: Array,
-    rng: np.random.Generator,
-    speed: float = 0.0,
+    arm: ArmProgramme, measured: Measurements, base_M: Array, rng: np.random.Generator, speed: float = 0.0
 ) -> tuple[PoseCharacteristics, ...]:
     """Compute AP and RP at each pose measured twice or more; ``base_M`` (3, 3) is the rotation of the base in M.
 
@@ -475,9 +471,7 @@ Row = tuple[str, ...]
 
 
 def raw_rows(
-    programmes: Mapping[tuple[str, IsoCommands], ArmProgramme],
-    measured: Measurements,
-    paths: Sequence[PathRuns],
+    programmes: Mapping[tuple[str, IsoCommands], ArmProgramme], measured: Measurements, paths: Sequence[PathRuns]
 ) -> Iterator[Row]:
     """Yield all rows: commanded and measured positions at rest, then paths."""
     for place in dict.fromkeys(one.place for one in measured.visits):

@@ -20,10 +20,7 @@ from cellapp.estimation.calibration.calibrate import (
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.learning import require_learner
 from cellapp.estimation.calibration.quantities import evaluate, repeatability
-from cellapp.estimation.calibration.records import (
-    MotionResult,
-    RecordingResult,
-)
+from cellapp.estimation.calibration.records import MotionResult, RecordingResult
 from cellapp.estimation.motion.fit import thinned
 from cellapp.estimation.motion.identify import (
     MotionFit,

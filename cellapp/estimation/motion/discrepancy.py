@@ -29,14 +29,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import solve_psd
 from cellapp.estimation.motion.fit import Problem, Solution
-from cellapp.estimation.motion.observe import (
-    Bands,
-    Modelled,
-    NoiseModel,
-    averages_of,
-    bands_of,
-    noise_model,
-)
+from cellapp.estimation.motion.observe import Bands, Modelled, NoiseModel, averages_of, bands_of, noise_model
 from cellapp.estimation.motion.terms import JointTerm, Law
 from cellapp.robot.kinematics.transforms import Array
 

@@ -29,16 +29,7 @@ from cellapp.estimation.calibration.parameters import (
     prior_spreads,
 )
 from cellapp.estimation.calibration.weights import MEDIAN_NORM, robust_weights
-from cellapp.estimation.motion.observe import (
-    Layout,
-    Model,
-    NoiseModel,
-    Stops,
-    Sums,
-    noise_model,
-    residuals,
-    sums_of,
-)
+from cellapp.estimation.motion.observe import Layout, Model, NoiseModel, Stops, Sums, noise_model, residuals, sums_of
 from cellapp.estimation.motion.terms import JointTerm, Law, Masses
 from cellapp.estimation.motion.tracks import Track
 from cellapp.ground.errors import NotConverged

@@ -96,8 +96,7 @@ class Backlash(Effect):
     )
     look_alikes = ("friction_windup", "unsettled_measurement")
     impossible = ImpossibleValues(
-        sign="backlash of the opposite sign",
-        sign_check="check the approach convention of the readings",
+        sign="backlash of the opposite sign", sign_check="check the approach convention of the readings"
     )
     variables = frozenset({DriverVariable.APPROACH, DriverVariable.STEP})
     forms = (CONSTANT, SATURATING, GRADUAL, SMALL)

@@ -100,11 +100,7 @@ class JointCompliance(Effect):
     )
     variables = _LOADED
     forms = (LINEAR, TWO_SLOPE, THREE_SLOPE, FREE_MASSES)
-    free_drivers = (
-        OWN_SIZE,
-        FreeDriver(Quantity.JOINT_ANGLE),
-        FreeDriver(Quantity.PAYLOAD),
-    )
+    free_drivers = (OWN_SIZE, FreeDriver(Quantity.JOINT_ANGLE), FreeDriver(Quantity.PAYLOAD))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
@@ -176,11 +172,7 @@ class PayloadCompliance(Effect):
     )
     variables = _LOADED
     forms = (LawForm("", "in proportion to the payload's torque"),)
-    free_drivers = (
-        OWN_SIZE,
-        FreeDriver(Quantity.JOINT_ANGLE),
-        FreeDriver(Quantity.PAYLOAD),
-    )
+    free_drivers = (OWN_SIZE, FreeDriver(Quantity.JOINT_ANGLE), FreeDriver(Quantity.PAYLOAD))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs a payload that varies."""
@@ -191,10 +183,7 @@ class PayloadCompliance(Effect):
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per joint, and those that refine it: the load's centre of mass is not where it was stated."""
-        return [
-            *_compliances("payload_compliance", context.loads.torques_of(-1)),
-            *_by_center_of_load(context),
-        ]
+        return [*_compliances("payload_compliance", context.loads.torques_of(-1)), *_by_center_of_load(context)]
 
 
 def _by_center_of_load(context: EffectContext) -> list[EffectColumn]:

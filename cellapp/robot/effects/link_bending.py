@@ -84,11 +84,7 @@ class LinkBending(Effect):
     )
     variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
     forms = (BENDING, TORSION, OWN_WEIGHT, TORSION_OWN_WEIGHT, FREE_WEIGHT)
-    free_drivers = (
-        FreeDriver(Quantity.TORQUE),
-        FreeDriver(Quantity.JOINT_ANGLE),
-        FreeDriver(Quantity.PAYLOAD),
-    )
+    free_drivers = (FreeDriver(Quantity.TORQUE), FreeDriver(Quantity.JOINT_ANGLE), FreeDriver(Quantity.PAYLOAD))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""

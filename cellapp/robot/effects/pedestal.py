@@ -75,10 +75,7 @@ class PedestalCompliance(Effect):
     )
     variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
     forms = (OWN_ISOTROPIC, OWN_TILT, OWN_PIVOT, OWN_GENERAL)
-    free_drivers = (
-        FreeDriver(Quantity.TORQUE),
-        FreeDriver(Quantity.JOINT_ANGLE),
-    )
+    free_drivers = (FreeDriver(Quantity.TORQUE), FreeDriver(Quantity.JOINT_ANGLE))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""

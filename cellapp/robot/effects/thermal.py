@@ -128,10 +128,7 @@ class ThermalGrowth(Effect):
     )
     variables = _OF_AIR | _OF_JOINTS | _OF_TIME | {DriverVariable.JOINT_ANGLE}
     forms = (AIR, AIR_LINKS, JOINTS, JOINTS_LINKS, CONDUCTION, CONDUCTION_LINKS, WARM_UP, WARM_UP_LINKS)
-    free_drivers = (
-        FreeDriver(Quantity.TIME),
-        FreeDriver(Quantity.TEMPERATURE),
-    )
+    free_drivers = (FreeDriver(Quantity.TIME), FreeDriver(Quantity.TEMPERATURE))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs temperatures or times."""
@@ -265,10 +262,7 @@ class JointDrift(Effect):
     look_alikes = ("base_drift", "thermal_growth", "base_step")
     variables = _OF_TIME | _OF_AIR | _OF_JOINTS
     forms = (LINEAR_FORM, WARM_UP_FORM, ZERO_BY_TEMPERATURE, WANDERING)
-    free_drivers = (
-        FreeDriver(Quantity.TIME),
-        FreeDriver(Quantity.TEMPERATURE),
-    )
+    free_drivers = (FreeDriver(Quantity.TIME), FreeDriver(Quantity.TEMPERATURE))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs times or temperatures of the joints."""

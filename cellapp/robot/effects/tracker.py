@@ -61,10 +61,7 @@ class TrackerScale(Effect):
     look_alikes = ("thermal_growth", "tracker_distance_offset")
     variables = frozenset({DriverVariable.BEAM, DriverVariable.AIR_TEMPERATURE})
     forms = (PLAIN_SCALE, AIR_SCALE)
-    free_drivers = (
-        FreeDriver(Quantity.RANGE),
-        FreeDriver(Quantity.TEMPERATURE),
-    )
+    free_drivers = (FreeDriver(Quantity.RANGE), FreeDriver(Quantity.TEMPERATURE))
 
     def laws(self, context: EffectContext) -> list[Law]:
         """The same throughout; with the air temperature where it is known."""
@@ -142,10 +139,7 @@ class TrackerAngleError(Effect):
     look_alikes = ("tracker_distance_offset", "pedestal_compliance", "joint_compliance")
     variables = frozenset({DriverVariable.BEAM})
     forms = (LawForm("orders", "one and two cycles per revolution of either angle"),)
-    free_drivers = (
-        FreeDriver(Quantity.AZIMUTH),
-        FreeDriver(Quantity.ELEVATION),
-    )
+    free_drivers = (FreeDriver(Quantity.AZIMUTH), FreeDriver(Quantity.ELEVATION))
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Cosine and sine of each order of each angle, a block per order."""

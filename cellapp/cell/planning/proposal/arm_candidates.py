@@ -356,11 +356,7 @@ class CandidatePoses:
 
 
 def candidate_poses(
-    profile: Profile,
-    readings: Mapping[str, Readings],
-    effort: Effort,
-    rng: np.random.Generator,
-    cancel: CancelToken,
+    profile: Profile, readings: Mapping[str, Readings], effort: Effort, rng: np.random.Generator, cancel: CancelToken
 ) -> tuple[CandidatePoses, list[str]]:
     """Draw poses in the cell that the profile describes, else take the measured configurations; and return notes.
 
