@@ -30,16 +30,7 @@ conform if it is outside by it. ``simple``: the error alone is compared (ISO/IEC
 Verdict = Literal["explained", "nothing missing", "unknown effect", "ambiguous"]
 
 StageName = Literal[
-    "calibrate",
-    "discover",
-    "locate",
-    "compensate",
-    "push",
-    "verify",
-    "path",
-    "iso9283",
-    "check",
-    "certificate",
+    "calibrate", "discover", "locate", "compensate", "push", "verify", "path", "iso9283", "check", "certificate"
 ]
 ModelStage = Literal["calibrate", "discover"]
 """Stages that learn a model from the readings of a run."""

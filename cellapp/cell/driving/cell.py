@@ -32,14 +32,7 @@ from cellapp.robot.model.nominal import joint_rates, pose_matrix
 from drivers.arms.protocol import Arm, ArmError, JointLimits
 from drivers.arms.settings import ArmContext
 from drivers.clock import Clock, RealClock, SimulatedClock
-from drivers.plant import (
-    ArmConfig,
-    CapsuleConfig,
-    GeometryErrors,
-    Plant,
-    PlantConfig,
-    TrackerConfig,
-)
+from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
 from drivers.plant.sweep import SweepRecord, record_sweep, recorder_of
 from drivers.sensors.protocol import AirSensor, SensorError
 from drivers.settings import SettingError
@@ -183,11 +176,7 @@ class Cell:
 
 @contextmanager
 def open_cell(
-    profile: Profile,
-    *,
-    watch_clearance: bool = False,
-    plant: Plant | None = None,
-    control: JobControl | None = None,
+    profile: Profile, *, watch_clearance: bool = False, plant: Plant | None = None, control: JobControl | None = None
 ) -> Iterator[Cell]:
     """Connect to all devices of a profile; disconnect them at the end, whatever happens.
 

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from cellapp.cell.driving.cell import Cell
-from cellapp.cell.driving.measuring import APART_M, FoundPoint, SmrSearch
+from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.supervision import MovingCell, Opened, moving_cell
 from cellapp.cell.driving.target_visit import Driver
@@ -30,9 +30,6 @@ from cellapp.ground.progress import Listener, Progress, ignore
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.arms.protocol import ArmState
-
-_MISSED_AT_FIRST, _MISSED_LATER = 2, 3
-"""Consecutive stops without an SMR after which an arm is given up: if its SMR was never found, and if it was."""
 
 
 class StopTest(Protocol):
@@ -200,8 +197,7 @@ class _Checking:
             return found
         self.driven.notes.append(found)
         self._missed[name] += 1
-        seen = any(one.arm == name for one in self.search.found)
-        if self._missed[name] >= (_MISSED_LATER if seen else _MISSED_AT_FIRST):
+        if self._missed[name] >= MISSED[any(one.arm == name for one in self.search.found)]:
             self.driven.lost.append(name)
             self.driven.notes.append(
                 f"arm {name}: its SMR was not found at {counted(self._missed[name], 'stop')} in a row and is not"

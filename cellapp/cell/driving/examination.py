@@ -43,7 +43,7 @@ def examine(profile: Profile, reference_nests: Path | None = None) -> list[Findi
     However many devices are dead, this takes about twice ``LONGEST_PROBE_S``, or the time limit of the slowest
     connection: a minute for LMF, a sensor's own ``timeout``. Problems become findings, not exceptions.
     """
-    with ThreadPoolExecutor(max_workers=_devices(profile), thread_name_prefix="probe") as pool:
+    with ThreadPoolExecutor(max_workers=len(profile.arms) + 2, thread_name_prefix="probe") as pool:
         probes = _start_probes(pool, profile)
         placement = _placement(profile, reference_nests)
         findings = [_python(profile), *_found(profile, probes)]
@@ -64,10 +64,6 @@ def require_links(profile: Profile, look: Callable[[], None]) -> None:
 
 _Probes = Mapping[str, Future[Sequence[Finding]]]
 """Device, as named in findings -> future of its probe's findings."""
-
-
-def _devices(profile: Profile) -> int:
-    return len(profile.arms) + 2
 
 
 def _start_probes(pool: Executor, profile: Profile) -> _Probes:

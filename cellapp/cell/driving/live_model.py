@@ -17,7 +17,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import AirReport, StopReport, Suspicion
 from cellapp.robot.kinematics.transforms import Array
-from drivers.sensors.protocol import AirReading, AirSensor, SensorError
+from drivers.sensors.protocol import AirSensor, SensorError
 
 Note = Callable[[str, str], None]
 """Callback with a log level ("info", "warning") and a sentence."""
@@ -38,10 +38,6 @@ class AirTemperature:
 
     def at_stop(self, stop: int) -> float | None:
         """Read the air temperature [degC]; None if the station fails."""
-        reading = self._read(stop)
-        return None if reading is None else reading.temperature_c
-
-    def _read(self, stop: int) -> AirReading | None:
         try:
             reading = self.sensor.read()
         except SensorError as error:
@@ -53,7 +49,7 @@ class AirTemperature:
             self.note("info", f"stop {stop + 1}: {reading}")
         self.state = "working"
         self.heard(AirReport(reading.temperature_c, reading.pressure_hpa, reading.humidity_percent))
-        return reading
+        return reading.temperature_c
 
 
 class LiveModel:
@@ -430,12 +426,7 @@ def _slip(arm: str, linear: Array, squared: Array, freedom: float, depends: floa
 
 
 def _motion(
-    kind: Literal["move", "drift"],
-    arm: str | None,
-    linear: Array,
-    squared: Array,
-    freedom: float,
-    depends: float,
+    kind: Literal["move", "drift"], arm: str | None, linear: Array, squared: Array, freedom: float, depends: float
 ) -> list[_Explanation]:
     """Return the best motion in the tracker frame, sudden or slow, as a list of one; empty without readings."""
     rows = _SUDDEN if kind == "move" else _SLOW
@@ -444,14 +435,7 @@ def _motion(
 
 
 def _best(
-    kind: ChangeKind,
-    arm: str | None,
-    b: Array,
-    A: Array,
-    raw: Array,
-    count: Array,
-    freedom: float,
-    depends: float,
+    kind: ChangeKind, arm: str | None, b: Array, A: Array, raw: Array, count: Array, freedom: float, depends: float
 ) -> list[_Explanation]:
     """Return the best of the patterns, as a list, from their normal equations b (patterns, p) and A (patterns, p p).
 

@@ -11,16 +11,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cellapp.cell.driving.cell import Cell
-from cellapp.cell.driving.measuring import APART_M, FoundPoint, SmrSearch
+from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearch
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.cell.driving.supervision import Opened, moving_cell
+from cellapp.cell.driving.target_visit import Driver
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, visible
-from cellapp.estimation.calibration.station_location import (
-    ArmPoints,
-    StationFit,
-    fit_station,
-)
+from cellapp.estimation.calibration.station_location import ArmPoints, StationFit, fit_station
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError
@@ -125,10 +122,6 @@ def _information(model: CellModel, name: str, q: Array) -> Array:
 
 _REPEATS = 5
 """Measurements of each point: their mean has less than half the scatter of one."""
-_RUN_UP_RAD = np.radians(2.0)
-"""Last motion of each joint before a point [rad]: as short as most of a plan, well beyond any backlash."""
-_MISSED_AT_FIRST, _MISSED_LATER = 2, 3
-"""Consecutive missed SMRs after which the job ends: before the first one is found, and after."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,10 +208,9 @@ class _Measuring:
     listener: Listener
     notes: list[str] = field(default_factory=list)
     _missed: int = 0
-    _away: str = ""
 
     def __post_init__(self) -> None:
-        self._homes = home_positions(self.task.profile)
+        self.driver = Driver(self.mover, home_positions(self.task.profile))
 
     @property
     def found(self) -> list[FoundPoint]:
@@ -268,7 +260,7 @@ class _Measuring:
         if isinstance(found, str):
             self.notes.append(found)
             self._missed += 1
-            if self._missed >= (_MISSED_LATER if self.found else _MISSED_AT_FIRST):
+            if self._missed >= MISSED[bool(self.found)]:
                 raise HardwareError(self._lost_words(name))
             return False
         self._missed = 0
@@ -276,18 +268,9 @@ class _Measuring:
         return True
 
     def _go(self, name: str, q: Vector) -> ArmState:
-        """Move one arm straight if it can return home from there, else via home; first move the previous arm home.
-
-        The last motion is short if the gate accepts that: the model knows effects that depend on the motion for those.
-        """
-        if self._away and self._away != name:
-            self.mover.move({self._away: self._homes[self._away]})
-        self._away = name
-        self.mover.go_home_unless_clear(name, q)
-        run_up = q - _RUN_UP_RAD * np.sign(q - self.mover.positions()[name])
-        if not self.mover.refusal({name: run_up}, {name: q}):
-            self.mover.move({name: run_up})
-        return self.mover.move({name: q})[name]
+        """Move one arm, the others at home, with a short last motion: effects that depend on it are known for those."""
+        here = self.mover.positions()[name]
+        return self.driver.to([name], lambda name, start: q, {name: np.sign(q - here)})[name]
 
     def _lost_words(self, name: str) -> str:
         tried = f"{self._missed} SMRs in a row were not found, the last one of arm {name}"

@@ -22,12 +22,7 @@ from numpy.typing import NDArray
 from cellapp.cell.driving.motion import Mover, PointAtRest, Vector
 from cellapp.cell.driving.supervision import Supervisor
 from cellapp.cell.run import ReferenceRow, RunFile
-from cellapp.estimation.calibration.station_location import (
-    ArmPoints,
-    RoughStation,
-    fit_station,
-    predicted_points,
-)
+from cellapp.estimation.calibration.station_location import ArmPoints, RoughStation, fit_station, predicted_points
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Repeat
@@ -38,13 +33,7 @@ from cellapp.robot.model import CellModel
 from cellapp.robot.model.model import relocated
 from cellapp.robot.model.nominal import pose_matrix
 from drivers.arms.protocol import ArmState
-from drivers.trackers.protocol import (
-    NotReady,
-    TargetLost,
-    TrackerError,
-    Unstable,
-    WrongTarget,
-)
+from drivers.trackers.protocol import NotReady, TargetLost, TrackerError, Unstable, WrongTarget
 
 Measure = Callable[[], PointAtRest]
 
@@ -316,6 +305,8 @@ _LATTICE_M = 0.057
 cubic lattice, and every tracker's driver accepts an SMR within at least 50 mm."""
 _KNOWN_M = 1e-3
 """Prediction error [m] below which the station is not fitted again: it is far within the smallest search radius."""
+MISSED = {False: 2, True: 3}
+"""Consecutive SMRs that are not found after which the search ends: if none was found before, and if one was."""
 APART_M = 0.4
 """Least distance [m] between SMRs that are present at the same time: more than twice the largest search radius, so that
 none is mistaken for another."""
@@ -394,7 +385,7 @@ class SmrSearch:
         return float(np.clip(_REACH * sigma_m, *_REACH_M))
 
     def _search(self, name: str, state: ArmState) -> FoundPoint | str:
-        conditions = self._conditions(name, state)
+        conditions = self.mover.conditions(name, state, 0.5 * self.profile.tracker.averaging)
         others = {other: q for other, q in self.mover.positions().items() if other != name}
         # predict the SMR of the arm with the station so far, (3,) [m]
         own = ArmPoints(state.q[None], np.zeros((1, 3)), np.zeros((1, 3, 3)), conditions, _only(others))
@@ -413,18 +404,6 @@ class SmrSearch:
             repeats_M = np.array([one.p_M for one in points])
             return FoundPoint(name, mean_point(points), repeats_M, conditions, off_m, others)
         return f"arm {name}: no SMR within {reach_m * 1e3:.0f} mm of its prediction: {problem}"
-
-    def _conditions(self, name: str, state: ArmState) -> MeasurementConditions:
-        """Return the known conditions of the arm at rest, one row."""
-        step, rested_s = self.mover.step(name), self.mover.rested_s(name)
-        averaging_s = self.profile.tracker.averaging
-        return MeasurementConditions(
-            approach=self.mover.approach(name)[None].astype(np.float64),
-            step=None if step is None else step[None],
-            dwell_s=None if rested_s is None else np.array([rested_s + 0.5 * averaging_s]),
-            payload_kg=None if state.payload_kg is None else np.array([state.payload_kg]),
-            joints_c=None if state.joint_temperature_c is None else state.joint_temperature_c[None],
-        )
 
 
 def points_of(found: Sequence[FoundPoint]) -> dict[str, ArmPoints]:

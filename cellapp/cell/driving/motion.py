@@ -28,7 +28,6 @@ from cellapp.cell.safety.gate import (
     equally_long,
     on_rows,
     predicted_smr,
-    refuse_path,
     refuse_paths,
 )
 from cellapp.estimation.readings import Reading
@@ -44,6 +43,7 @@ from cellapp.ground.progress import (
     PointMeasured,
     SweepLive,
 )
+from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.model.nominal import joint_rates
 from drivers.arms.path_checks import driven
 from drivers.arms.protocol import ArmError, ArmState, ArmTimeout, MotionStopped, PathFollower
@@ -316,42 +316,23 @@ class Mover:
                 raise self.stop_cell(cause_of(name, error)) from error
         return self._settled(list(targets), 2.0 * expected_s + _MOVE_ALLOWANCE_S)
 
-    def follow(self, name: str, q: Vector, s: Vector, period_s: float, look: Callable[[], None] | None = None) -> float:
-        """Let an arm at the beginning of a path follow it while the others rest; wait until it is at rest.
+    def follow(
+        self, paths: Mapping[str, tuple[Vector, float]], look: Callable[[], None] | None = None
+    ) -> dict[str, float]:
+        """Let arms at the beginning of their paths follow them simultaneously while the others rest; wait until all are
+        at rest.
 
-        Return the row at which its ``end_path`` ended it early, with a fraction; else inf. ``look`` is called at the
-        start and then each half second.
-
-        Parameters
-        ----------
-        name : str
-        q : array, shape (m, N)
-            Joint positions [rad], one per ``period_s`` [s].
-        s : array, shape (m,)
-            Arc lengths [m], for the gate's messages.
+        ``paths`` maps arm -> positions (m, N) [rad] and their period [s]. Return the row at which its ``end_path``
+        ended each early, with a fraction; else inf. If several arms are no longer where the gate expected them relative
+        to each other, that is a doubt, which stops all. ``look`` is called at the start and then each half second, or
+        more often.
 
         Raises
         ------
         MotionRefused
-            If the gate refuses, or this arm cannot follow streamed positions; nothing has moved.
+            If the gate refuses, or an arm cannot follow streamed positions; nothing has moved.
         CellStopped
             As ``move``.
-        """
-        start = self.positions()
-        others = {other: here for other, here in start.items() if other != name}
-        checked = np.concatenate([start[name][None], q])  # from the arm's actual position
-        refusal = refuse_path(self._bodies, name, checked, others, np.append(s[:1], s), self._cell.gate)
-        if refusal:
-            raise MotionRefused(f"refused to follow the path: {refusal}")
-        return self._followed(start, {name: (q, period_s)}, look)[name]
-
-    def follow_together(
-        self, paths: Mapping[str, tuple[Vector, float]], look: Callable[[], None] | None = None
-    ) -> dict[str, float]:
-        """Let arms at the beginning of their paths follow them simultaneously; wait until all are at rest.
-
-        Like ``follow``; ``paths`` maps arm -> positions (m, N) [rad] and their period [s]. If the arms are no longer
-        where the gate expected them relative to each other, that is a doubt, which stops all.
         """
         start = self.positions()
         period_s = min(its for _, its in paths.values())
@@ -362,7 +343,9 @@ class Mover:
         apart_m = allowed_apart_m(self._bodies, in_time, period_s)
         row, refusal = refuse_paths(self._bodies, rows, others, self._cell.gate, apart_m)
         if refusal:
-            raise MotionRefused(f"refused to follow the paths: at {row * period_s:.1f} s: {refusal}")
+            raise MotionRefused(f"refused to follow a path: at {row * period_s:.1f} s: {refusal}")
+        if len(paths) == 1:
+            return self._followed(start, paths, look)
 
         def look_at_all() -> None:
             apart_m = at_once.apart_m({name: self._state(name).q for name in paths})
@@ -519,6 +502,17 @@ class Mover:
         """
         since_s = self._rest_since_s.get(name)
         return None if since_s is None else self._cell.clock.now_s() - since_s
+
+    def conditions(self, name: str, state: ArmState, later_s: float) -> MeasurementConditions:
+        """Return the known conditions of an arm at rest, one row, ``later_s`` [s] from now."""
+        step, rested_s = self.step(name), self.rested_s(name)
+        return MeasurementConditions(
+            approach=self.approach(name)[None].astype(np.float64),
+            step=None if step is None else step[None],
+            dwell_s=None if rested_s is None else np.array([max(rested_s + later_s, 0.0)]),
+            payload_kg=None if state.payload_kg is None else np.array([state.payload_kg]),
+            joints_c=None if state.joint_temperature_c is None else state.joint_temperature_c[None],
+        )
 
     def rest(self, name: str, dwell_s: float, cancel: CancelToken) -> None:
         """Wait until an arm has been at rest for ``dwell_s`` [s]. Raise as soon as the cell is stopped."""

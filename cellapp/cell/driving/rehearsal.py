@@ -58,12 +58,7 @@ class Rehearsal:
 
 
 def rehearse(
-    run: RunFile,
-    name: RungName,
-    arms: Sequence[str],
-    listener: Listener,
-    control: JobControl,
-    confirm: Confirm | None,
+    run: RunFile, name: RungName, arms: Sequence[str], listener: Listener, control: JobControl, confirm: Confirm | None
 ) -> Rehearsal:
     """Drive the planned stops of a run for one rung with ``arms``; the others stay where they are. Store nothing.
 
@@ -78,10 +73,7 @@ def rehearse(
     """
     found, rung, work = Rehearsal(), RUNGS[name], remaining_work(run, resume=True)
     try:
-        with (
-            open_arms(run.profile, control, simulation=rung.simulation) as cell,
-            reacting(cell, control) as reaction,
-        ):
+        with open_arms(run.profile, control, simulation=rung.simulation) as cell, reacting(cell, control) as reaction:
             found.notes = check_controllers(run, cell).notes
             _Driver(run, work, rung, tuple(arms), cell, reaction, control, listener, found).drive(confirm)
     except (HardwareError, MotionRefused) as error:

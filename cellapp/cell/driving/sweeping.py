@@ -376,12 +376,8 @@ class SweepDriver:
 
     def _follow(self, legs: Mapping[str, _Leg], look: Callable[[], None]) -> dict[str, float | None]:
         """Let arms follow their legs; return the motion time at which each rested early [s], None if at its end."""
-        if len(legs) == 1:
-            ((name, leg),) = legs.items()
-            reached = {name: self.mover.follow(name, leg.q, leg.s_s, leg.arm.path_period_s, look)}
-        else:
-            paths = {name: (leg.q, leg.arm.path_period_s) for name, leg in legs.items()}
-            reached = self.mover.follow_together(paths, look)
+        paths = {name: (leg.q, leg.arm.path_period_s) for name, leg in legs.items()}
+        reached = self.mover.follow(paths, look)
         return {name: leg.at_s(reached[name]) for name, leg in legs.items()}
 
     def _recorded(self, legs: Mapping[str, _Leg], live: LiveSweep) -> tuple[SweepPart, Mapping[str, float | None]]:
@@ -636,10 +632,6 @@ def _columns(part: SweepPart) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return the columns of the joints and of the points of a part."""
     joints, track = part.joints, part.track
     samples = _joint_columns(
-        joints.time_s,
-        q=joints.q,
-        qd=joints.qd,
-        joint_temperature=joints.temperature_c,
-        other_q=part.beside,
+        joints.time_s, q=joints.q, qd=joints.qd, joint_temperature=joints.temperature_c, other_q=part.beside
     )
     return samples, _point_columns(track.device_time_s, track.p_M, track.sigma_m)

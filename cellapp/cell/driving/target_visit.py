@@ -272,7 +272,11 @@ class TargetVisit:
                     found.rounds[0] = last
                 if not (names := significant(last, list(last) if len(last) == 2 else names)):
                     return
-                corrected = {name: self._corrected(name, last, first) for name in names}
+                corrected = {
+                    name: corrected_command(self.model.arms[name], its.sent, its.error_M, first[name].sent)
+                    for name, its in last.items()
+                    if name in names
+                }
                 sent = {name: corrected.get(name, one.sent) for name, one in last.items()}
                 now = self._again(found, states, sent, names)
             except (CorrectionRefused, MotionRefused) as error:
@@ -285,10 +289,6 @@ class TargetVisit:
             if not is_better(now, found.rounds[found.best]):
                 return
             found.best = len(found.rounds) - 1
-
-    def _corrected(self, name: str, last: Rest, first: Rest) -> Vector:
-        """Return the next command of an arm."""
-        return corrected_command(self.model.arms[name], last[name].sent, last[name].error_M, first[name].sent)
 
     def _again(self, found: Findings, states: States, sent: Mapping[str, Vector], names: Sequence[str]) -> Rest:
         """Measure all arms again and return the means; empty if one cannot be measured.

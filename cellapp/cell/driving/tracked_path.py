@@ -80,7 +80,7 @@ class PathDriver:
             streaming.start_track(start_M, interval_s, beam.lost)
             began_s = self.cell.clock.now_s()
             try:
-                self.mover.follow(name, trajectory.q, trajectory.s, trajectory.period_s)
+                self.mover.follow({name: (trajectory.q, trajectory.period_s)})
             except BaseException:
                 with suppress(TrackerError):  # report why the arm did not reach the end, not this
                     streaming.end_track()

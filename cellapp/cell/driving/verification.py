@@ -18,7 +18,6 @@ from cellapp.estimation.calibration.quantities import summarise
 from cellapp.estimation.uncertainty.budget import Judge, expanded_mrad, turn_budget
 from cellapp.ground.profile import SAME_PAYLOAD_KG
 from cellapp.ground.results import ErrorSummary
-from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, rotation_vectors, rotations_of, xyz_of
 from cellapp.robot.model import ArmModel, CellModel
@@ -294,7 +293,6 @@ def predict_at_rest(model: CellModel, mover: Mover, name: str, state: ArmState, 
     The conditions are those of this stop: approach, step, rest, payload, temperatures, position of the other arm. The
     time is now.
     """
-    step, rested_s = mover.step(name), mover.rested_s(name)
     moment = other_q = None
     others = [other for other in model.arms if other != name]
     if len(others) == 1:
@@ -302,14 +300,10 @@ def predict_at_rest(model: CellModel, mover: Mover, name: str, state: ArmState, 
         moment = base_moment(arm.geometry, arm.bodies, other_q, arm.up_M)
     carried = mover.carried[name]
     known = state.payload_kg is not None and abs(state.payload_kg - carried.mass) <= SAME_PAYLOAD_KG
-    conditions = MeasurementConditions(
-        approach=mover.approach(name)[None],
-        step=None if step is None else step[None],
-        dwell_s=None if rested_s is None else np.array([max(rested_s - 0.5 * point.averaging_s, 0.0)]),
-        payload_kg=None if state.payload_kg is None else np.array([state.payload_kg]),
+    conditions = replace(
+        mover.conditions(name, state, -0.5 * point.averaging_s),
         payload_center_F=np.array([carried.center_of_mass]) if known else None,
         air_c=None if point.temperature_c is None else np.array([point.temperature_c]),
-        joints_c=None if state.joint_temperature_c is None else state.joint_temperature_c[None],
         other_moment_M=moment,
         other_q=other_q,
     )

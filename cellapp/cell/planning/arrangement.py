@@ -14,14 +14,7 @@ from cellapp.cell.planning.balance import Columns, fair_blocks, posture_function
 from cellapp.cell.planning.duration import motion_s
 from cellapp.cell.planning.transit_paths import Order, TourTask, best_order
 from cellapp.cell.safety.bodies import place
-from cellapp.cell.safety.gate import (
-    CellBodies,
-    clear_alone,
-    clear_pairs,
-    clear_stops,
-    visible_stops,
-    with_margin_for_ways,
-)
+from cellapp.cell.safety.gate import CellBodies, clear_alone, clear_pairs, with_margin_for_ways
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array
@@ -126,11 +119,6 @@ class StopSet:
         two = replace(self.cell, arms={name: self.cell.arms[name] for name in (a, b)})
         pair = with_margin_for_ways(two, between_arms=True)
         return clear_pairs(pair, (a, self.q[a][rows]), (b, self.q[b][partners]))
-
-    def together(self, rows: Rows) -> NDArray[np.bool_]:
-        """Return whether all arms are clear and visible at the stops ``rows`` (K, n), shape (n,) bool."""
-        q = self.at(rows)
-        return np.asarray(clear_stops(self.cell, q) & visible_stops(self.cell, q))
 
 
 _STOPS_PER_BLOCK = 100

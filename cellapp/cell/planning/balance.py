@@ -135,7 +135,7 @@ def _similar(features: Array, size: int) -> list[NDArray[np.intp]]:
 
 
 def balanced_levels(
-    levels: Array, allowed: NDArray[np.bool_], against: Array, rng: np.random.Generator, goal: float
+    scores: Array, allowed: NDArray[np.bool_], against: Array, rng: np.random.Generator, goal: float
 ) -> NDArray[np.intp]:
     """Choose a level for each of n stops, balanced and with small correlations; return the indices of the levels (n,).
 
@@ -144,33 +144,36 @@ def balanced_levels(
 
     Parameters
     ----------
-    levels : array, shape (L,)
-        Values of the levels, all different.
+    scores : array, shape (L, m)
+        The m measures of each level, with mean 0 and standard deviation 1.
     allowed : array, shape (n, L), bool
         Levels that each stop may have, at least one.
-    against : array, shape (n, p)
-        Variables with mean 0 and standard deviation 1; a column of ones balances the levels themselves.
+    against : array, shape (m, n, p)
+        Variables for each measure with mean 0 and standard deviation 1; a column of ones balances the levels
+        themselves.
     rng : numpy.random.Generator
     goal : float
         Largest correlation that is small enough.
     """
-    n = len(allowed)
-    if n == 0 or len(levels) < 2:
+    n, levels = allowed.shape
+    if n == 0 or levels < 2:
         return np.asarray(np.argmax(allowed, axis=1))
-    score = (levels - levels.mean()) / levels.std()
     chosen = np.argmax(allowed * rng.random(allowed.shape), axis=1)
-    correlation = against.T @ score[chosen] / n
-    for _ in range(n * len(levels)):
+    correlation = np.einsum("nm,mnp->mp", scores[chosen], against) / n
+    for _ in range(n * levels):
         if np.abs(correlation).max(initial=0.0) <= goal:
             break
-        change = np.where(allowed, score - score[chosen][:, None], 0.0) / n
-        gain = change * (against @ correlation ** (_POWER - 1))[:, None]
+        change = np.where(allowed[..., None], scores - scores[chosen][:, None], 0.0) / n
+        slope = np.stack(
+            [its @ of_its for its, of_its in zip(against, correlation ** (_POWER - 1), strict=True)], axis=1
+        )
+        gain = np.einsum("nlm,nm->nl", change, slope)
         likely = np.argpartition(gain, min(_CANDIDATES, gain.size - 1), axis=None)[:_CANDIDATES]
         stop, level = np.unravel_index(likely, gain.shape)
-        after = correlation + change[stop, level][:, None] * against[stop]
-        total = np.sum(after**_POWER, axis=1)
+        after = correlation + change[stop, level][..., None] * against[:, stop].swapaxes(0, 1)
+        total = np.sum(_sixth_power(after), axis=(1, 2))
         best = int(np.argmin(total))
-        if total[best] >= np.sum(correlation**_POWER):
+        if total[best] >= np.sum(_sixth_power(correlation)):
             break
         chosen[stop[best]], correlation = level[best], after[best]
     return np.asarray(chosen)
@@ -195,7 +198,6 @@ _TRIED_CHANGES = 10
 """Number of stops at which a change of one factor is tried before it is given up."""
 _SMALLEST_RAD = 1e-9
 """Lower limit of spreads, in place of 0."""
-_SIDES = np.array([-1.0, 1.0])
 
 
 Accepts = Callable[[int, Mapping[str, Array]], bool]
@@ -229,38 +231,36 @@ class FactorPlan:
         levels = np.unique(self._profile.plan.dwell)
         n = len(self._repeat_of)
         steps = _levels_of(np.concatenate(list(step.values()), axis=1))
-        against = _with_constant(np.concatenate([self._against, steps], axis=1))
-        chosen = balanced_levels(levels, np.ones((n, len(levels)), dtype=np.bool_), against, self._rng, _GOAL)
+        against = np.column_stack([self._against, steps, np.ones(n)])[None]
+        scores = standardised(("dwell",), levels[:, None]).values
+        chosen = balanced_levels(scores, np.ones((n, len(levels)), dtype=np.bool_), against, self._rng, _GOAL)
         return {name: levels[chosen].copy() for name in self._q}
 
     def approaches(self) -> dict[str, Array]:
         """Choose signed steps of the last motions, balanced in side and size, arm -> (n, N) [rad]; 0: the joint rests.
 
-        They begin inside the joint limits; nothing else is checked.
+        They begin inside the joint limits; nothing else is checked. A repeat gets the opposite step.
         """
         step = {name: np.zeros_like(q) for name, q in self._q.items()}
-        if len(self._sizes) == 0:
-            return step
-        against = self._against
-        joints = [(name, j) for name, q in self._q.items() for j in range(q.shape[1])]
-        sides: dict[tuple[str, int], Array] = {}
-        for name, j in joints:
-            allowed = self._allowed_sides(name, j)
-            side = _SIDES[self._levels(_SIDES, allowed, against, mirrored=True)]
-            sides[name, j] = self._of_all(np.where(allowed.any(axis=1), side, 0.0), mirrored=True)
-            against = np.column_stack([against, sides[name, j]])
-        for name, j in joints:
-            side = sides[name, j]
-            allowed = self._allowed_sizes(name, j, side)
-            if len(self._sizes) > 1:
-                both = np.concatenate([against, against * side[:, None]], axis=1)
-                size = self._sizes[self._levels(self._sizes, allowed, both, mirrored=False)]
-                against = np.column_stack(
-                    [against, standardised(("",), self._of_all(size, mirrored=False)[:, None]).values]
-                )
-            else:
-                size = np.full(len(self._first), self._sizes[0])
-            step[name][:, j] = side * self._of_all(np.where(allowed.any(axis=1), size, 0.0), mirrored=False)
+        levels, against, first = np.concatenate([-self._sizes, self._sizes]), self._against, self._first
+        copies = np.flatnonzero(self._repeat_of >= 0)
+        source = self._repeat_of[copies]
+        for name, q in self._q.items() if len(levels) else ():
+            for joint, (low, high) in enumerate(self._limits[name]):
+                begin = q[:, joint, None] - levels
+                fits = (begin >= low) & (begin <= high)
+                fits[source] &= np.roll(fits[source], len(self._sizes), axis=1)
+                every = np.column_stack([against, np.ones(len(q))])
+                folds = []
+                for sign in (-1.0, 1.0, -1.0):  # the sides and signed steps of a stop and its repeat cancel
+                    fold = every.copy()
+                    np.add.at(fold, source, sign * every[copies])
+                    folds.append(fold[first])
+                usable = np.where(fits.any(axis=1, keepdims=True), fits, True)[first]
+                chosen = balanced_levels(_levels_of(levels[:, None]), usable, np.stack(folds), self._rng, _GOAL)
+                step[name][first, joint] = np.where(fits[first].any(axis=1), levels[chosen], 0.0)
+                step[name][copies, joint] = -step[name][source, joint]
+                against = np.column_stack([against, _levels_of(step[name][:, [joint]])[:, :2]])
         return step
 
     def other_steps(self, step: Mapping[str, Array], stop: int) -> dict[str, Array]:
@@ -270,7 +270,7 @@ class FactorPlan:
         own, q = (np.concatenate([rows[stop] for rows in of_arm.values()]) for of_arm in (step, self._q))
         low, high = np.concatenate([self._limits[name] for name in self._q]).T
         shape = _OTHER_STEPS, len(own)
-        drawn = _inside(q, self._rng.choice(_SIDES, shape) * self._rng.choice(self._sizes, shape), low, high)
+        drawn = _inside(q, self._rng.choice(np.concatenate([-self._sizes, self._sizes]), shape), low, high)
         present = np.concatenate(list(step.values()), axis=1)
         scale = np.maximum(np.sqrt(np.mean(present**2, axis=0)), _SMALLEST_RAD)
         correlation = self._against.T @ (present / scale) / len(present)
@@ -347,48 +347,6 @@ class FactorPlan:
                 return True
         return False
 
-    def _levels(self, levels: Array, allowed: NDArray[np.bool_], against: Array, *, mirrored: bool) -> NDArray[np.intp]:
-        """Choose levels of the free stops; a repeat gets the same one, or the opposite if ``mirrored``."""
-        fold = against[self._first].copy()
-        place = np.searchsorted(self._first, self._repeat_of)
-        for copy in np.flatnonzero(self._repeat_of >= 0).tolist():
-            fold[place[copy]] += -against[copy] if mirrored else against[copy]
-        repeated = np.isin(self._first, self._repeat_of)  # a repeat balances the side of its stop
-        fold = np.column_stack([fold, np.where(repeated & mirrored, 0.0, 1.0)])
-        usable = np.where(np.any(allowed, axis=1, keepdims=True), allowed, True)
-        return balanced_levels(levels, usable, fold, self._rng, _GOAL)
-
-    def _of_all(self, values: Array, *, mirrored: bool) -> Array:
-        """Expand the values (m,) of the free stops to all stops."""
-        every = np.zeros(len(self._repeat_of))
-        every[self._first] = values
-        copies = np.flatnonzero(self._repeat_of >= 0)
-        every[copies] = every[self._repeat_of[copies]] * (-1.0 if mirrored else 1.0)
-        return every
-
-    def _allowed_sides(self, name: str, joint: int) -> NDArray[np.bool_]:
-        """Mask (m, 2) of sides from which the largest, else the smallest step is within limits; repeats need both."""
-        low, high = self._limits[name][joint]
-        q = self._q[name][self._first, joint]
-        repeated = np.isin(self._first, self._repeat_of)
-
-        def inside(size: float) -> NDArray[np.bool_]:
-            start = q[:, None] - _SIDES * size
-            fits = (start >= low) & (start <= high)
-            return np.asarray(np.where(repeated[:, None], fits.all(axis=1, keepdims=True), fits))
-
-        largest, smallest = inside(float(self._sizes[-1])), inside(float(self._sizes[0]))
-        return np.asarray(np.where(largest.any(axis=1, keepdims=True), largest, smallest))
-
-    def _allowed_sizes(self, name: str, joint: int, side: Array) -> NDArray[np.bool_]:
-        """Return the sizes (m, L) with which the steps of a stop and of its repeat begin inside the limits."""
-        low, high = self._limits[name][joint]
-        start = self._q[name][:, joint, None] - side[:, None] * self._sizes
-        fits = (start >= low) & (start <= high) & (side != 0.0)[:, None]
-        for copy in np.flatnonzero(self._repeat_of >= 0).tolist():
-            fits[self._repeat_of[copy]] &= fits[copy]
-        return np.asarray(fits[self._first])
-
 
 def _sixth_power(values: Array) -> Array:
     """Raise to the sixth power, so that the largest dominate a sum. Products are many times faster than powers."""
@@ -400,10 +358,6 @@ def _inside(q: Array, step: Array, low: Array, high: Array) -> Array:
     """Reverse steps (m, N) that start outside the limits; 0 if that does not help."""
     turned = np.where((q - step >= low) & (q - step <= high), step, -step)
     return np.asarray(np.where((q - turned >= low) & (q - turned <= high), turned, 0.0))
-
-
-def _with_constant(values: Array) -> Array:
-    return np.column_stack([values, np.ones(len(values))])
 
 
 _MEASURES: tuple[Callable[[Array], Array], ...] = (np.sign, np.abs, np.positive)

@@ -26,10 +26,9 @@ from cellapp.cell.planning.information import InformationModel, drawn_conditions
 from cellapp.cell.planning.planned_stops import PlannedStops, joined_after
 from cellapp.cell.planning.records import ArmDesign, ErrorName, ObservabilityIndices, PlanQuality
 from cellapp.cell.planning.sequence import nearest_turns, sequenced
-from cellapp.cell.planning.transit_paths import TransitPlanner
-from cellapp.cell.safety.bodies import place
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import CellBodies, clear_alone, sample_spacing
+from cellapp.cell.planning.transit_paths import ArmRoadmap, TransitPlanner
+from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.cell.safety.gate import CellBodies, sample_spacing
 from cellapp.estimation.calibration.least_squares import inverse_psd
 from cellapp.estimation.calibration.parameters import determined_set
 from cellapp.estimation.design.block_design import (
@@ -62,7 +61,7 @@ _LEAST_CHOICE = 3
 """Least number of easily reached candidates for each stop; with fewer there would be no choice."""
 _SAMPLE = 1000
 """Number of candidates whose reach is checked first."""
-_FEW_HARD = 0.01
+_FEW_HARD = 0.02
 """Share of these up to which the others are not checked: spare stops replace the few hard ones that are chosen."""
 
 
@@ -107,14 +106,13 @@ def design_stops(
     roomy = replace(cell, clearance=cell.clearance + 0.5 * sample_spacing(cell))
     before = 0 if kept is None else len(kept)
     rng = np.random.default_rng([profile.seed, _SEED, before])
-    pools = {}
+    finder, pools = TransitPlanner(profile, cell, rng), {}
     for number, name in enumerate(cell.arms):
         listener(Progress("candidates", number, len(cell.arms), f"arm {name}"))
-        pools[name] = _pool(profile, roomy, name, count, rng, cancel)
+        pools[name] = _pool(profile, roomy, finder.roadmaps[name], name, count, rng, cancel)
     spares = max(_LEAST_SPARES, math.ceil(_SPARE_SHARE * count))  # for stops that cannot be reached from the others
     rows = select_stops(profile, pools, count + spares, rng, listener, cancel, None if kept is None else kept.q)
     chosen = {name: pool.q[rows[name]] for name, pool in pools.items()}
-    finder = TransitPlanner(profile, cell, rng)
     return DesignedStops(*_in_order(profile, cell, chosen, count, kept, finder, rng, listener, cancel), pools, finder)
 
 
@@ -159,17 +157,23 @@ def _in_order(
 
 
 def _pool(
-    profile: Profile, cell: CellBodies, name: str, count: int, rng: np.random.Generator, cancel: CancelToken
+    profile: Profile,
+    cell: CellBodies,
+    roadmap: ArmRoadmap,
+    name: str,
+    count: int,
+    rng: np.random.Generator,
+    cancel: CancelToken,
 ) -> CandidatePool:
-    """Draw candidates of an arm and keep those within easy reach. All are kept if these are too few for ``count``
-    stops; only the first ones are checked if hardly any of them is hard to reach."""
+    """Draw candidates of an arm and keep those within reach: the most informative ones lie at the ends of the joints'
+    ranges, some of them in pockets (folded, behind an obstacle, the wrong way round). All are kept if these are too few
+    for ``count`` stops; only the first ones are checked if hardly any of them is hard to reach."""
     pool = draw_pool(cell, profile, name, max(profile.plan.pool_size, count), rng, cancel)
     q = nearest_turns(profile, cell, name, pool.q)
-    hubs = hubs_of(cell, name, q, home_positions(profile).get(name))
     reached = np.ones(len(q), dtype=np.bool_)
-    reached[:_SAMPLE] = within_reach(cell, name, q[:_SAMPLE], hubs)
+    reached[:_SAMPLE] = roadmap.reaches(q[:_SAMPLE])
     if np.mean(reached[:_SAMPLE]) < 1.0 - _FEW_HARD:
-        reached[_SAMPLE:] = within_reach(cell, name, q[_SAMPLE:], hubs)
+        reached[_SAMPLE:] = roadmap.reaches(q[_SAMPLE:])
     if int(reached.sum()) < _LEAST_CHOICE * count:
         return replace(pool, q=q)
     rejected = {**pool.rejected, "hard to reach": int(np.sum(~reached))}
@@ -266,54 +270,6 @@ def _select(
     limits = gap_limits(q, len(chosen) + len(kept), profile.plan.largest_gap)
     chosen = close_gaps(candidates, q, chosen, criterion, limits, without_turns(kept, q), rng, cancel)
     return least_informative_last(candidates, chosen, criterion)
-
-
-# -- Selection of the candidates of an arm that are easy to reach: straight motions from home and others are free -----
-#
-# The most informative poses lie at the ends of the joints' ranges, and some of these in pockets (folded, behind an
-# obstacle, the wrong way round) to which hardly any motion leads. Motions are sampled, without regard to other arms;
-# the gate decides.
-
-
-_HUBS = 8
-"""Number of configurations besides home from which motions are checked."""
-_LEAST_WAYS = 2
-"""Number of these motions that must be free: an isolated pose rarely fits into an order of stops."""
-_SAMPLES = 10
-"""Number of samples of a motion, without its ends: a tenth of a turn apart on a motion of one turn."""
-_STOPS_AT_ONCE = 250
-"""Number of configurations whose bodies are placed at once; they fit in the cache."""
-
-
-def within_reach(cell: CellBodies, name: str, q: Array, hubs: Array) -> NDArray[np.bool_]:
-    """Return whether an arm reaches configurations ``q`` (n, N) [rad] from enough of its ``hubs``, shape (n,)."""
-    least = min(_LEAST_WAYS, len(hubs))
-    ways = np.zeros(len(q), dtype=np.intp)
-    for hub in hubs:
-        left = np.flatnonzero(ways < least)
-        ways[left] += free_ways(cell, name, hub, q[left])
-    return np.asarray(ways >= least)
-
-
-def hubs_of(cell: CellBodies, name: str, q: Array, home: Array | None) -> Array:
-    """Choose the hubs (k, N) [rad] from which motions are checked: ``home`` (N,), and the first of the configurations
-    ``q`` (n, N), in random order, that can be reached from there; without home the first ones."""
-    if home is None:
-        return q[: _HUBS + 1]
-    nearby = q[: 16 * _HUBS]
-    return np.concatenate([home[None], nearby[free_ways(cell, name, home, nearby)][:_HUBS]])
-
-
-def free_ways(cell: CellBodies, name: str, start: Array, q: Array) -> NDArray[np.bool_]:
-    """Return whether straight motions from ``start`` (N,) to ``q`` (n, N) [rad] are clear at their samples, (n,)."""
-    free = np.ones(len(q), dtype=np.bool_)
-    # the middle first: most blocked motions are blocked there
-    shares = np.arange(1, _SAMPLES + 1) / (_SAMPLES + 1)
-    for share in shares[np.argsort(np.abs(shares - 0.5), kind="stable")]:
-        for rows in np.array_split(np.flatnonzero(free), max(1, int(free.sum()) // _STOPS_AT_ONCE)):
-            placed = place(cell.arms[name], start + share * (q[rows] - start))
-            free[rows] = clear_alone(cell, placed)
-    return free
 
 
 ERROR_NAMES: tuple[ErrorName, ...] = get_args(ErrorName)

@@ -160,13 +160,7 @@ def information_model(
         set is not for this arm, or it does not describe the cell.
     """
     model = nominal_model(profile, name)
-    wanted = profile.calibration.parameter_set
-    stated = prior_sigmas(model.nominal, profile.calibration.priors)
-    try:
-        parameters, _ = estimated_parameters(wanted, model.nominal, stated)
-    except ValueError as error:
-        raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
-    priors = prior_sds(parameters, {**typical_spreads(model.nominal.joints), **stated})
+    parameters, priors = geometry_priors(profile, name, model)
     registered = np.array([_REGISTRATION[unit] for unit in parameters.units])
     some = np.arange(min(len(q), _REFERENCE_STOPS))
     context = model.context(q[some], conditions=conditions.take(some))
@@ -180,6 +174,19 @@ def information_model(
         sizes.append(terms[1])
     number = 0 if terms is None else len(terms[1])
     return InformationModel(profile, name, model, parameters, tuple(parts), np.concatenate(sizes), number)
+
+
+def geometry_priors(profile: Profile, name: str, model: ArmModel) -> tuple[ParameterSet, Array]:
+    """Return the parameters of an arm's geometry, and the prior standard deviation of each.
+
+    Raise ``InputError`` if the set of the profile is not for this arm.
+    """
+    stated = prior_sigmas(model.nominal, profile.calibration.priors)
+    try:
+        parameters, _ = estimated_parameters(profile.calibration.parameter_set, model.nominal, stated)
+    except ValueError as error:
+        raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
+    return parameters, prior_sds(parameters, {**typical_spreads(model.nominal.joints), **stated})
 
 
 def _effect_parts(profile: Profile, name: str, context: EffectContext) -> Iterator[tuple[_EffectPart, Array]]:

@@ -5,7 +5,6 @@ Planning of stops by the method that the profile names, for a new plan or after 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -110,37 +109,6 @@ def draw_stops(
     )
 
 
-def rolled_stops(
-    cell: CellBodies, stops: Mapping[str, Array], rolls: int, rng: np.random.Generator
-) -> tuple[dict[str, Array], NDArray[np.intp]]:
-    """Return stops and up to ``rolls`` copies of each with other angles of the last joint, where visible and clear.
-
-    Parameters
-    ----------
-    cell : CellBodies
-    stops : mapping
-        Arm -> q (n, N) [rad].
-    rolls : int
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    stops : dict
-        Arm -> q (m, N) [rad], the n given stops first.
-    source : array, shape (m,)
-        Index of the given stop from which each was made.
-    """
-    n = len(next(iter(stops.values())))
-    source = np.repeat(np.arange(n), rolls)
-    turns = rng.uniform(-math.pi, math.pi, size=(len(source), len(stops)))
-    rolled = {name: q[source] for name, q in stops.items()}
-    for (name, q), turn in zip(rolled.items(), turns.T, strict=True):
-        q[:, -1] = np.clip(q[:, -1] + turn, *cell.arms[name].limits[-1])
-    admitted = _admitted(cell, rolled)
-    together = {name: np.concatenate([q, rolled[name][admitted]]) for name, q in stops.items()}
-    return together, np.concatenate([np.arange(n), source[admitted]])
-
-
 def _admitted(cell: CellBodies, q: Mapping[str, Array]) -> NDArray[np.bool_]:
     """Return at which of n stops, arm -> (n, N) [rad], all SMRs are visible and all arms are clear, shape (n,)."""
     admitted = visible_stops(cell, q)
@@ -150,10 +118,7 @@ def _admitted(cell: CellBodies, q: Mapping[str, Array]) -> NDArray[np.bool_]:
 
 
 def _next_stop(
-    cell: CellBodies,
-    drawn: Mapping[str, Iterator[Array]],
-    here: Mapping[str, Array],
-    homes: Mapping[str, Array] | None,
+    cell: CellBodies, drawn: Mapping[str, Iterator[Array]], here: Mapping[str, Array], homes: Mapping[str, Array] | None
 ) -> tuple[Mapping[str, Array] | None, str]:
     """Draw a stop reachable from ``here``, from which ``homes``, if given, are; None with the last refusal."""
     refusal = ""
@@ -255,10 +220,7 @@ _SEED = 0xDE52
 
 
 def design_result(
-    profile: Profile,
-    designed: DesignedStops,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    profile: Profile, designed: DesignedStops, listener: Listener = ignore, cancel: CancelToken | None = None
 ) -> PlanDesignResult:
     """Compare the asked stops of a plan with random ones of the same number; reserves do not count.
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,19 +79,22 @@ class PlannedStops:
         chosen = np.asarray(rows, dtype=np.intp)
         place = np.full(len(self) + 1, -1, dtype=np.intp)  # the last one stands for "no repeat"
         place[chosen] = np.arange(len(chosen))
-        return PlannedStops(
-            q={name: q[chosen] for name, q in self.q.items()},
-            approach_from={name: q[chosen] for name, q in self.approach_from.items()},
-            dwell_s={name: rest[chosen] for name, rest in self.dwell_s.items()},
-            legs=tuple(
-                self.legs[row] if row == before + 1 else ()
-                for before, row in zip([-1, *chosen.tolist()], chosen.tolist())
-            ),
-            block=self.block[chosen],
-            repeat_of=place[self.repeat_of[chosen]],
-            frozen=self.frozen[chosen],
-            load=self.load[chosen],
-        )
+        every = self._each(lambda values: values[chosen])
+        legs = [
+            self.legs[row] if row == before + 1 else () for before, row in zip([-1, *chosen.tolist()], chosen.tolist())
+        ]
+        return replace(every, legs=tuple(legs), repeat_of=place[self.repeat_of[chosen]])
+
+    def _each(self, change: Callable[..., Array], *others: PlannedStops) -> PlannedStops:
+        """Change the arrays of all stops, given with those of ``others``."""
+        found: dict[str, Any] = {}
+        for entry in fields(self):
+            own, *theirs = (getattr(one, entry.name) for one in (self, *others))
+            if isinstance(own, np.ndarray):
+                found[entry.name] = change(own, *theirs)
+            elif entry.name != "legs":
+                found[entry.name] = {name: change(rows, *(one[name] for one in theirs)) for name, rows in own.items()}
+        return replace(self, **found)
 
 
 def straight_stops(q: Mapping[str, Array]) -> PlannedStops:
@@ -111,20 +115,8 @@ def straight_stops(q: Mapping[str, Array]) -> PlannedStops:
 def joined(first: PlannedStops, second: PlannedStops) -> PlannedStops:
     """Append the stops of ``second``, without legs to its first one; both plans have the same arms."""
     later = np.where(second.repeat_of < 0, -1, second.repeat_of + len(first))
-
-    def both(before: Mapping[str, Array], after: Mapping[str, Array]) -> dict[str, Array]:
-        return {name: np.concatenate([rows, after[name]]) for name, rows in before.items()}
-
-    return PlannedStops(
-        q=both(first.q, second.q),
-        approach_from=both(first.approach_from, second.approach_from),
-        dwell_s=both(first.dwell_s, second.dwell_s),
-        legs=(*first.legs, *(((), *second.legs[1:]) if min(len(first), len(second)) > 0 else second.legs)),
-        block=np.concatenate([first.block, second.block]),
-        repeat_of=np.concatenate([first.repeat_of, later]),
-        frozen=np.concatenate([first.frozen, second.frozen]),
-        load=np.concatenate([first.load, second.load]),
-    )
+    both = first._each(lambda *parts: np.concatenate(parts), replace(second, repeat_of=later))
+    return replace(both, legs=(*first.legs, *(((), *second.legs[1:]) if min(len(first), len(second)) else second.legs)))
 
 
 def last_motions(stops: PlannedStops, homes: Configuration) -> dict[str, Array]:
@@ -336,11 +328,7 @@ def read_planned_stops(run: RunFile) -> PlannedStops:
 
 
 def write_planned_stops(
-    run: RunFile,
-    stops: PlannedStops,
-    *,
-    proposed: Collection[int] = (),
-    design: PlanDesignResult | None = None,
+    run: RunFile, stops: PlannedStops, *, proposed: Collection[int] = (), design: PlanDesignResult | None = None
 ) -> None:
     """Store a plan in place of the one before.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.cell.planning.arrangement import Arrangement, StopSet, arrange, block_count
 from cellapp.cell.planning.balance import FactorPlan
@@ -19,12 +20,12 @@ from cellapp.cell.safety.many_motions import FreeMotions
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, ignore
+from cellapp.robot.kinematics.inverse import turned_into
 from cellapp.robot.kinematics.transforms import Array
 
 _JOB = "order"
 _LARGEST_REPEATED_SHARE = 4
 """At most every fourth stop is a repeat."""
-_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +120,8 @@ def nearest_turns(profile: Profile, cell: CellBodies, name: str, q: Array) -> Ar
     home = profile.arms[name].home
     low, high = joint_ranges(cell, profile, name).T if profile.plan.ranges is not None else cell.arms[name].limits.T
     centre = 0.5 * (low + high) if home is None else np.array(home)
-    near = centre + np.remainder(q - centre + 0.5 * _TURN, _TURN) - 0.5 * _TURN
-    near = np.where(near < low, near + _TURN, np.where(near > high, near - _TURN, near))
-    return np.asarray(np.where((near >= low) & (near <= high), near, q))
+    near, beyond = turned_into(q, np.stack([low, high], axis=1), centre)
+    return np.where(beyond > 0.0, q, near)
 
 
 @dataclass(frozen=True, eq=False)
@@ -364,11 +364,13 @@ def _begin(q: Array, step: Array) -> Array:
     return np.where(np.any(step != 0.0, axis=1, keepdims=True), q - step, np.nan)
 
 
-# -- Repair of the order of stops where the gate refuses a straight motion, or a block ends: single stops are moved ----
+# -- Repair of the order of stops where the gate refuses a straight motion, or a block ends: parts are moved -----------
 
 
 _DETOUR_STEPS = 1.0
 """Cost of a detour, in mean steps."""
+_ROUNDS = 2
+"""One repair may make another one possible."""
 _MOST_TRIED = 12
 """Orders that the gate is asked about for one stop, the fastest ones: it accepts about one in two."""
 
@@ -397,16 +399,27 @@ def repair_order(
         return [[place for place, *way in own if not gate.free(*way)] for own in ways]
 
     n, detour_s = now.rows.shape[1], _DETOUR_STEPS * stops.usual_step_s
-    (left,), first = refused([now]), np.flatnonzero(np.diff(now.block)) + 1
-    for place in sorted({min(max(one - k, 0), n - 1) for one in (*left, *first.tolist()) for k in (0, 1)}):
+    ends = (np.flatnonzero(np.diff(now.block)) + 1).tolist()
+    for place in (
+        min(max(one - k, 0), n - 1) for _ in range(_ROUNDS) for one in (*refused([now])[0], *ends) for k in (0, 1)
+    ):
         cancel.check()
-        block, rest = np.flatnonzero(now.block == now.block[place]), np.delete(np.arange(n), place)
-        orders = np.array([np.insert(rest, slot, place) for slot in block])
+        orders = np.array([*_moves(n, place, np.flatnonzero(now.block == now.block[place]).tolist())])
         rows = now.rows[:, orders]
         step_s = stops.step_s(*(part.reshape(len(rows), -1) for part in (rows[..., :-1], rows[..., 1:])))
-        seconds = step_s.reshape(len(block), -1).sum(axis=1)
-        tried = [int(place - block[0]), *np.argsort(seconds, kind="stable")[:_MOST_TRIED].tolist()]
+        seconds = step_s.reshape(len(orders), -1).sum(axis=1)
+        tried = [0, *np.argsort(seconds, kind="stable")[:_MOST_TRIED].tolist()]
         others = [now.taken(orders[k]) for k in tried]
         detours = np.array([len(its) for its in refused(others)])
         now = others[int(np.argmin(seconds[tried] + detour_s * detours))]
     return now
+
+
+def _moves(n: int, place: int, block: Sequence[int]) -> Iterator[NDArray[np.intp]]:
+    """Yield the present order of n stops, then those in which a part that begins or ends at ``place`` is shifted,
+    reversed, or has its ends exchanged."""
+    yield np.arange(n)
+    for low, high in (sorted((place, other)) for other in block if other != place):
+        part = np.arange(low, high + 1)
+        for moved in (np.roll(part, 1), np.roll(part, -1), part[::-1], [high, *part[1:-1], low]):
+            yield np.concatenate([np.arange(low), moved, np.arange(high + 1, n)])

@@ -1,7 +1,7 @@
 """Paths that the gate accepts where it refuses the straight motion; of those found, the shortest in time.
 
-Candidates, in this order: one arm after the other; through positions of an arm, in which each joint is at its start,
-its end or its home position, or on the arm's roadmap; through home. The gate has accepted every motion of a path.
+Candidates: one arm after the other; along the roadmap of an arm, while the others have moved or wait, or of all arms;
+through home. The gate has accepted every motion of a path.
 
 Fastest order and pairing of the stops of several arms, block by block, by simulated annealing.
 
@@ -37,14 +37,8 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array
 
-_MIXTURES = 2500
-"""Most intermediate positions of an arm: all combinations of start, end and home for up to seven joints."""
-_LOOKED_AT = 200
-"""Number of these, with the shortest detours, that are checked for the arm alone."""
-_PASSED_ON = 12
-"""Number of clear positions of an arm that the gate is asked about."""
 _MOST_ASKED = 60
-"""Upper limit of the paths of one kind that the gate is asked about: less than a tenth of a second."""
+"""Upper limit of the paths that the gate is asked about: less than a tenth of a second."""
 _ASKED_TOGETHER = 8
 """Number of these that the gate is asked about at once."""
 _MOST_ORDERED = 4
@@ -63,7 +57,7 @@ class TransitPlanner:
     """Search for paths in one cell."""
 
     def __init__(self, profile: Profile, cell: CellBodies, rng: np.random.Generator) -> None:
-        self._profile, self._cell, self._rng = profile, cell, rng
+        self._profile, self._cell = profile, cell
         self.gate = FreeMotions(cell)
         """Answers of the gate for all arms; other planning steps share them."""
         self.roadmaps = {name: ArmRoadmap(profile, cell, name, rng) for name in cell.arms}
@@ -79,28 +73,14 @@ class TransitPlanner:
             return TransitPath((), self.seconds(here, there))
         if no_standing := refuse_motion(self._cell, there, there):
             return no_standing
-        for between in (
-            self._one_after_the_other(here, there),
-            self._short_detours(here, there),
-            self._by_home(here, there),
-        ):
-            found = self._first_free(here, there, between)
-            if found is not None:
-                return found
-        return refuse_motion(self._cell, here, there)
-
-    def _first_free(
-        self, here: Configuration, there: Configuration, between: Iterable[Sequence[Configuration]]
-    ) -> TransitPath | None:
-        """Find the shortest accepted path through one of the sequences ``between``; None if there is none."""
-        ways = [list(pairwise([here, *through, there])) for through in between]
+        ways = [list(pairwise([here, *through, there])) for through in self._between(here, there)]
         shortest = [ways[k] for k in np.argsort(self._ways_s(ways), kind="stable")[:_MOST_ASKED].tolist()]
         for number, way in enumerate(shortest):
             if number % _ASKED_TOGETHER == 0:
                 self.gate.ask(motion for other in shortest[number : number + _ASKED_TOGETHER] for motion in other)
             if all(self.gate.free(*motion) for motion in way):
                 return self._way(here, [end for _, end in way[:-1]], there)
-        return None
+        return refuse_motion(self._cell, here, there)
 
     def _way(self, here: Configuration, through: Sequence[Configuration], there: Configuration) -> TransitPath:
         """Convert a path to legs, each with the arms that move in it."""
@@ -122,6 +102,25 @@ class TransitPlanner:
         of_way = np.repeat(np.arange(len(ways)), [len(way) for way in ways])
         return np.bincount(of_way, np.max(of_arms, axis=0)).astype(np.float64)
 
+    def _between(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
+        """Yield what may lie between: each order of the arms; paths on their roadmaps; home, with all arms at once or
+        one after the other, or with one arm."""
+        yield from self._one_after_the_other(here, there)
+        paths = {name: self.roadmaps[name].path(here[name], there[name]) or [] for name in there}
+        for name, path in paths.items():
+            others = [other for other in there if other != name]
+            for late in product((False, True), repeat=len(others)) if path else ():
+                waiting = {o: (here if waits else there)[o] for o, waits in zip(others, late, strict=True)}
+                yield [{name: q, **waiting} for q in path]
+        if len(paths) > 1 and len({len(path) for path in paths.values()}) == 1:
+            yield [dict(zip(paths, q, strict=True)) for q in zip(*paths.values(), strict=True)]
+        home = {name: self.roadmaps[name].rest for name in there}
+        for first in ([], *self._one_after_the_other(here, home)):
+            for second in ([], *self._one_after_the_other(home, there)):
+                yield [*first, home, *second]
+        for name in there:
+            yield [{**here, name: home[name]}, {**there, name: home[name]}]
+
     def _one_after_the_other(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
         """Yield each order of the arms, if there are several and not too many."""
         if 1 < len(there) <= _MOST_ORDERED:
@@ -130,45 +129,6 @@ class TransitPlanner:
                     {name: (there if name in order[: k + 1] else here)[name] for name in there}
                     for k in range(len(there) - 1)
                 ]
-
-    def _short_detours(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
-        """Yield paths through positions of one arm, while the others have moved or wait, and of all arms."""
-        alone = {name: self._detours_of_arm(name, here[name], there[name]) for name in there}
-        for name, detours in alone.items():
-            others = [other for other in there if other != name]
-            for through in detours:
-                for late in product((False, True), repeat=len(others)):
-                    waiting = {o: (here if waits else there)[o] for o, waits in zip(others, late, strict=True)}
-                    yield [{name: q, **waiting} for q in through]
-        for together in zip(*alone.values(), strict=False) if len(alone) > 1 else ():
-            if len({len(through) for through in together}) == 1:
-                yield [dict(zip(alone, q, strict=True)) for q in zip(*together, strict=True)]
-
-    def _detours_of_arm(self, name: str, start: Array, end: Array) -> list[list[Array]]:
-        """Find short sequences of positions (N,) between ``start`` and ``end`` that keep the arm alone clear."""
-        arm, roadmap = self._profile.arms[name], self.roadmaps[name]
-        values, joints = np.stack([start, end, roadmap.rest]), len(start)
-        if 3**joints <= _MIXTURES:
-            choice = np.array(list(product(range(3), repeat=joints)))
-        else:
-            choice = self._rng.integers(3, size=(_MIXTURES, joints))
-        q = np.unique(values[choice, np.arange(joints)], axis=0)
-        seconds = motion_s(arm, q - start) + motion_s(arm, end - q)
-        q = q[np.argsort(seconds, kind="stable")[:_LOOKED_AT]]
-        clear = roadmap.clear_ways(np.broadcast_to(start, q.shape), q) & roadmap.clear_ways(
-            q, np.broadcast_to(end, q.shape)
-        )
-        path = roadmap.path(start, end)
-        return [[one] for one in q[clear][:_PASSED_ON]] + ([path] if path else [])
-
-    def _by_home(self, here: Configuration, there: Configuration) -> Iterator[Sequence[Configuration]]:
-        """Yield paths through home, all arms at once or one after the other, and with one arm at home meanwhile."""
-        home = {name: self.roadmaps[name].rest for name in there}
-        for first in ([], *self._one_after_the_other(here, home)):
-            for second in ([], *self._one_after_the_other(home, there)):
-                yield [*first, home, *second]
-        for name in there:
-            yield [{**here, name: home[name]}, {**there, name: home[name]}]
 
 
 # ---------------------------------------------------------------------------------------------------------------------

@@ -18,13 +18,7 @@ from cellapp.cell.planning.planned_stops import (
     refused_route,
     routes,
 )
-from cellapp.cell.planning.records import (
-    ArmForecast,
-    JointCoverage,
-    PlanCheckResult,
-    PlanForecastResult,
-    PlanRefusal,
-)
+from cellapp.cell.planning.records import ArmForecast, JointCoverage, PlanCheckResult, PlanForecastResult, PlanRefusal
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.bodies import Placed, beam_clearance, mounted_hides, place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
@@ -222,10 +216,7 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
         )
     listener(Progress("forecast", len(designs), len(designs), "done"))
     return PlanForecastResult(
-        run=str(run.folder),
-        time=planned_time(profile, visited),
-        arms=arms,
-        notes=(*notes, *_notes(profile, first)),
+        run=str(run.folder), time=planned_time(profile, visited), arms=arms, notes=(*notes, *_notes(profile, first))
     )
 
 

@@ -169,16 +169,18 @@ def gap_on_paths(first: Paths, second: Paths, clearance: float) -> tuple[float, 
     return gap, allowance
 
 
-def stay_apart(first: Paths, second: Paths, clearance: float) -> Bools:
-    """Return whether two arms keep the clearance on each pair of n paths, at any relative speed, (n,)."""
+def stay_apart(first: Paths, second: Paths, clearance: float) -> tuple[Numbers, str]:
+    """Return the indices of the pairs of n paths on which two arms keep the clearance, at any relative speed, and why
+    the first of the others is refused."""
     needed = clearance + (EVERY + STRIDE) * (first.deviation + second.deviation)
-    near = _may_meet(first.coarse_bodies, first.coarse[0], second.coarse_bodies, second.coarse[0], needed)
-    apart = ~near
+    near, refusal = _may_meet(first.coarse_bodies, first.coarse[0], second.coarse_bodies, second.coarse[0], needed), ""
     for row in np.flatnonzero(near).tolist():
         one = np.array([row])
         gap, allowance = gap_on_paths(first.take(one), second.take(one), clearance)
-        apart[row] = gap >= clearance + allowance
-    return apart
+        near[row] = not gap >= clearance + allowance
+        if near[row]:
+            refusal = refusal or _too_near("come", gap, allowance, clearance, "each other")
+    return np.flatnonzero(~near), refusal
 
 
 def _may_meet(first: Placed, of_first: Numbers, second: Placed, of_second: Numbers, within: Array) -> Bools:
@@ -213,10 +215,7 @@ def _within_reach(first: Placed, second: Placed, clearance: float) -> tuple[np.n
     """
     along = _between_bases(first, second)
     reach_first, reach_second = _reach(first, along), _reach(second, -along)
-    return (
-        ~(reach_first + reach_second.max() <= -clearance),
-        ~(reach_second + reach_first.max() <= -clearance),
-    )
+    return (~(reach_first + reach_second.max() <= -clearance), ~(reach_second + reach_first.max() <= -clearance))
 
 
 def _first_gap_below(first: Placed, second: Placed, clearance: float) -> float:
@@ -339,21 +338,36 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
     missing = [name for name in cell.arms if name not in q_from or name not in q_to]
     if missing:
         return f"arm {missing[0]}: its position or target is not given"
-    paths: dict[str, Paths] = {}
+    starts, targets = (
+        {name: np.asarray(q[name], dtype=np.float64)[None] for name in cell.arms} for q in (q_from, q_to)
+    )
+    return checked_motions(cell, starts, targets)[1]
+
+
+def checked_motions(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[str, Array]) -> tuple[Numbers, str]:
+    """Return the indices of those of n motions, arm -> (n, N) [rad], that are accepted, and why the first of the others
+    is refused. The motions are of all arms of the cell."""
+    rows, paths, first = np.arange(len(next(iter(q_to.values())))), dict[str, Paths](), ""
+
+    def keep(kept: Numbers, refusal: str) -> None:
+        nonlocal rows, paths, first
+        rows, paths = rows[kept], {name: own.take(kept) for name, own in paths.items()}
+        first = first or refusal
+
     for name, arm in cell.arms.items():
-        start, target = np.asarray(q_from[name], dtype=np.float64), np.asarray(q_to[name], dtype=np.float64)
-        refusal = _refuse_values(arm, start, target)
-        if not refusal:
-            paths[name] = Paths.of(arm, start[None], target[None], sample_spacing(cell))
-            _, refusal = alone_free(cell, paths[name])
-        if refusal:
-            return f"arm {name}: {refusal}"
+        possible, refusal = _values_possible(arm, q_from[name][rows], q_to[name][rows])
+        keep(possible, f"arm {name}: {refusal}" if refusal else "")
+        if not len(rows):
+            return rows, first
+        own = Paths.of(arm, q_from[name][rows], q_to[name][rows], sample_spacing(cell))
+        free, refusal = alone_free(cell, own)
+        keep(free, f"arm {name}: {refusal}" if refusal else "")
+        paths[name] = own.take(free)
     asked = cell.clearance + cell.apart
-    for first, second in combinations(paths, 2):
-        gap, allowance = gap_on_paths(paths[first], paths[second], asked)
-        if not gap >= asked + allowance:
-            return f"arms {first} and {second}: {_too_near('come', gap, allowance, asked, 'each other')}"
-    return ""
+    for one, other in combinations(cell.arms, 2):
+        apart, refusal = stay_apart(paths[one], paths[other], asked)
+        keep(apart, f"arms {one} and {other}: {refusal}" if refusal else "")
+    return rows, first
 
 
 def sample_spacing(cell: CellBodies) -> float:
@@ -488,22 +502,27 @@ def predicted_smr(cell: CellBodies, name: str, q: Array) -> Array:
     return np.asarray((smr_positions(cell.arms[name].geometry, q) - T_C_M[:3, 3]) @ T_C_M[:3, :3])
 
 
-def _refuse_values(arm: ArmBodies, start: Array, target: Array) -> str:
-    """Return why an arm must not move between two joint vectors; only the target must be inside the limits."""
+def _values_possible(arm: ArmBodies, start: Array, target: Array) -> tuple[Numbers, str]:
+    """Return the indices of the motions between joint vectors (n, N) that an arm may make, and why the first of the
+    others is refused; only targets must be inside the limits."""
+    joints, none = arm.geometry.joints, np.arange(0)
     if arm.links == 0:
-        return "has no bodies, so that collisions cannot be checked; add capsules to its type"
-    joints = arm.geometry.joints
+        return none, "has no bodies, so that collisions cannot be checked; add capsules to its type"
     for q in (start, target):
-        if q.shape != (joints,):
-            return f"{q.size} joint positions for {joints} joints"
-        if not np.isfinite(q).all():
-            return "a joint position is not a finite number"
-    outside = (target < arm.limits[:, 0] - _ROUNDING_RAD) | (target > arm.limits[:, 1] + _ROUNDING_RAD)
-    if not outside.any():
-        return ""
+        if q.shape[1:] != (joints,):
+            return none, f"{q[:1].size} joint positions for {joints} joints"
+    finite = np.isfinite(start).all(axis=1) & np.isfinite(target).all(axis=1)
+    possible = finite & within_limits(arm, target)
+    if possible.all():
+        return np.arange(len(target)), ""
+    row = int(np.argmin(possible))
+    if not finite[row]:
+        return np.flatnonzero(possible), "a joint position is not a finite number"
+    outside = np.maximum(arm.limits[:, 0] - target[row], target[row] - arm.limits[:, 1]) > _ROUNDING_RAD
     j = int(np.argmax(outside))
-    low, high = np.degrees(arm.limits[j])
-    return f"joint {j + 1} at {math.degrees(target[j]):.1f} deg is outside its limits {low:.1f} to {high:.1f} deg"
+    (low, high), q_j = np.degrees(arm.limits[j]), math.degrees(target[row, j])
+    words = f"joint {j + 1} at {q_j:.1f} deg is outside its limits {low:.1f} to {high:.1f} deg"
+    return np.flatnonzero(possible), words
 
 
 def alone_free(cell: CellBodies, paths: Paths) -> tuple[Numbers, str]:

@@ -1,26 +1,15 @@
-"""The answers of ``refuse_motion`` for many motions, computed in batches and without reasons.
+"""The answers of ``refuse_motion`` for many motions, in batches and without reasons.
 
-The same samples of the same paths are compared with the same distances. In batches this takes a third of the time: a
-single motion spends most of it on calls for a few samples.
+In batches this takes a third of the time: a single motion spends most of it on calls for a few samples.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from itertools import combinations
 
 import numpy as np
 
-from cellapp.cell.safety.gate import (
-    Bools,
-    CellBodies,
-    Paths,
-    alone_free,
-    refuse_motion,
-    sample_spacing,
-    stay_apart,
-    within_limits,
-)
+from cellapp.cell.safety.gate import Bools, CellBodies, checked_motions, refuse_motion
 from cellapp.robot.kinematics.transforms import Array
 
 _AT_ONCE = 100
@@ -71,25 +60,6 @@ def free_motions(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[st
     free = np.zeros(len(next(iter(q_to.values()))), dtype=np.bool_)
     for first in range(0, len(free), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
-        free[part] = _free(cell, {k: q[part] for k, q in q_from.items()}, {k: q[part] for k, q in q_to.items()})
-    return free
-
-
-def _free(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[str, Array]) -> Bools:
-    rows = np.arange(len(next(iter(q_to.values()))))
-    for name, arm in cell.arms.items():
-        possible = within_limits(arm, q_to[name][rows]) & np.isfinite(q_from[name][rows]).all(axis=1)
-        rows = rows[possible]
-    paths: dict[str, Paths] = {}
-    for name, arm in cell.arms.items():
-        of_arm = Paths.of(arm, q_from[name][rows], q_to[name][rows], sample_spacing(cell))
-        alone, _ = alone_free(cell, of_arm)
-        rows, paths = rows[alone], {other: their.take(alone) for other, their in paths.items()}
-        paths[name] = of_arm.take(alone)
-    apart = np.ones(len(rows), dtype=np.bool_)
-    for first, second in combinations(paths.values(), 2):
-        left = np.flatnonzero(apart)
-        apart[left] = stay_apart(first.take(left), second.take(left), cell.clearance + cell.apart)
-    free = np.zeros(len(next(iter(q_to.values()))), dtype=np.bool_)
-    free[rows[apart]] = True
+        accepted, _ = checked_motions(cell, *({name: q[part] for name, q in ends.items()} for ends in (q_from, q_to)))
+        free[first + accepted] = True
     return free

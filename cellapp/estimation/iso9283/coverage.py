@@ -9,20 +9,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from cellapp.estimation.iso9283.norm import (
-    ISO_COMMANDS,
-    NORM_CYCLES,
-    NORM_DRIFT_MIN,
-    NORM_SPEEDS,
-    IsoTest,
-)
-from cellapp.estimation.iso9283.records import (
-    ArmIso9283,
-    CommandedTests,
-    IsoConditions,
-    IsoLine,
-    IsoStatus,
-)
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, NORM_CYCLES, NORM_DRIFT_MIN, NORM_SPEEDS, IsoTest
+from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoConditions, IsoLine, IsoStatus
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 

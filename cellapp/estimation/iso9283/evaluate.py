@@ -132,11 +132,7 @@ class Measurements:
 
 
 def pose_characteristics(
-    arm: ArmProgramme,
-    measured: Measurements,
-    base_M: Array,
-    rng: np.random.Generator,
-    speed: float = 0.0,
+    arm: ArmProgramme, measured: Measurements, base_M: Array, rng: np.random.Generator, speed: float = 0.0
 ) -> tuple[PoseCharacteristics, ...]:
     """Compute AP and RP at each pose measured twice or more; ``base_M`` (3, 3) is the rotation of the base in M.
 
@@ -413,7 +409,10 @@ def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharac
     two cycles."""
     if len(runs.tracks) < FEWEST_CYCLES:
         return None
-    crossed = np.stack([_crossings(runs, one) for one in runs.tracks], axis=1)
+    points = [np.column_stack([one.p_M, one.time_s]) for one in runs.tracks]
+    crossed = np.stack(
+        [plane_crossings(one, runs.commanded_M, runs.tangents_M, _SAME_STRETCH_M) for one in points], axis=1
+    )
     kept = np.isfinite(crossed).all(axis=(1, 2))
     if not kept.any():
         return None
@@ -432,13 +431,6 @@ def path_characteristics(runs: PathRuns, rng: np.random.Generator) -> PathCharac
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _crossings(runs: PathRuns, track: PathTrack) -> Array:
-    """Compute where and when one cycle crosses the planes at the points, (m, 4) [m, s]; NaN where it does not."""
-    return plane_crossings(
-        np.column_stack([track.p_M, track.time_s]), runs.commanded_M, runs.tangents_M, _SAME_STRETCH_M
-    )
 
 
 def _velocity(runs: PathRuns, times: Array, rng: np.random.Generator) -> PathVelocity | None:
@@ -469,85 +461,47 @@ def _velocity(runs: PathRuns, times: Array, rng: np.random.Generator) -> PathVel
 # place of a test. Those of a path are its evaluation points, in order, with the direction of the path: the normal of
 # the plane whose crossing is evaluated. Measured points of a path are all points of each cycle in order of time.
 
-HEADER = (
-    "row",
-    "test",
-    "commands",
-    "arm",
-    "place",
-    "approach",
-    "speed_percent",
-    "group",
-    "cycle",
-    "time_s",
-    "x_m",
-    "y_m",
-    "z_m",
-    "direction_x",
-    "direction_y",
-    "direction_z",
-    "quat_w",
-    "quat_x",
-    "quat_y",
-    "quat_z",
-)
+_WHERE = ("row", "test", "commands", "arm", "place", "approach", "speed_percent", "group", "cycle", "time_s")
+_VECTORS = ("x_m", "y_m", "z_m", "direction_x", "direction_y", "direction_z", "quat_w", "quat_x", "quat_y", "quat_z")
+HEADER = (*_WHERE, *_VECTORS)
 """Positions are in the tracker frame [m], times on the cell's clock [s]; ``cycle`` and ``group`` count from 1.
 ``speed_percent`` is the share of the profile's speed if a test was repeated at another speed, else empty.
 Quaternions are those of a 6-D probe in the tracker frame; empty without a measured orientation."""
-_NO_DIRECTION = ("", "", "")
-_NOT_TURNED = ("", "", "", "")
-
 Row = tuple[str, ...]
 
 
 def raw_rows(
-    programmes: Mapping[tuple[str, IsoCommands], ArmProgramme],
-    measured: Measurements,
-    paths: Sequence[PathRuns],
+    programmes: Mapping[tuple[str, IsoCommands], ArmProgramme], measured: Measurements, paths: Sequence[PathRuns]
 ) -> Iterator[Row]:
     """Yield all rows: commanded and measured positions at rest, then paths."""
     for place in dict.fromkeys(one.place for one in measured.visits):
         for name, pose in zip(place.arms, place.poses, strict=True):
-            where = _place_cells(place, name)
-            yield (
-                "commanded",
-                *where,
-                "",
-                "",
-                "",
-                *_numbers(programmes[name, place.commands].position_M[pose]),
-                *_NO_DIRECTION,
-                *_commanded_turn(programmes[name, place.commands], pose),
-            )
+            arm = programmes[name, place.commands]
+            turned = quaternions_of(arm.rotation_M[pose]) if pose in arm.rotation_M else None
+            yield _row("commanded", _place_cells(place, name), arm.position_M[pose], turned=turned)
     for one in measured.visits:
         for name, p_M in one.p_M.items():
             counted = (str(one.group + 1), str(one.cycle + 1), repr(float(one.time_s)))
-            turned = _numbers(one.turned[name][0]) if name in one.turned else _NOT_TURNED
-            yield ("measured", *_place_cells(one.place, name), *counted, *_numbers(p_M), *_NO_DIRECTION, *turned)
+            turned = one.turned[name][0] if name in one.turned else None
+            yield _row("measured", _place_cells(one.place, name), p_M, counted, turned=turned)
     for runs in paths:
-        yield from _of_path(runs)
+        where = ("path", runs.commands, runs.arm, runs.name, "", _percent(runs.series))
+        for place_M, tangent_M in zip(runs.commanded_M, runs.tangents_M, strict=True):
+            yield _row("commanded", where, place_M, direction=tangent_M)
+        for number, track in enumerate(runs.tracks, start=1):
+            for time_s, p_M in zip(track.time_s, track.p_M, strict=True):
+                yield _row("measured", where, p_M, ("1", str(number), repr(float(time_s))))
 
 
-def _of_path(runs: PathRuns) -> Iterator[Row]:
-    where = ("path", runs.commands, runs.arm, runs.name, "", _percent(runs.series))
-    for place_M, tangent_M in zip(runs.commanded_M, runs.tangents_M, strict=True):
-        yield ("commanded", *where, "", "", "", *_numbers(place_M), *_numbers(tangent_M), *_NOT_TURNED)
-    yield from _of_tracks(where, runs.tracks)
-
-
-def _of_tracks(where: Row, tracks: Sequence[PathTrack]) -> Iterator[Row]:
-    for number, track in enumerate(tracks, start=1):
-        for time_s, p_M in zip(track.time_s, track.p_M, strict=True):
-            yield (
-                "measured",
-                *where,
-                "1",
-                str(number),
-                repr(float(time_s)),
-                *_numbers(p_M),
-                *_NO_DIRECTION,
-                *_NOT_TURNED,
-            )
+def _row(
+    kind: str,
+    where: Row,
+    p_M: Array,
+    counted: Row = ("", "", ""),
+    direction: Array | None = None,
+    turned: Array | None = None,
+) -> Row:
+    return (kind, *where, *counted, *_numbers(p_M, 3), *_numbers(direction, 3), *_numbers(turned, 4))
 
 
 def _place_cells(place: Place, name: str) -> tuple[str, ...]:
@@ -558,13 +512,6 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:g}" if share else ""
 
 
-def _commanded_turn(arm: ArmProgramme, pose: str) -> Row:
-    """Return the cells of a probe's commanded orientation as a quaternion; empty if there is none."""
-    if pose not in arm.rotation_M:
-        return _NOT_TURNED
-    return _numbers(quaternions_of(arm.rotation_M[pose]))
-
-
-def _numbers(vector: Array) -> Row:
-    """Return the cells of numbers with all their digits."""
-    return tuple(repr(float(value)) for value in vector)
+def _numbers(vector: Array | None, count: int) -> Row:
+    """Return the cells of numbers with all their digits; empty ones for None."""
+    return ("",) * count if vector is None else tuple(repr(float(value)) for value in vector)

@@ -14,14 +14,7 @@ IsoCommands = Literal["nominal", "calibrated"]
 ISO_COMMANDS: tuple[IsoCommands, ...] = get_args(IsoCommands)
 
 NORM_CYCLES: Mapping[IsoTest, int] = MappingProxyType(
-    {
-        "pose": 30,
-        "multidirectional": 30,
-        "distance": 30,
-        "drift": 10,
-        "path": 10,
-        "cooperative": 30,
-    }
+    {"pose": 30, "multidirectional": 30, "distance": 30, "drift": 10, "path": 10, "cooperative": 30}
 )
 """Number of cycles that the standard requires; for drift, in each group. Cooperative tests take those of pose tests."""
 NORM_DRIFT_MIN = 480.0

@@ -20,10 +20,8 @@ from cellapp.estimation.calibration.calibrate import (
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.learning import require_learner
 from cellapp.estimation.calibration.quantities import evaluate, repeatability
-from cellapp.estimation.calibration.records import (
-    MotionResult,
-    RecordingResult,
-)
+from cellapp.estimation.calibration.records import MotionResult, RecordingResult
+from cellapp.estimation.motion.fit import thinned
 from cellapp.estimation.motion.identify import (
     MotionFit,
     RecordedArm,
@@ -179,8 +177,8 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[JointPath, Array]
         share = _SAMPLES // len(fit.recordings) + 1
         for word, chosen, most in (("identify", one.track.learnt, share), ("validate", one.track.held_out, share // 3)):
             most = min(most, math.ceil(np.count_nonzero(chosen) * one.track.stamps.period_s / _APART_S))
-            rows = _past_turns(one, _thinned(np.flatnonzero(chosen), _TRIED * most))
-            parts.append((word, one, _thinned(rows, most)))
+            rows = _past_turns(one, thinned(np.flatnonzero(chosen), _TRIED * most))
+            parts.append((word, one, thinned(rows, most)))
     n = sum(len(rows) for *_, rows in parts)
     times = [(one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts]
     q = [path.at(time_s)[0] if at_rest is None else at_rest(path, time_s) for path, time_s in times]
@@ -197,10 +195,6 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[JointPath, Array]
         other_q=_beside(times),
         split=tuple(word for word, _, rows in parts for _ in rows),
     )
-
-
-def _thinned(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    return rows[np.linspace(0, len(rows) - 1, min(len(rows), most)).astype(np.intp)] if len(rows) else rows
 
 
 def _past_turns(one: RecordingFit, rows: NDArray[np.intp]) -> NDArray[np.intp]:

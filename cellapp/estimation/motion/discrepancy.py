@@ -29,15 +29,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import solve_psd
 from cellapp.estimation.motion.fit import Problem, Solution
-from cellapp.estimation.motion.observe import (
-    Bands,
-    Modelled,
-    NoiseModel,
-    bands_of,
-    noise_model,
-    stop_averages,
-    track_averages,
-)
+from cellapp.estimation.motion.observe import Bands, Modelled, NoiseModel, averages_of, bands_of, noise_model
 from cellapp.estimation.motion.terms import JointTerm, Law
 from cellapp.robot.kinematics.transforms import Array
 
@@ -138,12 +130,10 @@ def _seen(problem: Problem, solution: Solution) -> _Seen:
     model = wide.model(np.insert(solution.values, layout.arm, np.zeros(len(laws))))
     most = max(_MOST_ROWS // len(problem.tracks), 200)
     averages = [
-        track_averages(model, track, number, source.rows, source.root(), most)
-        for number, (track, source) in enumerate(zip(problem.tracks, solution.sources))
+        averages_of(model, holder, number, source.rows, source.root(), most)
+        for number, (holder, source) in enumerate(zip(problem.holders, solution.sources, strict=True))
+        if len(source.rows)
     ]
-    if problem.stops is not None and len(solution.sources[-1].rows):
-        at_rest = solution.sources[-1]
-        averages.append(stop_averages(model, problem.stops, at_rest.rows, at_rest.root()))
     ends = np.cumsum([len(one.r) for one in averages])
     X, r = np.zeros((ends[-1], 3, wide.layout.size)), np.concatenate([one.r for one in averages])
     parts = [slice(end - len(one.r), end) for one, end in zip(averages, ends.tolist())]

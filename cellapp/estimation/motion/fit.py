@@ -29,18 +29,7 @@ from cellapp.estimation.calibration.parameters import (
     prior_spreads,
 )
 from cellapp.estimation.calibration.weights import MEDIAN_NORM, robust_weights
-from cellapp.estimation.motion.observe import (
-    Layout,
-    Model,
-    NoiseModel,
-    Stops,
-    Sums,
-    noise_model,
-    residuals,
-    stop_residuals,
-    stop_sums,
-    track_sums,
-)
+from cellapp.estimation.motion.observe import Layout, Model, NoiseModel, Stops, Sums, noise_model, residuals, sums_of
 from cellapp.estimation.motion.terms import JointTerm, Law, Masses
 from cellapp.estimation.motion.tracks import Track
 from cellapp.ground.errors import NotConverged
@@ -123,6 +112,11 @@ class Problem:
         )
 
     @property
+    def holders(self) -> tuple[Track | Stops, ...]:
+        """The recordings, and last the stops if there are any."""
+        return self.tracks if self.stops is None else (*self.tracks, self.stops)
+
+    @property
     def translation(self) -> int:
         """Index of a parameter that moves all points alike."""
         return self.layout.parameters.names.index("x0")
@@ -195,12 +189,13 @@ def _subset(tracks: Sequence[Track], stops: Stops | None) -> tuple[Array, Array]
     """Return some joint positions (n, N) and points (n, 3) of all sources, at the start values of the clocks."""
     parts = [] if stops is None else [(stops.q, stops.p_M)]
     for track in tracks:
-        rows = _thinned(np.flatnonzero(track.learnt), 1000 // len(tracks) + 10)
+        rows = thinned(np.flatnonzero(track.learnt), 1000 // len(tracks) + 10)
         parts.append((track.path.at(track.controller_times(rows, track.offsets_s, 0.0))[0], track.p_M[rows]))
     return np.concatenate([q for q, _ in parts]), np.concatenate([p for _, p in parts])
 
 
-def _thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+def thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    """Return at most ``count`` of the rows, evenly spread."""
     if len(rows) <= count:
         return rows
     return rows[np.linspace(0, len(rows) - 1, count).astype(np.intp)]
@@ -243,12 +238,13 @@ def solve(
 def _first_fit(problem: Problem, stop_rows: NDArray[np.intp], told: Told) -> tuple[Array, list[float]]:
     """Fit a subset robustly; return the values and the sizes of the steps. It is a start: it need not end."""
     share = max(_FIRST_POINTS // max(len(problem.tracks), 1), 200)
-    rows = [_thinned(np.flatnonzero(track.learnt), share) for track in problem.tracks]
+    rows = [thinned(np.flatnonzero(track.learnt), share) for track in problem.tracks]
+    rows += [] if problem.stops is None else [stop_rows]
     values, steps = problem.mean.copy(), []
     for number in range(_FIRST_STEPS):
         told(f"step {number + 1} with some of the points")
         model = problem.model(values)
-        sources, robust = _with_robust_weights(problem, model, rows, stop_rows)
+        sources, robust = _with_robust_weights(problem, model, rows)
         sums, most = _sums(problem, model, sources, robust), _seconds_per_worth(problem, sources)
         step, _, worths, information, precision = _weighed_step(problem, values, sums, most)
         weighed = tuple(replace(one, worth=worth) for one, worth in zip(sources, worths, strict=True))
@@ -274,8 +270,8 @@ def _loss(
 
     model = problem.model(values + step)
     total = float(precision @ (values + step - problem.mean) ** 2)
-    lefts = _misses(problem, model, [one.rows for one in sources[: len(problem.tracks)]], sources[-1].rows)
-    for number, (source, left) in enumerate(zip(sources, lefts)):
+    lefts = _misses(problem, model, [one.rows for one in sources])
+    for number, (source, left) in enumerate(zip(sources, lefts, strict=True)):
         white = left.T * source.root(None if robust is None else robust[number])
         if number < len(problem.tracks) and problem.whitening is not None and robust is None:
             white = lfilter(problem.whitening[number], [1.0], white)
@@ -368,29 +364,21 @@ def _size(step: Array, information: Array, translation: int) -> float:
 def _sums(problem: Problem, model: Model, sources: Sequence[Source], robust: Sequence[Array] | None) -> list[Sums]:
     """Return the normal equations of every source at worth one."""
     found = []
-    for number, source in enumerate(sources):
-        root = source.root(None if robust is None else robust[number])
-        if number < len(problem.tracks):
-            whitening = None if problem.whitening is None or robust is not None else problem.whitening[number]
-            found.append(track_sums(model, problem.tracks[number], number, source.rows, root, whitening))
-        elif problem.stops is not None:
-            found.append(stop_sums(model, problem.stops, source.rows, root))
+    for number, (holder, source) in enumerate(zip(problem.holders, sources, strict=True)):
+        root, filters = source.root(None if robust is None else robust[number]), problem.whitening or ()
+        whitening = filters[number] if robust is None and number < len(filters) else None
+        found.append(sums_of(model, holder, number, source.rows, root, whitening))
     return found
 
 
-def _misses(
-    problem: Problem, model: Model, rows: Sequence[NDArray[np.intp]], stop_rows: NDArray[np.intp]
-) -> list[Array]:
+def _misses(problem: Problem, model: Model, rows: Sequence[NDArray[np.intp]]) -> list[Array]:
     """Return the residuals (n, 3) [m] of the rows of every source."""
-    found = [residuals(model, track, n, its) for n, (track, its) in enumerate(zip(problem.tracks, rows, strict=True))]
-    return found if problem.stops is None else [*found, stop_residuals(model, problem.stops)[stop_rows]]
+    return [residuals(model, one, n, its) for n, (one, its) in enumerate(zip(problem.holders, rows, strict=True))]
 
 
 def _source(problem: Problem, number: int, rows: NDArray[np.intp], norm: Array) -> Source:
     """Build a source; its variance follows from the median of the residuals' norms (n,) [m]."""
-    holder = problem.tracks[number] if number < len(problem.tracks) else problem.stops
-    assert holder is not None
-    stated = holder.sigma_m
+    stated = problem.holders[number].sigma_m
     sigma = max(float(np.median(norm)) / MEDIAN_NORM, _TRACKER_M)
     relative = None
     if stated is not None and np.isfinite(stated[rows]).all() and (stated[rows] > 0.0).all():
@@ -401,13 +389,13 @@ def _source(problem: Problem, number: int, rows: NDArray[np.intp], norm: Array) 
 
 
 def _with_robust_weights(
-    problem: Problem, model: Model, rows: Sequence[NDArray[np.intp]], stop_rows: NDArray[np.intp]
+    problem: Problem, model: Model, rows: Sequence[NDArray[np.intp]]
 ) -> tuple[list[Source], list[Array]]:
-    norms = [np.linalg.norm(left, axis=1) for left in _misses(problem, model, rows, stop_rows)]
-    usual, sources, weights = _usual(norms[: len(rows)]), [], []
-    for number, (norm, its) in enumerate(zip(norms, [*rows, stop_rows])):
+    norms = [np.linalg.norm(left, axis=1) for left in _misses(problem, model, rows)]
+    usual, sources, weights = _usual(norms[: len(problem.tracks)]), [], []
+    for number, (norm, its) in enumerate(zip(norms, rows, strict=True)):
         sources.append(_source(problem, number, its, norm))
-        if number < len(rows):
+        if number < len(problem.tracks):
             norm = np.maximum(norm, usual)
             norm = norm * np.minimum(1.0, np.median(norm) / _nearby(problem.tracks[number], norm))
         weights.append(robust_weights(np.maximum(norm, _TRACKER_M), "tukey"))
@@ -436,13 +424,14 @@ def _usual(norms: Sequence[Array]) -> float:
 def _all_points(problem: Problem, model: Model, stop_rows: NDArray[np.intp]) -> tuple[Source, ...]:
     """Return all points of every source without gross errors."""
     rows = [np.flatnonzero(track.learnt) for track in problem.tracks]
-    norms = [np.linalg.norm(left, axis=1) for left in _misses(problem, model, rows, stop_rows)]
-    usual, found = _usual(norms[: len(rows)]), []
-    for number, (norm, its) in enumerate(zip(norms, [*rows, stop_rows])):
-        least = usual if number < len(rows) else 0.0
-        scale: float | Array = max(float(np.median(norm)) / MEDIAN_NORM, least / MEDIAN_NORM, _TRACKER_M)
-        if number < len(rows):
-            scale = np.maximum(scale, _nearby(problem.tracks[number], norm) / MEDIAN_NORM)
+    rows += [] if problem.stops is None else [stop_rows]
+    norms = [np.linalg.norm(left, axis=1) for left in _misses(problem, model, rows)]
+    usual, found = _usual(norms[: len(problem.tracks)]), []
+    for number, (norm, its) in enumerate(zip(norms, rows, strict=True)):
+        scale: float | Array = max(float(np.median(norm)) / MEDIAN_NORM, _TRACKER_M)
+        if number < len(problem.tracks):
+            nearby = _nearby(problem.tracks[number], norm)
+            scale = np.maximum(max(scale, usual / MEDIAN_NORM), nearby / MEDIAN_NORM)
         good = norm < GROSS * scale
         found.append(_source(problem, number, its[good], norm[good]))
     return tuple(found)

@@ -16,7 +16,7 @@ from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResu
 from cellapp.estimation.calibration.weights import MEDIAN_NORM
 from cellapp.estimation.motion.discrepancy import allow_for_missing
 from cellapp.estimation.motion.fit import GROSS, Problem, Solution, problem_of, solve
-from cellapp.estimation.motion.observe import Model, Stops, residuals, stop_residuals
+from cellapp.estimation.motion.observe import Model, Stops, residuals
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import Law, Masses
 from cellapp.estimation.motion.tracks import Track, track_of
@@ -362,7 +362,9 @@ def _identification(problem: Problem, solution: Solution, model: Model) -> Ident
             chosen = determined_set(estimated, information, 1.0 / np.sqrt(problem.precision[:size]))
     to_table, kept = chosen.from_estimated(estimated)
     in_table = covariance if chosen is estimated else to_table @ covariance @ to_table.T
-    left = np.zeros((0, 3)) if stops is None else stop_residuals(model, stops)
+    left = np.zeros((0, 3))
+    if stops is not None:
+        left = residuals(model, stops, len(problem.tracks), np.arange(len(stops.q)))
     gram = information[kept[:, None], kept]
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     of_geometry = solution.precision[:size]

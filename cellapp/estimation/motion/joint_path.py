@@ -280,10 +280,7 @@ _STEP_S = 2e-3
 """Step of the grid: a hundredth of the period of 5 Hz, 12 steps of 40 Hz."""
 _SHARE = 0.05
 """Relative steps for derivatives: frequency relative to the width of the resonance, damping to itself."""
-_BILINEAR = {
-    1: np.array([[1.0, -1.0], [1.0, 1.0]]),
-    2: np.array([[1.0, -2.0, 1.0], [1.0, 0.0, -1.0], [1.0, 2.0, 1.0]]),
-}
+_BILINEAR = {1: np.array([[1.0, -1.0], [1.0, 1.0]]), 2: np.array([[1.0, -2.0, 1.0], [1.0, 0.0, -1.0], [1.0, 2.0, 1.0]])}
 """By degree n: (z - 1)^(n - i) (z + 1)^i of each term of a polynomial of s = 2 rate (z - 1) / (z + 1)."""
 _MOST_KEPT = 60
 """Largest number of cached responses of one path."""

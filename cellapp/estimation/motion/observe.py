@@ -328,8 +328,9 @@ class Layout:
         return np.arange(self.offsets(number).start, self.rate(number) + 1)
 
     def columns_of(self, number: int) -> NDArray[np.intp]:
-        """Return the indices of the parameters that move the points of one recording."""
-        return np.concatenate([np.arange(self.arm), np.arange(self.offsets(number).start, self.rate(number) + 1)])
+        """Return the indices of the parameters that move the points of one recording, or of the stops after these."""
+        clock = self.clock(number) if number < len(self.segments) else np.arange(0)
+        return np.concatenate([np.arange(self.arm), clock])
 
 
 @dataclass(frozen=True, eq=False)
@@ -372,17 +373,26 @@ class Model:
         return self.values[self.layout.offsets(number)], float(self.values[self.layout.rate(number)])
 
 
-def residuals(model: Model, track: Track, number: int, rows: NDArray[np.intp]) -> Array:
-    """Return measured less computed points (n, 3) [m] of some rows of one recording."""
+def residuals(model: Model, holder: Track | Stops, number: int, rows: NDArray[np.intp]) -> Array:
+    """Return measured less computed points (n, 3) [m] of some rows of one recording, or of the stops."""
     left = np.empty((len(rows), 3))
-    geometry, (offsets, rate) = model.geometry, model.clock(number)
     for first in range(0, len(rows), CHUNK):
         part = rows[first : first + CHUNK]
-        u = track.controller_times(part, offsets, rate)
-        state = state_in_motion(track.path, u, model.masses, torques=model.needs_torques)
+        state = _state(model, holder, number, part)
         q = state.q + state.offsets(model.layout.terms, model.of_terms)
-        left[first : first + CHUNK] = track.p_M[part] - smr_positions(geometry, q)
+        left[first : first + CHUNK] = holder.p_M[part] - smr_positions(model.geometry, q)
     return left
+
+
+def _state(model: Model, holder: Track | Stops, number: int, rows: NDArray[np.intp]) -> JointState:
+    """Return the state of the joints at some rows."""
+    if isinstance(holder, Track):
+        u = holder.controller_times(rows, *model.clock(number))
+        return state_in_motion(holder.path, u, model.masses, torques=model.needs_torques)
+    q = holder.q[rows]
+    direction = np.zeros_like(q) if holder.approach is None else holder.approach[rows]
+    step = None if holder.step is None else holder.step[rows]
+    return state_at_rest(q, direction, model.masses if model.needs_torques else None, step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -396,21 +406,27 @@ class Averages:
     q: Array
 
 
-def track_sums(
-    model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array, whitening: Array | None = None
+def sums_of(
+    model: Model,
+    holder: Track | Stops,
+    number: int,
+    rows: NDArray[np.intp],
+    root: Array,
+    whitening: Array | None = None,
 ) -> Sums:
-    """Sum over ``rows`` of one recording, each weighted by the square of ``root`` (n,) [1/m].
+    """Sum over ``rows`` of one recording, or of the stops, each weighted by the square of ``root`` (n,) [1/m].
 
     ``whitening`` is a filter in time, applied to columns and residuals.
     """
     from scipy.signal import lfilter  # it loads scipy.stats: commands without recordings need not wait for that
 
-    k = len(model.layout.columns_of(number))
+    columns = model.layout.columns_of(number)
+    k = len(columns)
     A, b = np.zeros((k, k)), np.zeros(k)
     past = 0 if whitening is None else len(whitening) - 1
     memory_X, memory_r = np.zeros((3, k, past)), np.zeros((3, past))
-    parts, each = [], _block_length(track, len(rows), _MOST_BLOCKS)
-    for X, left, weight, q in _chunks(model, track, number, rows, root, each):
+    parts, each = [], _block_length(holder, len(rows), _MOST_BLOCKS)
+    for X, left, weight, q in _chunks(model, holder, number, rows, root, each):
         if whitening is not None:
             X, memory_X = lfilter(whitening, [1.0], X, zi=memory_X)
             left, memory_r = lfilter(whitening, [1.0], left, zi=memory_r)
@@ -418,38 +434,41 @@ def track_sums(
         A += flat @ flat.T
         b += flat @ left.ravel()
         parts.append(_averaged(X, left, weight, q, each))
-    found = _joined(parts, model.layout.columns_of(number))
-    return Sums(A, b, bands_of(found.X, found.columns, found.r, in_time=True))
+    found = _joined(parts, columns)
+    return Sums(A, b, bands_of(found.X, found.columns, found.r, in_time=isinstance(holder, Track)))
 
 
-def track_averages(model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array, most: int) -> Averages:
-    """Return up to ``most`` averages of ``rows`` of a recording, weighted by the square of ``root`` (n,) [1/m]."""
-    each = _block_length(track, len(rows), most)
-    parts = [_averaged(*chunk, each) for chunk in _chunks(model, track, number, rows, root, each)]
+def averages_of(
+    model: Model, holder: Track | Stops, number: int, rows: NDArray[np.intp], root: Array, most: int
+) -> Averages:
+    """Return up to ``most`` averages of ``rows`` of a recording, or the stops without averaging, weighted by the square
+    of ``root`` (n,) [1/m]."""
+    each = _block_length(holder, len(rows), most)
+    parts = [_averaged(*chunk, each) for chunk in _chunks(model, holder, number, rows, root, each)]
     return _joined(parts, model.layout.columns_of(number))
 
 
 def _chunks(
-    model: Model, track: Track, number: int, rows: NDArray[np.intp], root: Array, each: int
+    model: Model, holder: Track | Stops, number: int, rows: NDArray[np.intp], root: Array, each: int
 ) -> Iterator[tuple[Array, Array, Array, Array]]:
     """Yield weighted columns (3, k, n) and residuals (3, n), weights (n,) and joint positions (n, N), in chunks of
     whole averages of ``each`` points."""
     k, arm = len(model.layout.columns_of(number)), model.layout.arm
-    geometry, (offsets, rate), work = model.geometry, model.clock(number), Workspace()
+    geometry, work = model.geometry, Workspace()
     step = max(1, CHUNK // each) * each
     for first in range(0, len(rows), step):
         part, weight = rows[first : first + step], root[first : first + step]
-        u = track.controller_times(part, offsets, rate)
-        state = state_in_motion(track.path, u, model.masses, torques=model.needs_torques)
+        state = _state(model, holder, number, part)
         X = np.empty((3, k, len(part)))
         P, by_joint = _arm_columns(model, geometry, state, X[:, :arm], work)
-        moved = np.einsum("ajn,nj->an", by_joint, state.qd)
-        segment = track.segment[part]
-        for place in range(len(offsets)):
-            np.multiply(moved, -(segment == place).astype(np.float64), out=X[:, arm + place])
-        np.multiply(moved, track.middle_s - track.time_s[part], out=X[:, -1])
+        if isinstance(holder, Track):
+            moved = np.einsum("ajn,nj->an", by_joint, state.qd)
+            segment = holder.segment[part]
+            for place in range(k - arm - 1):
+                np.multiply(moved, -(segment == place).astype(np.float64), out=X[:, arm + place])
+            np.multiply(moved, holder.middle_s - holder.time_s[part], out=X[:, -1])
         X *= weight
-        yield X, (track.p_M[part].T - P) * weight, weight, state.q
+        yield X, (holder.p_M[part].T - P) * weight, weight, state.q
 
 
 def _averaged(X: Array, left: Array, weight: Array, q: Array, each: int) -> tuple[Array, Array, Array]:
@@ -467,42 +486,6 @@ def _averaged(X: Array, left: Array, weight: Array, q: Array, each: int) -> tupl
 def _joined(parts: Sequence[tuple[Array, Array, Array]], columns: NDArray[np.intp]) -> Averages:
     X, r, q = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     return Averages(X, columns, r, q)
-
-
-def stop_sums(model: Model, stops: Stops, rows: NDArray[np.intp], root: Array) -> Sums:
-    """Sum over some of the stops, each weighted by the square of ``root`` (n,) [1/m]."""
-    X, left = _stop_columns(model, stops, rows, root)
-    flat = X.swapaxes(0, 1).reshape(model.layout.arm, -1)
-    bands = bands_of(X.transpose(2, 0, 1), np.arange(model.layout.arm), left.T, in_time=False)
-    return Sums(flat @ flat.T, flat @ left.ravel(), bands)
-
-
-def stop_averages(model: Model, stops: Stops, rows: NDArray[np.intp], root: Array) -> Averages:
-    """Return some of the stops without averaging, each weighted by the square of ``root`` (n,) [1/m]."""
-    X, left = _stop_columns(model, stops, rows, root)
-    return Averages(X.transpose(2, 0, 1), np.arange(model.layout.arm), left.T, stops.q[rows])
-
-
-def _stop_columns(model: Model, stops: Stops, rows: NDArray[np.intp], root: Array) -> tuple[Array, Array]:
-    """Return weighted columns (3, k, n) and residuals (3, n)."""
-    X = np.empty((3, model.layout.arm, len(rows)))
-    P, _ = _arm_columns(model, model.geometry, _at_stops(model, stops, rows), X, Workspace())
-    X *= root
-    return X, (stops.p_M[rows].T - P) * root
-
-
-def stop_residuals(model: Model, stops: Stops) -> Array:
-    """Return measured less computed points (n, 3) [m] of all stops."""
-    state = _at_stops(model, stops, np.arange(len(stops.q)))
-    q = state.q + state.offsets(model.layout.terms, model.of_terms)
-    return np.asarray(stops.p_M - smr_positions(model.geometry, q))
-
-
-def _at_stops(model: Model, stops: Stops, rows: NDArray[np.intp]) -> JointState:
-    q = stops.q[rows]
-    direction = np.zeros_like(q) if stops.approach is None else stops.approach[rows]
-    step = None if stops.step is None else stops.step[rows]
-    return state_at_rest(q, direction, model.masses if model.needs_torques else None, step)
 
 
 def _arm_columns(
@@ -524,6 +507,8 @@ def _arm_columns(
     return P, by_joint
 
 
-def _block_length(track: Track, count: int, most: int) -> int:
-    """Return the number of neighbours to average for the noise estimate, in at most ``most`` blocks."""
-    return min(max(round(1.0 / track.stamps.period_s / _BLOCK_RATE), -(-count // most), 1), CHUNK)
+def _block_length(holder: Track | Stops, count: int, most: int) -> int:
+    """Return the number of neighbours to average for the noise estimate, in at most ``most`` blocks; one for stops."""
+    if not isinstance(holder, Track):
+        return 1
+    return min(max(round(1.0 / holder.stamps.period_s / _BLOCK_RATE), -(-count // most), 1), CHUNK)

@@ -476,14 +476,6 @@ _PLAIN = (Law.PLAY, Law.WINDUP, Law.LAG, Law.COMPLIANCE)
 """Laws with one parameter a joint that sweeps are to show."""
 
 
-@dataclass(frozen=True, eq=False)
-class Expected:
-    """States (n) of an arm to be measured, and the covariance (n, 3, 3) of each point [m^2]."""
-
-    state: JointState
-    covariance: Array
-
-
 def foreseen_terms(joints: int) -> tuple[JointTerm, ...]:
     """Return the terms of all joints, law by law, that sweeps are to show."""
     plain = [JointTerm(law, joint) for law in _PLAIN for joint in range(joints)]
@@ -492,16 +484,19 @@ def foreseen_terms(joints: int) -> tuple[JointTerm, ...]:
 
 
 def motion_information(
-    nominal: Geometry, estimated: ParameterSet, terms: tuple[JointTerm, ...], expected: Expected
+    nominal: Geometry, estimated: ParameterSet, terms: tuple[JointTerm, ...], state: JointState, covariance: Array
 ) -> Array:
-    """Compute the information (P, P) on the geometry, the terms, and last the delay between the clocks."""
-    state, k = expected.state, len(estimated.columns)
+    """Compute the information (P, P) on the geometry, the terms, and last the delay between the clocks.
+
+    ``state`` is that of an arm to be measured, ``covariance`` (n, 3, 3) that of each point [m^2].
+    """
+    k = len(estimated.columns)
     thetas = tuple(6 + 5 * joint for joint in range(nominal.joints))
     _, J = jacobian(nominal, JointAngles.of(state.q), (*estimated.columns, *thetas))
     by_joint = J[:, k:]
     of_terms = [by_joint[:, term.joint] * term.offset(state) for term in terms]
     delay = -np.einsum("ajn,nj->an", by_joint, state.qd)
     columns = np.concatenate([J[:, :k], np.stack([*of_terms, delay], axis=1)], axis=1)
-    X = np.einsum("acn,ckn->kan", whitening(expected.covariance), columns)
+    X = np.einsum("acn,ckn->kan", whitening(covariance), columns)
     flat = X.reshape(len(X), -1)
     return np.asarray(flat @ flat.T)

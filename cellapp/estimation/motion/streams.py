@@ -158,10 +158,7 @@ _OF_SPREAD = 6.0
 """Standard errors by which the motion of one sample must exceed zero, to distinguish a step from a gap."""
 _PHASE_S = 4.0
 """Duration over which timestamps share one phase of a regular clock."""
-_NEARBY_PERIODS = (
-    (1.0 + np.linspace(-0.04, 0.04, 81), 1.0),
-    (1.0 + np.linspace(-0.001, 0.001, 21), 4.0),
-)
+_NEARBY_PERIODS = ((1.0 + np.linspace(-0.04, 0.04, 81), 1.0), (1.0 + np.linspace(-0.001, 0.001, 21), 4.0))
 """Candidate periods, relative to the median step of timestamps, and the duration of averaged phases."""
 _OF_PERIOD = 20_000
 """Number of timestamps for estimating the period."""

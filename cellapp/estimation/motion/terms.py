@@ -22,7 +22,7 @@ Time constants, frequencies and dampings are not linear: their terms are lineari
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property, partial
@@ -59,27 +59,18 @@ class Law(Enum):
     VIBRATION = "vibration"
 
 
-_UNIT = {
-    Law.PLAY: "rad",
-    Law.WINDUP: "rad/Nm",
-    Law.LINE: "rad",
-    Law.ONE_CYCLE: "rad",
-    Law.LAG: "s",
-    Law.COMPLIANCE: "rad/Nm",
-    Law.INERTIA: "s^2",
-    Law.TIME_CONSTANT: "s",
+_OF_LAW: Mapping[Law, tuple[str, str, float]] = {
+    Law.PLAY: ("half_play", "rad", 1e-4),
+    Law.WINDUP: ("windup", "rad/Nm", 1e-5),
+    Law.LINE: ("", "rad", 3e-4),
+    Law.ONE_CYCLE: ("", "rad", 3e-4),
+    Law.LAG: ("lag", "s", 5e-3),
+    Law.COMPLIANCE: ("compliance", "rad/Nm", 2e-5),
+    Law.INERTIA: ("inertia", "s^2", 1e-3),
+    Law.TIME_CONSTANT: ("time_constant", "s", 3e-2),
 }
-_SD = {
-    Law.PLAY: 1e-4,
-    Law.WINDUP: 1e-5,
-    Law.LINE: 3e-4,
-    Law.ONE_CYCLE: 3e-4,
-    Law.LAG: 5e-3,
-    Law.COMPLIANCE: 2e-5,
-    Law.INERTIA: 1e-3,
-    Law.TIME_CONSTANT: 3e-2,
-}
-"""Prior standard deviations, several times the values of arms of this kind (handbook, chapter "effects")."""
+"""Name and unit of the parameter of a law, and its prior standard deviation, several times the values of arms of this
+kind (handbook, chapter "effects"); lines are named by their cycles."""
 _SIDE_SD = 3e-5
 """Prior standard deviation of the modulation of a line: part of its amplitude [rad]."""
 _VIBRATION = (("gain", "s^2"), ("frequency", "Hz"), ("damping", "1"))
@@ -141,26 +132,19 @@ class JointTerm:
         number = self.joint + 1
         if isinstance(self.law, MotionLaw):
             return f"{self.parameter}{number}"
-        fresh = "fresh_" if self.fading else ""
-        line = f"{'sin' if self.sine else 'cos'}{self.cycles}q{number}"
-        return {
-            Law.PLAY: f"{fresh}half_play{number}",
-            Law.WINDUP: f"{fresh}windup{number}",
-            Law.LINE: line,
-            Law.ONE_CYCLE: line,
-            Law.LAG: f"lag{number}",
-            Law.COMPLIANCE: f"{'compliance' if self.knee is None else SOFTER[self.knee.constant]}{number}",
-            Law.INERTIA: f"inertia{number}",
-            Law.TIME_CONSTANT: f"time_constant{number}",
-            Law.VIBRATION: f"{_VIBRATION[self.part][0]}{number}",
-        }[self.law]
+        if self.law in (Law.LINE, Law.ONE_CYCLE):
+            return f"{'sin' if self.sine else 'cos'}{self.cycles}q{number}"
+        if self.law is Law.VIBRATION:
+            return f"{_VIBRATION[self.part][0]}{number}"
+        word = _OF_LAW[self.law][0] if self.knee is None else SOFTER[self.knee.constant]
+        return f"{'fresh_' if self.fading else ''}{word}{number}"
 
     @property
     def unit(self) -> str:
         """Unit of the parameter."""
         if isinstance(self.law, MotionLaw):
             return self.law.parameters[self.parameter].unit
-        return _VIBRATION[self.part][1] if self.law is Law.VIBRATION else _UNIT[self.law]
+        return _VIBRATION[self.part][1] if self.law is Law.VIBRATION else _OF_LAW[self.law][1]
 
     @property
     def start(self) -> float:
@@ -179,7 +163,7 @@ class JointTerm:
             return self.law.parameters[self.parameter].most
         if self.law is Law.VIBRATION:
             return _SHAPE_SD * self.start if self.part else _GAIN_SD
-        return _SIDE_SD if self.side else _SD[self.law]
+        return _SIDE_SD if self.side else _OF_LAW[self.law][2]
 
     @property
     def needs_torques(self) -> bool:

@@ -26,7 +26,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, MeasurementConditions
-from cellapp.robot.effects.modulation import with_modulations
+from cellapp.robot.effects.effect import ordered_columns
 from cellapp.robot.kinematics.chain import Geometry, all_names, parameter_names
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
@@ -102,12 +102,7 @@ def term_columns(model: ArmModel, measured: Measured) -> list[EffectColumn]:
     q, conditions = measured.readings.q, measured.conditions
     actual = model.true_joints(q, conditions=conditions) if model.effects else None
     context = replace(model.context(q, conditions=conditions), q_actual=actual)
-    found: list[EffectColumn] = []
-    for term in model.effects:
-        of_law = EFFECTS[term.slug].columns(context, term.law, frozenset(term.law_names))
-        by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
-        found += [by_name[name] for name in term.names]
-    return found
+    return [column for term in model.effects for column in ordered_columns(term, EFFECTS, context)]
 
 
 def design(model: ArmModel, measured: Measured, columns: tuple[int, ...]) -> Array:

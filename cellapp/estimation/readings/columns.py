@@ -323,14 +323,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("q", "rad", ("q",), "joints", required=True, check=_in_radians),
     Column("q_spread", "rad", ("q_spread_rad",), check=_within(0.0, 1.0, "rad"), since=11),
     Column(
-        "approach",
-        "",
-        ("approach",),
-        "joints",
-        np.int8,
-        fill=0,
-        allowed=(-1, 0, 1),
-        expected="-1, 0 (unknown) or 1",
+        "approach", "", ("approach",), "joints", np.int8, fill=0, allowed=(-1, 0, 1), expected="-1, 0 (unknown) or 1"
     ),
     Column("payload_kg", "kg", ("payload_kg",), check=_within(0.0, 1e4, "kg")),
     Column(

@@ -81,34 +81,22 @@ class Backlash(Effect):
     wears = True
     title = "backlash or hysteresis of joints"
     arm_bound = True
-    meaning = Meaning(
-        cause="The gear of {place} has lost motion: the output lags behind the motor on each reversal.",
-        size=(
-            "40 µrad of half play are 25 to 55 µm at the flange of a UR10; catalogues of strain-wave gears give arc"
-            " minutes of lost motion"
-        ),
-        size_source="estimate",
-        check=(
-            (
-                "With drives on and the arm at rest, push and pull at the link beyond {place} with a dial gauge on it:"
-                " play is a loose bolt or a worn gear. With drives off the brake's own play shows as well."
-            ),
-            "Check the bolts of the gearbox of {place}, then have the gear inspected.",
-            "Until it is mended, approach every target from the same side as during calibration.",
-        ),
-        settle=(
-            "Measure 10 poses twice, each joint approached once from either side by the same step.",
-            (
-                "Approach one pose with last steps of 1, 5, 20 and 60 degrees: hysteresis grows with the step, play "
-                "does not."
-            ),
-            "Record approach signs, or import with --in-order: without them the effect is invisible.",
-        ),
+    meaning = Meaning.of(
+        """cause: The gear of {place} has lost motion: the output lags behind the motor on each reversal.
+        size (estimate): 40 µrad of half play are 25 to 55 µm at the flange of a UR10; catalogues of strain-wave gears
+          give arc minutes of lost motion
+        check: With drives on and the arm at rest, push and pull at the link beyond {place} with a dial gauge on it:
+          play is a loose bolt or a worn gear. With drives off the brake's own play shows as well.
+        check: Check the bolts of the gearbox of {place}, then have the gear inspected.
+        check: Until it is mended, approach every target from the same side as during calibration.
+        settle: Measure 10 poses twice, each joint approached once from either side by the same step.
+        settle: Approach one pose with last steps of 1, 5, 20 and 60 degrees: hysteresis grows with the step, play does
+          not.
+        settle: Record approach signs, or import with --in-order: without them the effect is invisible."""
     )
     look_alikes = ("friction_windup", "unsettled_measurement")
     impossible = ImpossibleValues(
-        sign="backlash of the opposite sign",
-        sign_check="check the approach convention of the readings",
+        sign="backlash of the opposite sign", sign_check="check the approach convention of the readings"
     )
     variables = frozenset({DriverVariable.APPROACH, DriverVariable.STEP})
     forms = (CONSTANT, SATURATING, GRADUAL, SMALL)
@@ -215,26 +203,17 @@ class FrictionWindup(Effect):
     slug = "friction_windup"
     title = "friction wind-up of joints"
     arm_bound = True
-    meaning = Meaning(
-        cause="Friction in {place} holds the gear wound up against its last motion, more so under load.",
-        size="1e-4 rad at 50 Nm, 50 to 130 µm at the flange of a UR10",
-        size_source="estimate",
-        check=(
-            "Warm the arm up: cold grease has more friction.",
-            "Compare the motor current of {place} in slow motion with the other arm's: more current is more friction.",
-            "Check lubrication and brake of {place}: a brake that drags winds up too.",
-        ),
-        settle=(
-            (
-                "Approach the same poses from both sides with two payloads: wind-up grows with the load, backlash "
-                "does not."
-            ),
-            "Repeat 10 stops cold and after an hour of motion.",
-            (
-                "Dry friction and play look the same at every stop: push at the link with drives on and a dial gauge on"
-                " it. Play gives way at once, a gear that friction holds gives way in proportion to the force."
-            ),
-        ),
+    meaning = Meaning.of(
+        """cause: Friction in {place} holds the gear wound up against its last motion, more so under load.
+        size (estimate): 1e-4 rad at 50 Nm, 50 to 130 µm at the flange of a UR10
+        check: Warm the arm up: cold grease has more friction.
+        check: Compare the motor current of {place} in slow motion with the other arm's: more current is more friction.
+        check: Check lubrication and brake of {place}: a brake that drags winds up too.
+        settle: Approach the same poses from both sides with two payloads: wind-up grows with the load, backlash does
+          not.
+        settle: Repeat 10 stops cold and after an hour of motion.
+        settle: Dry friction and play look the same at every stop: push at the link with drives on and a dial gauge on
+          it. Play gives way at once, a gear that friction holds gives way in proportion to the force."""
     )
     look_alikes = ("backlash", "unsettled_measurement")
     impossible = ImpossibleValues(

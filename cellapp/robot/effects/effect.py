@@ -7,10 +7,12 @@ Joint offsets enter the chain exactly; all other channels move the SMR by less t
 
 from __future__ import annotations
 
+import inspect
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 import numpy as np
 
@@ -58,6 +60,20 @@ class Meaning:
     size_source: SizeSource
     check: tuple[str, ...]
     settle: tuple[str, ...]
+
+    @classmethod
+    def of(cls, text: str) -> Meaning:
+        """Read paragraphs ``cause: ...``, ``size (source): ...`` and any number of ``check: ...`` and ``settle: ...``.
+
+        Their further lines are indented.
+        """
+        found: dict[str, list[str]] = {"check": [], "settle": []}
+        for paragraph in re.split(r"\n(?=\S)", inspect.cleandoc(text)):
+            label, words = " ".join(paragraph.split()).split(": ", 1)
+            found.setdefault(label, []).append(words)
+        source: SizeSource = next(one for one in get_args(SizeSource) if f"size ({one})" in found)
+        (cause,), (size,) = found["cause"], found[f"size ({source})"]
+        return cls(cause, size, source, tuple(found["check"]), tuple(found["settle"]))
 
     def at(self, place: str) -> Meaning:
         """The same with the place in words, for example ``joints 2 and 3``: texts then speak of ``each of`` them."""
@@ -369,13 +385,16 @@ class Displacement:
         )
 
 
+def ordered_columns(term: EffectTerm, effects: Mapping[str, Effect], context: EffectContext) -> list[EffectColumn]:
+    """Return the columns of a term in the order of its parameters."""
+    of_law = effects[term.slug].columns(context, term.law, frozenset(term.law_names))
+    by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
+    return [by_name[name] for name in term.names]
+
+
 def displacement(terms: Sequence[EffectTerm], effects: Mapping[str, Effect], context: EffectContext) -> Displacement:
     """Compute the sum of the displacements of all terms."""
-    columns: list[EffectColumn] = []
-    for term in terms:
-        of_law = effects[term.slug].columns(context, term.law, frozenset(term.law_names))
-        by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
-        columns += [by_name[name] for name in term.names]
+    columns = [column for term in terms for column in ordered_columns(term, effects, context)]
     values = [value for term in terms for value in term.values.tolist()]
     return displacement_by(columns, values, *context.q.shape)
 

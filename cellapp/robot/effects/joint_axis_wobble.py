@@ -66,19 +66,14 @@ class JointAxisWobble(Effect):
     slug = "joint_axis_wobble"
     title = "wobble of joint axes"
     arm_bound = True
-    meaning = Meaning(
-        cause="The axis of {place} tilts as it turns: run-out of the bearing or ovality of its raceways.",
-        size="5 to 20 µrad, 5 to 25 µm",
-        size_source="estimate",
-        check=(
-            "Turn {place} slowly by hand or in jog and listen and feel for a rough or tight spot of its bearing.",
-            "Check the bolts of the bearing ring of {place}: unevenly tightened ones bend the ring oval.",
-            "Check for a past collision of this arm: dents of a raceway give this and noise.",
-        ),
-        settle=(
-            "Move {place} alone through a whole turn with the arm stretched, in steps of 10 degrees, forth and back.",
-            "Repeat it with the arm folded: a tilt grows with the distance from the axis, a run-out does not.",
-        ),
+    meaning = Meaning.of(
+        """cause: The axis of {place} tilts as it turns: run-out of the bearing or ovality of its raceways.
+        size (estimate): 5 to 20 µrad, 5 to 25 µm
+        check: Turn {place} slowly by hand or in jog and listen and feel for a rough or tight spot of its bearing.
+        check: Check the bolts of the bearing ring of {place}: unevenly tightened ones bend the ring oval.
+        check: Check for a past collision of this arm: dents of a raceway give this and noise.
+        settle: Move {place} alone through a whole turn with the arm stretched, in steps of 10 degrees, forth and back.
+        settle: Repeat it with the arm folded: a tilt grows with the distance from the axis, a run-out does not."""
     )
     look_alikes = ("joint_axis_runout", "transmission_error")
     variables = frozenset({DriverVariable.JOINT_ANGLE})

@@ -78,33 +78,19 @@ class JointCompliance(Effect):
     wears = True
     title = "joint compliance under gravity"
     arm_bound = True
-    meaning = Meaning(
-        cause=(
-            "The gear and the bearings of {place} twist under the weight that they carry. Strain-wave gears always "
-            "do; a loose bolted joint or a worn gear adds to it."
-        ),
-        size=(
-            "1 to 3 mm at the flange of a UR10, 0.5 to 1.5 mm of a UR5: catalogue stiffness times the arm's own torques"
-        ),
-        size_source="computed",
-        check=(
-            (
-                "Compare the value with that of the same joint of the other arm and of earlier runs. If it grew, "
-                "check the bolts between the gearbox of {place} and both links."
-            ),
-            (
-                "Check masses, centres of mass and payload in the profile and in the controller: a wrong mass scales"
-                " the value."
-            ),
-        ),
-        settle=(
-            "Repeat 20 stops with a second payload: what grows with the load is compliance and not geometry.",
-            "Add stops over the full range of joints 2 and 3.",
-            (
-                "Log the motor-side and the output-side encoder: a compliant gear shows in their difference, a "
-                "bending link does not."
-            ),
-        ),
+    meaning = Meaning.of(
+        """cause: The gear and the bearings of {place} twist under the weight that they carry. Strain-wave gears always
+          do; a loose bolted joint or a worn gear adds to it.
+        size (computed): 1 to 3 mm at the flange of a UR10, 0.5 to 1.5 mm of a UR5: catalogue stiffness times the arm's
+          own torques
+        check: Compare the value with that of the same joint of the other arm and of earlier runs. If it grew, check the
+          bolts between the gearbox of {place} and both links.
+        check: Check masses, centres of mass and payload in the profile and in the controller: a wrong mass scales the
+          value.
+        settle: Repeat 20 stops with a second payload: what grows with the load is compliance and not geometry.
+        settle: Add stops over the full range of joints 2 and 3.
+        settle: Log the motor-side and the output-side encoder: a compliant gear shows in their difference, a bending
+          link does not."""
     )
     look_alikes = ("link_bending", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
     impossible = ImpossibleValues(
@@ -114,11 +100,7 @@ class JointCompliance(Effect):
     )
     variables = _LOADED
     forms = (LINEAR, TWO_SLOPE, THREE_SLOPE, FREE_MASSES)
-    free_drivers = (
-        OWN_SIZE,
-        FreeDriver(Quantity.JOINT_ANGLE),
-        FreeDriver(Quantity.PAYLOAD),
-    )
+    free_drivers = (OWN_SIZE, FreeDriver(Quantity.JOINT_ANGLE), FreeDriver(Quantity.PAYLOAD))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
@@ -170,28 +152,17 @@ class PayloadCompliance(Effect):
     slug = "payload_compliance"
     title = "joint compliance under the payload"
     arm_bound = True
-    meaning = Meaning(
-        cause=(
-            "The gear of {place} twists under the payload alone: the arm's own weight was calibrated away or is "
-            "compensated by the controller, the load in the gripper is not."
-        ),
-        size=(
-            "10 kg deflect the flange of a UR10 by 1.4 to 3.4 mm, 5 kg that of a UR5 by 0.5 to 1.2 mm: makers' "
-            "tables and catalogue stiffness"
-        ),
-        size_source="computed",
-        check=(
-            "Weigh the payload and enter its mass and centre of mass in the profile and in the controller.",
-            "Check that the payload is bolted tight: a loose one moves in the same way.",
-            "If the value is much above that of the other arm, check the bolts at the gearbox of {place}.",
-        ),
-        settle=(
-            "Measure the same 10 poses empty and with two payloads: geometry drops out of the differences.",
-            (
-                "Change only the payload setting of the controller at one pose: if the SMR moves, the controller "
-                "compensates."
-            ),
-        ),
+    meaning = Meaning.of(
+        """cause: The gear of {place} twists under the payload alone: the arm's own weight was calibrated away or is
+          compensated by the controller, the load in the gripper is not.
+        size (computed): 10 kg deflect the flange of a UR10 by 1.4 to 3.4 mm, 5 kg that of a UR5 by 0.5 to 1.2 mm:
+          makers' tables and catalogue stiffness
+        check: Weigh the payload and enter its mass and centre of mass in the profile and in the controller.
+        check: Check that the payload is bolted tight: a loose one moves in the same way.
+        check: If the value is much above that of the other arm, check the bolts at the gearbox of {place}.
+        settle: Measure the same 10 poses empty and with two payloads: geometry drops out of the differences.
+        settle: Change only the payload setting of the controller at one pose: if the SMR moves, the controller
+          compensates."""
     )
     look_alikes = ("joint_compliance", "link_bending")
     impossible = ImpossibleValues(
@@ -201,11 +172,7 @@ class PayloadCompliance(Effect):
     )
     variables = _LOADED
     forms = (LawForm("", "in proportion to the payload's torque"),)
-    free_drivers = (
-        OWN_SIZE,
-        FreeDriver(Quantity.JOINT_ANGLE),
-        FreeDriver(Quantity.PAYLOAD),
-    )
+    free_drivers = (OWN_SIZE, FreeDriver(Quantity.JOINT_ANGLE), FreeDriver(Quantity.PAYLOAD))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs a payload that varies."""
@@ -216,10 +183,7 @@ class PayloadCompliance(Effect):
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per joint, and those that refine it: the load's centre of mass is not where it was stated."""
-        return [
-            *_compliances("payload_compliance", context.loads.torques_of(-1)),
-            *_by_center_of_load(context),
-        ]
+        return [*_compliances("payload_compliance", context.loads.torques_of(-1)), *_by_center_of_load(context)]
 
 
 def _by_center_of_load(context: EffectContext) -> list[EffectColumn]:

@@ -65,25 +65,16 @@ class LinkBending(Effect):
     slug = "link_bending"
     title = "bending of links"
     arm_bound = True
-    meaning = Meaning(
-        cause=(
-            "Bending and twisting of {place} as a beam under all that it carries. A tube always bends; a cracked clamp"
-            " or a loose bolt at its end bends more."
-        ),
-        size="0.2 to 0.4 mm at the flange of a UR10, 0.1 mm of a UR5, for a bending stiffness of 1e5 N m^2",
-        size_source="estimate",
-        check=(
-            "Check the bolts at both ends of {place}.",
-            (
-                "Compare with the joint compliance of the same arm: position data hardly distinguish them, so treat "
-                "both as one elasticity."
-            ),
-        ),
-        settle=(
-            "Put two or three SMRs on {place} and measure them stretched and folded.",
-            "Log the motor-side and the output-side encoder: compliance shows there, bending does not.",
-            "Repeat 20 stops with a second payload, near 0 and near the rated load.",
-        ),
+    meaning = Meaning.of(
+        """cause: Bending and twisting of {place} as a beam under all that it carries. A tube always bends; a cracked
+          clamp or a loose bolt at its end bends more.
+        size (estimate): 0.2 to 0.4 mm at the flange of a UR10, 0.1 mm of a UR5, for a bending stiffness of 1e5 N m^2
+        check: Check the bolts at both ends of {place}.
+        check: Compare with the joint compliance of the same arm: position data hardly distinguish them, so treat both
+          as one elasticity.
+        settle: Put two or three SMRs on {place} and measure them stretched and folded.
+        settle: Log the motor-side and the output-side encoder: compliance shows there, bending does not.
+        settle: Repeat 20 stops with a second payload, near 0 and near the rated load."""
     )
     look_alikes = ("joint_compliance", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
     impossible = ImpossibleValues(
@@ -93,11 +84,7 @@ class LinkBending(Effect):
     )
     variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
     forms = (BENDING, TORSION, OWN_WEIGHT, TORSION_OWN_WEIGHT, FREE_WEIGHT)
-    free_drivers = (
-        FreeDriver(Quantity.TORQUE),
-        FreeDriver(Quantity.JOINT_ANGLE),
-        FreeDriver(Quantity.PAYLOAD),
-    )
+    free_drivers = (FreeDriver(Quantity.TORQUE), FreeDriver(Quantity.JOINT_ANGLE), FreeDriver(Quantity.PAYLOAD))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""

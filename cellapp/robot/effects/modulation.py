@@ -199,16 +199,7 @@ def with_modulations(
 
 def modulation_to_json(one: Modulation) -> dict[str, Any]:
     """A modulation for JSON."""
-    return {
-        "base": one.base,
-        "driver": _OWN_SIZE_NAME if one.driver is None else one.driver.name,
-        "order": one.order,
-        "sine": one.sine,
-        "absolute": one.absolute,
-        "low": one.low,
-        "high": one.high,
-        "scale": one.scale,
-    }
+    return {**vars(one), "driver": _OWN_SIZE_NAME if one.driver is None else one.driver.name}
 
 
 def modulation_from_json(content: Mapping[str, Any]) -> Modulation:
@@ -216,13 +207,4 @@ def modulation_from_json(content: Mapping[str, Any]) -> Modulation:
     driver = variable_named(content["driver"])
     if driver is None and content["driver"] != _OWN_SIZE_NAME:
         raise ValueError(f"this version does not know the variable '{content['driver']}' of a free part")
-    return Modulation(
-        base=content["base"],
-        driver=driver,
-        order=int(content["order"]),
-        sine=bool(content["sine"]),
-        absolute=bool(content["absolute"]),
-        low=float(content["low"]),
-        high=float(content["high"]),
-        scale=float(content.get("scale", 0.0)),
-    )
+    return Modulation(**{**content, "driver": driver})

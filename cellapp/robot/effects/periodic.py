@@ -71,21 +71,14 @@ class EncoderEccentricity(Effect):
     wears = True
     title = "encoder eccentricity (one cycle per revolution)"
     arm_bound = True
-    meaning = Meaning(
-        cause=(
-            "The graduated disc or magnet ring of the encoder of {place} is off the axis; a first-order error of"
-            " the gear has exactly the same shape."
-        ),
-        size="2 µm on a radius of 25 mm are 80 µrad, 50 to 110 µm at the flange of a UR10",
-        size_source="estimate",
-        check=(
-            "After a repair of {place}: check how the encoder disc is seated and centred.",
-            "No repair is needed where the error is stable: the calibrated model corrects it.",
-        ),
-        settle=(
-            "Move {place} alone through a whole turn in steps of 10 degrees, all other joints at rest.",
-            "Log both encoders of {place}: an eccentric disc shows in one of them only.",
-        ),
+    meaning = Meaning.of(
+        """cause: The graduated disc or magnet ring of the encoder of {place} is off the axis; a first-order error of
+          the gear has exactly the same shape.
+        size (estimate): 2 µm on a radius of 25 mm are 80 µrad, 50 to 110 µm at the flange of a UR10
+        check: After a repair of {place}: check how the encoder disc is seated and centred.
+        check: No repair is needed where the error is stable: the calibrated model corrects it.
+        settle: Move {place} alone through a whole turn in steps of 10 degrees, all other joints at rest.
+        settle: Log both encoders of {place}: an eccentric disc shows in one of them only."""
     )
     look_alikes = ("joint_compliance", "transmission_error")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
@@ -137,23 +130,16 @@ class TransmissionError(Effect):
     slug = "transmission_error"
     title = "transmission error (two cycles per revolution and up)"
     arm_bound = True
-    meaning = Meaning(
-        cause=(
-            "The gear of {place} does not turn uniformly: ovality of its flexspline gives two cycles per revolution,"
-            " the wave generator one or two cycles per revolution of the motor, the teeth more."
-        ),
-        size="20 to 80 µrad, 13 to 80 µm at the flange of a UR10; only the cycle counts are published",
-        size_source="estimate",
-        check=(
-            "Compare with earlier runs: a line that grew is wear, plan an exchange of the gear of {place}.",
-            "Check the oil or grease interval of {place}.",
-            "A stable error needs no repair: the calibrated model corrects it.",
-        ),
-        settle=(
-            "Move {place} alone in steps of 0.1 degrees over 10 degrees: the lines of the gear stand out.",
-            "Add stops over a whole turn of {place} where two cycles per revolution and one are confused.",
-            "Read the encoders with all their digits: rounding hides lines of many cycles.",
-        ),
+    meaning = Meaning.of(
+        """cause: The gear of {place} does not turn uniformly: ovality of its flexspline gives two cycles per
+          revolution, the wave generator one or two cycles per revolution of the motor, the teeth more.
+        size (estimate): 20 to 80 µrad, 13 to 80 µm at the flange of a UR10; only the cycle counts are published
+        check: Compare with earlier runs: a line that grew is wear, plan an exchange of the gear of {place}.
+        check: Check the oil or grease interval of {place}.
+        check: A stable error needs no repair: the calibrated model corrects it.
+        settle: Move {place} alone in steps of 0.1 degrees over 10 degrees: the lines of the gear stand out.
+        settle: Add stops over a whole turn of {place} where two cycles per revolution and one are confused.
+        settle: Read the encoders with all their digits: rounding hides lines of many cycles."""
     )
     look_alikes = ("encoder_eccentricity", "joint_axis_wobble", "joint_axis_runout")
     variables = frozenset({DriverVariable.JOINT_ANGLE})

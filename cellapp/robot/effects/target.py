@@ -33,21 +33,14 @@ class TargetSlip(OnsetEffect):
     slug = "target_slip"
     of_reading = True
     title = "slip of the target in the flange"
-    meaning = Meaning(
-        cause="The SMR or its mount slipped in the flange at one moment of the run.",
-        size="20 to 200 µm",
-        size_source="estimate",
-        check=(
-            "Check the screws of the SMR's mount and whether the SMR sits fully in its nest.",
-            "Wipe ball and nest clean: a chip under the ball lifts it.",
-            "Look for a collision of the tool at the time of the step in the log.",
-        ),
-        settle=(
-            (
-                "Revisit one of the first poses at two rolls of the wrist: a slipped target rotates with the wrist, "
-                "a moved base does not."
-            ),
-        ),
+    meaning = Meaning.of(
+        """cause: The SMR or its mount slipped in the flange at one moment of the run.
+        size (estimate): 20 to 200 µm
+        check: Check the screws of the SMR's mount and whether the SMR sits fully in its nest.
+        check: Wipe ball and nest clean: a chip under the ball lifts it.
+        check: Look for a collision of the tool at the time of the step in the log.
+        settle: Revisit one of the first poses at two rolls of the wrist: a slipped target rotates with the wrist, a
+          moved base does not."""
     )
     look_alikes = ("base_step",)
 
@@ -78,22 +71,15 @@ class TargetIncidence(Effect):
     slug = "target_incidence"
     of_reading = True
     title = "target's error with the angle of incidence"
-    meaning = Meaning(
-        cause=(
-            "The reading changes with the angle at which the beam meets the reflector: a vertex off the centre, "
-            "mirrors that are not square, or a glass prism."
-        ),
-        size="2 to 20 µm, more for glass prisms",
-        size_source="estimate",
-        check=(
-            "Clean the reflector and look for a damaged mirror.",
-            "Exchange the SMR for another one and repeat 10 stops.",
-            "Turn the reflector on the flange so that it faces the tracker in the middle of the work.",
-        ),
-        settle=(
-            "Measure the same point at six rolls of the wrist.",
-            "Turn the SMR by 90 degrees in its nest and repeat: an off-centre vertex turns with it.",
-        ),
+    meaning = Meaning.of(
+        """cause: The reading changes with the angle at which the beam meets the reflector: a vertex off the centre,
+          mirrors that are not square, or a glass prism.
+        size (estimate): 2 to 20 µm, more for glass prisms
+        check: Clean the reflector and look for a damaged mirror.
+        check: Exchange the SMR for another one and repeat 10 stops.
+        check: Turn the reflector on the flange so that it faces the tracker in the middle of the work.
+        settle: Measure the same point at six rolls of the wrist.
+        settle: Turn the SMR by 90 degrees in its nest and repeat: an off-centre vertex turns with it."""
     )
     look_alikes = ("tracker_distance_offset",)
     variables = frozenset({DriverVariable.INCIDENCE})

@@ -108,20 +108,15 @@ class ThermalGrowth(Effect):
     slug = "thermal_growth"
     lengthens = True
     title = "thermal growth of links"
-    meaning = Meaning(
-        cause="The links grow with temperature, from their own joints and from the air.",
-        size="Aluminium, 23e-6 1/K, over 0.61 m and 5 to 10 K: 70 to 140 µm a link",
-        size_source="computed",
-        check=(
-            "Let the arm move for an hour before calibrating, and hold the hall's temperature.",
-            "Check for sun, heaters and air outlets that reach the arm.",
-            "Fit a temperature sensor or log the joint temperatures, and keep compensating with them.",
-        ),
-        settle=(
-            "Measure one stretched and one folded reference pose every 20 stops.",
-            "Log joint and air temperatures; continue while the cell cools down.",
-            "Measure fixed nests every 20 stops: they separate growth of the arm from drift of the tracker.",
-        ),
+    meaning = Meaning.of(
+        """cause: The links grow with temperature, from their own joints and from the air.
+        size (computed): Aluminium, 23e-6 1/K, over 0.61 m and 5 to 10 K: 70 to 140 µm a link
+        check: Let the arm move for an hour before calibrating, and hold the hall's temperature.
+        check: Check for sun, heaters and air outlets that reach the arm.
+        check: Fit a temperature sensor or log the joint temperatures, and keep compensating with them.
+        settle: Measure one stretched and one folded reference pose every 20 stops.
+        settle: Log joint and air temperatures; continue while the cell cools down.
+        settle: Measure fixed nests every 20 stops: they separate growth of the arm from drift of the tracker."""
     )
     look_alikes = ("base_drift", "joint_drift", "base_step", "tracker_scale")
     impossible = ImpossibleValues(
@@ -133,10 +128,7 @@ class ThermalGrowth(Effect):
     )
     variables = _OF_AIR | _OF_JOINTS | _OF_TIME | {DriverVariable.JOINT_ANGLE}
     forms = (AIR, AIR_LINKS, JOINTS, JOINTS_LINKS, CONDUCTION, CONDUCTION_LINKS, WARM_UP, WARM_UP_LINKS)
-    free_drivers = (
-        FreeDriver(Quantity.TIME),
-        FreeDriver(Quantity.TEMPERATURE),
-    )
+    free_drivers = (FreeDriver(Quantity.TIME), FreeDriver(Quantity.TEMPERATURE))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs temperatures or times."""
@@ -256,31 +248,21 @@ class JointDrift(Effect):
     slug = "joint_drift"
     shifts_zero = True
     title = "drift of joint zeros"
-    meaning = Meaning(
-        cause="The zero of {place} drifts, mostly as its housing or encoder warms up.",
-        size="20 to 50 µrad, 15 to 70 µm at the flange of a UR10",
-        size_source="estimate",
-        check=(
-            "Warm the arm up before measuring.",
-            (
-                "Compare the temperature of {place} with its neighbours: a hot joint has too much friction or a "
-                "dragging brake."
-            ),
-            "After a repair of {place}: check the seat of the encoder.",
-        ),
-        settle=(
-            "Measure a reference pose every 20 stops and let the cell cool down as well.",
-            "Measure fixed nests every 20 stops and move the other arm: drift of the tracker shows in all of them.",
-            "Keep the order of poses random in time.",
-        ),
+    meaning = Meaning.of(
+        """cause: The zero of {place} drifts, mostly as its housing or encoder warms up.
+        size (estimate): 20 to 50 µrad, 15 to 70 µm at the flange of a UR10
+        check: Warm the arm up before measuring.
+        check: Compare the temperature of {place} with its neighbours: a hot joint has too much friction or a dragging
+          brake.
+        check: After a repair of {place}: check the seat of the encoder.
+        settle: Measure a reference pose every 20 stops and let the cell cool down as well.
+        settle: Measure fixed nests every 20 stops and move the other arm: drift of the tracker shows in all of them.
+        settle: Keep the order of poses random in time."""
     )
     look_alikes = ("base_drift", "thermal_growth", "base_step")
     variables = _OF_TIME | _OF_AIR | _OF_JOINTS
     forms = (LINEAR_FORM, WARM_UP_FORM, ZERO_BY_TEMPERATURE, WANDERING)
-    free_drivers = (
-        FreeDriver(Quantity.TIME),
-        FreeDriver(Quantity.TEMPERATURE),
-    )
+    free_drivers = (FreeDriver(Quantity.TIME), FreeDriver(Quantity.TEMPERATURE))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs times or temperatures of the joints."""

@@ -48,27 +48,20 @@ class TrackerScale(Effect):
     slug = "tracker_scale"
     of_reading = True
     title = "scale of the tracker"
-    meaning = Meaning(
-        cause=(
-            "The tracker's lengths are too long or too short: wrong air temperature, pressure or humidity, or a "
-            "bad reference."
-        ),
-        size="1 ppm per K and 0.27 ppm per hPa of opposite sign (published): 1 to 10 ppm of 3 m are 3 to 30 µm",
-        size_source="computed",
-        check=(
-            "Check the readings of the weather station against another thermometer and barometer.",
-            "Check that the tracker's controller uses them.",
-            "Ask for the date of the tracker's last service and check it on a scale bar.",
-        ),
-        settle=("Measure a calibrated scale bar or two nests of known distance: the arm alone cannot show a scale.",),
+    meaning = Meaning.of(
+        """cause: The tracker's lengths are too long or too short: wrong air temperature, pressure or humidity, or a bad
+          reference.
+        size (computed): 1 ppm per K and 0.27 ppm per hPa of opposite sign (published): 1 to 10 ppm of 3 m are 3 to 30
+          µm
+        check: Check the readings of the weather station against another thermometer and barometer.
+        check: Check that the tracker's controller uses them.
+        check: Ask for the date of the tracker's last service and check it on a scale bar.
+        settle: Measure a calibrated scale bar or two nests of known distance: the arm alone cannot show a scale."""
     )
     look_alikes = ("thermal_growth", "tracker_distance_offset")
     variables = frozenset({DriverVariable.BEAM, DriverVariable.AIR_TEMPERATURE})
     forms = (PLAIN_SCALE, AIR_SCALE)
-    free_drivers = (
-        FreeDriver(Quantity.RANGE),
-        FreeDriver(Quantity.TEMPERATURE),
-    )
+    free_drivers = (FreeDriver(Quantity.RANGE), FreeDriver(Quantity.TEMPERATURE))
 
     def laws(self, context: EffectContext) -> list[Law]:
         """The same throughout; with the air temperature where it is known."""
@@ -97,27 +90,17 @@ class TrackerDistanceOffset(Effect):
     slug = "tracker_distance_offset"
     of_reading = True
     title = "zero of the tracker's distance"
-    meaning = Meaning(
-        cause=(
-            "All distances are off by the same length: zero of the absolute distance meter, a wrong reflector "
-            "type or home point."
-        ),
-        size="Permissible: 5 µm for home distance, 10 µm for the meter (manual of the AT500; no AT960 page was found)",
-        size_source="sourced",
-        check=(
-            (
-                "Check that the reflector selected in the tracker is the one on the flange: its offset is "
-                "millimetres if wrong."
-            ),
-            "Set the distance at the home point again.",
-            "Run the tracker's own check of the distance zero.",
-        ),
-        settle=(
-            (
-                "Measure a target between two stations of the tracker, or stops both near and far: poses at one "
-                "distance cannot show it."
-            ),
-        ),
+    meaning = Meaning.of(
+        """cause: All distances are off by the same length: zero of the absolute distance meter, a wrong reflector type
+          or home point.
+        size (sourced): Permissible: 5 µm for home distance, 10 µm for the meter (manual of the AT500; no AT960 page was
+          found)
+        check: Check that the reflector selected in the tracker is the one on the flange: its offset is millimetres if
+          wrong.
+        check: Set the distance at the home point again.
+        check: Run the tracker's own check of the distance zero.
+        settle: Measure a target between two stations of the tracker, or stops both near and far: poses at one distance
+          cannot show it."""
     )
     look_alikes = ("tracker_angle_error", "pedestal_compliance", "target_incidence")
     variables = frozenset({DriverVariable.BEAM})
@@ -142,30 +125,21 @@ class TrackerAngleError(Effect):
     slug = "tracker_angle_error"
     of_reading = True
     title = "errors of the tracker's angles"
-    meaning = Meaning(
-        cause=(
-            "The tracker's angles err periodically: eccentricity and ovality of its graduated circles, or a "
-            "tilted axis."
-        ),
-        size="About half (estimate) of the permissible 15 µm + 6 µm/m (manual of the AT500; no AT960 page was found)",
-        size_source="sourced",
-        check=(
-            "Run the tracker's two-face check, and its field adjustment where that fails.",
-            "Let the tracker warm up for two hours and repeat.",
-            "Check that its stand does not twist as the head turns.",
-        ),
-        settle=(
-            "Measure 10 stops in both faces: odd orders change sign, even orders stay.",
-            "Measure the same stops from a second station.",
-        ),
+    meaning = Meaning.of(
+        """cause: The tracker's angles err periodically: eccentricity and ovality of its graduated circles, or a tilted
+          axis.
+        size (sourced): About half (estimate) of the permissible 15 µm + 6 µm/m (manual of the AT500; no AT960 page was
+          found)
+        check: Run the tracker's two-face check, and its field adjustment where that fails.
+        check: Let the tracker warm up for two hours and repeat.
+        check: Check that its stand does not twist as the head turns.
+        settle: Measure 10 stops in both faces: odd orders change sign, even orders stay.
+        settle: Measure the same stops from a second station."""
     )
     look_alikes = ("tracker_distance_offset", "pedestal_compliance", "joint_compliance")
     variables = frozenset({DriverVariable.BEAM})
     forms = (LawForm("orders", "one and two cycles per revolution of either angle"),)
-    free_drivers = (
-        FreeDriver(Quantity.AZIMUTH),
-        FreeDriver(Quantity.ELEVATION),
-    )
+    free_drivers = (FreeDriver(Quantity.AZIMUTH), FreeDriver(Quantity.ELEVATION))
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Cosine and sine of each order of each angle, a block per order."""

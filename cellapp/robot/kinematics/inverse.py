@@ -46,12 +46,7 @@ _REACHED = 1e-10
 
 
 def solve_pose(
-    geometry: Geometry,
-    position_M: Array,
-    rotation_M: Array,
-    start: Array,
-    *,
-    max_iterations: int = 60,
+    geometry: Geometry, position_M: Array, rotation_M: Array, start: Array, *, max_iterations: int = 60
 ) -> InverseSolution:
     """Find joint positions that put the SMR at ``position_M`` and orient the flange as ``rotation_M``.
 

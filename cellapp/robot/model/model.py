@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
+from cellapp.ground.plain_data import plain_data
 from cellapp.robot.effects import (
     EFFECTS,
     Displacement,
@@ -27,7 +28,7 @@ from cellapp.robot.effects import (
     term_from_json,
     term_to_json,
 )
-from cellapp.robot.effects.modulation import with_modulations
+from cellapp.robot.effects.effect import ordered_columns
 from cellapp.robot.kinematics.chain import (
     BASE_NAMES,
     PROBE_NAMES,
@@ -115,40 +116,28 @@ class ResidualNetwork:
 
 def network_to_json(network: ResidualNetwork) -> dict[str, Any]:
     """Convert a network to a JSON object; floats are exact."""
-    return {
-        "inputs": network.inputs,
-        "low": network.low.tolist(),
-        "high": network.high.tolist(),
-        "margin": network.margin.tolist(),
-        "turning_with_joint_1": network.rotates_with_joint_1,
-        "scale_m": network.scale,
-        "activation": "tanh",
-        "members": [
-            [{"weights": weights.tolist(), "offsets": offsets.tolist()} for weights, offsets in layers]
-            for layers in network.members
-        ],
-    }
+    content = plain_data(vars(network))
+    content["turning_with_joint_1"], content["scale_m"] = content.pop("rotates_with_joint_1"), content.pop("scale")
+    members = [[{"weights": one, "offsets": other} for one, other in layers] for layers in content.pop("members")]
+    return {**content, "activation": "tanh", "members": members}
 
 
 def network_from_json(content: Mapping[str, Any]) -> ResidualNetwork:
     """Parse an object from ``network_to_json``; raise ``KeyError``, ``ValueError`` or ``TypeError`` for others."""
     if content["inputs"] not in get_args(Inputs) or content["activation"] != "tanh":
         raise ValueError(f"unknown inputs '{content['inputs']}' or activation '{content['activation']}' of the network")
+    members = [[(_array(one["weights"]), _array(one["offsets"])) for one in layers] for layers in content["members"]]
     return ResidualNetwork(
-        inputs=content["inputs"],
-        low=np.array(content["low"], dtype=np.float64),
-        high=np.array(content["high"], dtype=np.float64),
-        margin=np.array(content["margin"], dtype=np.float64),
+        content["inputs"],
+        *(_array(content[name]) for name in ("low", "high", "margin")),
         rotates_with_joint_1=bool(content["turning_with_joint_1"]),
         scale=float(content["scale_m"]),
-        members=tuple(
-            tuple(
-                (np.array(layer["weights"], dtype=np.float64), np.array(layer["offsets"], dtype=np.float64))
-                for layer in layers
-            )
-            for layers in content["members"]
-        ),
+        members=tuple(tuple(one) for one in members),
     )
+
+
+def _array(value: Any) -> Array:
+    return np.array(value, dtype=np.float64)
 
 
 def rotate_about_z(vectors: Array, angles: Array) -> Array:
@@ -534,18 +523,13 @@ def _arm_to_json(arm: ArmModel) -> dict[str, Any]:
             for name, value in zip(names, delta.tolist(), strict=True)
             if value != 0.0
         },
-        "bodies": {
-            "masses": arm.bodies.masses.tolist(),
-            "centers": arm.bodies.centers.tolist(),
-            "payload_mass": arm.bodies.payload_mass,
-            "payload_center": arm.bodies.payload_center.tolist(),
-        },
+        "bodies": plain_data(vars(arm.bodies)),
         "up_M": arm.up_M.tolist(),
         "effects": [term_to_json(term) for term in arm.effects],
         "network": None if arm.network is None else network_to_json(arm.network),
         "identified": list(arm.identified),
-        "covariance": None if arm.covariance is None else arm.covariance.tolist(),
-        "smr_normal": None if arm.smr_normal is None else arm.smr_normal.tolist(),
+        "covariance": plain_data(arm.covariance),
+        "smr_normal": plain_data(arm.smr_normal),
         "posterior": None if arm.posterior is None else posterior_to_json(arm.posterior),
     }
 
@@ -556,19 +540,17 @@ def _arm_from_json(content: Mapping[str, Any]) -> ArmModel:
         geometry=_geometry_from_json(content["geometry"]),
         nominal=_geometry_from_json(content["nominal"]),
         bodies=Bodies(
-            masses=np.array(bodies["masses"], dtype=np.float64),
-            centers=np.array(bodies["centers"], dtype=np.float64).reshape(-1, 3),
-            payload_mass=float(bodies["payload_mass"]),
-            payload_center=np.array(bodies["payload_center"], dtype=np.float64),
+            _array(bodies["masses"]),
+            _array(bodies["centers"]).reshape(-1, 3),
+            float(bodies["payload_mass"]),
+            _array(bodies["payload_center"]),
         ),
-        up_M=np.array(content["up_M"], dtype=np.float64),
+        up_M=_array(content["up_M"]),
         effects=tuple(term_from_json(entry, EFFECTS) for entry in content["effects"]),
         network=None if content["network"] is None else network_from_json(content["network"]),
         identified=tuple(content["identified"]),
-        covariance=None if content["covariance"] is None else np.array(content["covariance"], dtype=np.float64),
-        smr_normal=None
-        if content.get("smr_normal") is None
-        else np.array(content["smr_normal"], dtype=np.float64).reshape(3),
+        covariance=None if content["covariance"] is None else _array(content["covariance"]),
+        smr_normal=None if content.get("smr_normal") is None else _array(content["smr_normal"]).reshape(3),
         posterior=None if content.get("posterior") is None else posterior_from_json(content["posterior"]),
     )
 
@@ -740,16 +722,9 @@ class PosteriorDraws:
         moved = np.zeros_like(by_geometry)
         joints = np.zeros((len(self.geometry), *context.q.shape))
         for term, drawn in zip(terms, self.terms, strict=True):
-            _add(joints, moved, _columns(term, context), drawn)
+            _add(joints, moved, ordered_columns(term, EFFECTS, context), drawn)
         moved += np.einsum("snj,cjn->snc", joints, by_joint, optimize=True)
         return np.asarray(by_geometry), moved
-
-
-def _columns(term: EffectTerm, context: EffectContext) -> list[EffectColumn]:
-    """Return the columns of a term in the order of its parameters."""
-    of_law = EFFECTS[term.slug].columns(context, term.law, frozenset(term.law_names))
-    by_name = {column.name: column for column in with_modulations(of_law, term.modulations, context)}
-    return [by_name[name] for name in term.names]
 
 
 def _add(joints: Array, moved: Array, columns: Sequence[EffectColumn], drawn: Array) -> None:
@@ -780,10 +755,10 @@ def posterior_to_json(posterior: PosteriorDraws) -> dict[str, Any]:
 
 def posterior_from_json(content: Mapping[str, Any]) -> PosteriorDraws:
     """Parse an object from ``posterior_to_json``."""
-    geometry = np.array(content["geometry"], dtype=np.float64)
-    terms = tuple(np.array(one, dtype=np.float64).reshape(len(geometry), -1) for one in content["terms"])
+    geometry = _array(content["geometry"])
+    terms = tuple(_array(one).reshape(len(geometry), -1) for one in content["terms"])
     noise_rad = float(content["noise_rad"]) if "noise_rad" in content else None
-    axes = np.array(content["noise_axes_rad"], dtype=np.float64) if "noise_axes_rad" in content else None
+    axes = _array(content["noise_axes_rad"]) if "noise_axes_rad" in content else None
     return PosteriorDraws(tuple(content["columns"]), geometry, terms, float(content["noise_m"]), noise_rad, axes)
 
 

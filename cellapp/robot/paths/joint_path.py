@@ -116,12 +116,7 @@ class JointPath:
 
 
 def joint_path(
-    arm: ArmModel,
-    path: CartesianPath,
-    branch: Branch,
-    conditions: Conditions,
-    tolerance_m: float,
-    cross_s: float,
+    arm: ArmModel, path: CartesianPath, branch: Branch, conditions: Conditions, tolerance_m: float, cross_s: float
 ) -> JointPath:
     """Compute the joint path of ``arm`` on one branch of its inverse kinematics.
 

@@ -15,7 +15,7 @@ from cellapp.cell.planning.candidates import (
     draw_pool,
     exclusions,
 )
-from cellapp.cell.planning.designed import free_ways, hubs_of, within_reach
+from cellapp.cell.planning.transit_paths import ArmRoadmap
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.bodies import ArmBodies, place
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
@@ -164,18 +164,7 @@ def test_what_cannot_be_measured_names_its_constraint(cause: str, monkeypatch: p
     assert first.advice in str(told.value)
 
 
-# -- Candidates within easy reach: what lies behind a wall that no way passes is none, and free ways are free ----------
-
-
-def test_free_ways_agree_with_finely_placed_bodies() -> None:
-    profile = small_twin()
-    cell, home = cell_bodies(profile), home_positions(profile)["left"]
-    q = draw_pool(cell, profile, "left", 60, np.random.default_rng(4)).q
-    free = free_ways(cell, "left", home, q)
-    shares = np.linspace(0.0, 1.0, 12)[1:-1]
-    for row, found in zip(q, free, strict=True):
-        at = home + shares[:, None] * (row - home)
-        assert found == clear_alone(cell, place(cell.arms["left"], at)).all()
+# -- Candidates within reach: what lies behind a wall that no way passes is none ---------------------------------------
 
 
 def test_poses_beyond_a_locked_range_are_out_of_reach() -> None:
@@ -183,7 +172,7 @@ def test_poses_beyond_a_locked_range_are_out_of_reach() -> None:
     profile = load_profile(PROFILES / "ur10-ur5.yaml")
     cell, homes = cell_bodies(profile), home_positions(profile)
     q = draw_pool(cell, profile, "right", 300, np.random.default_rng(2)).q
-    reached = within_reach(cell, "right", q, hubs_of(cell, "right", q, homes["right"]))
+    reached = ArmRoadmap(profile, cell, "right", np.random.default_rng(2)).reaches(q)
     assert 0.5 < reached.mean() < 0.98
     alone = replace(cell, arms={"right": cell.arms["right"]})
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.plan import draw_stops, rolled_stops
+from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.planned_stops import StopConditions
 from cellapp.cell.planning.proposal.hypotheses import (
     CandidateDesign,
@@ -18,9 +18,9 @@ from cellapp.cell.planning.proposal.hypotheses import (
     open_hypotheses,
     refitted_discovery,
 )
+from cellapp.cell.planning.transit_paths import ArmRoadmap
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies
-from cellapp.cell.safety.many_motions import free_motions
 from cellapp.estimation.design.information import HOPELESS, Discrimination, SequentialDesign, joint_gains
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.outcome import Discovery
@@ -248,7 +248,7 @@ class ArmCandidates:
     approaches: Approaches
     allowed: NDArray[np.bool_]
     comparisons: list[tuple[Hypothesis, list[Discrimination]]]
-    designs: list[tuple[Hypothesis, SequentialDesign]] = field(default_factory=list)
+    designs: list[tuple[Hypothesis, SequentialDesign]]
 
     @classmethod
     def of(cls, arm: ArmHypotheses, poses: CandidatePoses) -> ArmCandidates:
@@ -264,18 +264,13 @@ class ArmCandidates:
                 designs[id(one.fit)] = CandidateDesign.of(one.data, one.fit, q, conditions)
             discriminations = one.discriminations(designs[id(one.fit)])
             comparisons.append((one, _decidable(discriminations, one.needed, arm.run.count)))
-        return cls(arm.run, approaches, ((start >= low) & (start <= high)).all(axis=2), comparisons)
+        begun = [(one, each.start_design()) for one, comparison in comparisons for each in comparison]
+        return cls(arm.run, approaches, ((start >= low) & (start <= high)).all(axis=2), comparisons, begun)
 
     @property
     def name(self) -> str:
         """Name of the arm."""
         return self.run.name
-
-    def restart(self, chosen: Iterable[tuple[int, int]]) -> None:
-        """Restart the designs with some candidates (pose, approach)."""
-        self.designs = [(one, each.start_design()) for one, comparison in self.comparisons for each in comparison]
-        for pose, approach in chosen:
-            self.add(pose, approach)
 
     def gains(self, stops_left: int) -> Array:
         """Compute the gain (n, f) of each candidate over all hypotheses, at most 1; -inf where it is not allowed."""
@@ -315,12 +310,6 @@ def _decidable(comparison: list[Discrimination], needed: float, count: int) -> l
 # -- Candidate poses of all arms for further stops: visible to the tracker, free of collision, and easy to reach ------
 
 
-_NEIGHBOURS = 7
-"""Number of other poses (besides home) from which a straight motion to a pose is checked."""
-_LEAST_REACHED_FROM = 3
-"""Number of these motions that must be free: an isolated pose (above the floor, folded) rarely fits into an order."""
-
-
 @dataclass(frozen=True)
 class Effort:
     """The number of candidates from which a proposal is chosen; its time grows in proportion.
@@ -331,15 +320,12 @@ class Effort:
         Poses that are drawn: enough that ``kept`` of them are within easy reach in the twin's crowded cell.
     kept : int
         Poses that are kept of these.
-    rolls : int
-        Copies of each with other angles of the last joint, which rotate the SMR with little motion.
     candidates : int
         Upper limit of poses times approaches of one arm.
     """
 
-    drawn: int = 280
-    kept: int = 200
-    rolls: int = 2
+    drawn: int = 840
+    kept: int = 600
     candidates: int = 8000
 
 
@@ -351,8 +337,6 @@ class CandidatePoses:
     ----------
     q : mapping
         Arm -> joint positions (n, N) [rad].
-    posture : array, shape (n,)
-        Number shared by poses that differ in wrist rolls only.
     gate : CellBodies or None
         Checks motions; None where the profile does not describe the cell.
     homes : mapping
@@ -360,24 +344,19 @@ class CandidatePoses:
     """
 
     q: Mapping[str, Array]
-    posture: NDArray[np.intp]
     gate: CellBodies | None
     homes: Mapping[str, Array]
 
     def __len__(self) -> int:
-        return len(self.posture)
+        return len(next(iter(self.q.values())))
 
     def first(self, count: int) -> CandidatePoses:
         """Return the first ``count`` poses."""
-        return replace(self, q={name: q[:count] for name, q in self.q.items()}, posture=self.posture[:count])
+        return replace(self, q={name: q[:count] for name, q in self.q.items()})
 
 
 def candidate_poses(
-    profile: Profile,
-    readings: Mapping[str, Readings],
-    effort: Effort,
-    rng: np.random.Generator,
-    cancel: CancelToken,
+    profile: Profile, readings: Mapping[str, Readings], effort: Effort, rng: np.random.Generator, cancel: CancelToken
 ) -> tuple[CandidatePoses, list[str]]:
     """Draw poses in the cell that the profile describes, else take the measured configurations; and return notes.
 
@@ -401,37 +380,22 @@ def candidate_poses(
 def _drawn_poses(profile: Profile, effort: Effort, rng: np.random.Generator, cancel: CancelToken) -> CandidatePoses:
     gate, homes = cell_bodies(profile), home_positions(profile)
     drawn = draw_stops(gate, profile, effort.drawn, rng, cancel)
-    reached = np.all([_within_reach(gate, name, q, homes[name]) for name, q in drawn.items()], axis=0)
+    reached = np.all([ArmRoadmap(profile, gate, name, rng).reaches(q) for name, q in drawn.items()], axis=0)
     if not reached.any():
-        raise InputError("propose: no candidate can be reached on a straight motion; make plan.clearance smaller")
-    kept = {name: q[reached][: effort.kept] for name, q in drawn.items()}
-    q, posture = rolled_stops(gate, kept, effort.rolls, rng)
-    mixed = rng.permutation(len(posture))
-    return CandidatePoses({name: rows[mixed] for name, rows in q.items()}, posture[mixed], gate, homes)
+        raise InputError("propose: no candidate can be reached; make plan.clearance smaller")
+    return CandidatePoses({name: q[reached][: effort.kept] for name, q in drawn.items()}, gate, homes)
 
 
 def _measured_poses(readings: Mapping[str, Readings], effort: Effort, rng: np.random.Generator) -> CandidatePoses:
     common = set.intersection(*(set(arm.configuration.tolist()) for arm in readings.values()))
-    most = effort.kept * (1 + effort.rolls)
-    stops = rng.permutation(np.array(sorted(common), dtype=np.int64))[:most].tolist()
+    stops = rng.permutation(np.array(sorted(common), dtype=np.int64))[: effort.kept].tolist()
     if not stops:
         raise InputError("propose: the arms have no stop in common from which candidates could be made")
     q = {}
     for name, arm in readings.items():
         row_of = {stop: row for row, stop in enumerate(arm.configuration.tolist())}
         q[name] = arm.q[[row_of[stop] for stop in stops]]
-    return CandidatePoses(q, np.arange(len(stops)), None, {})
-
-
-def _within_reach(gate: CellBodies, name: str, q: Array, home: Array) -> NDArray[np.bool_]:
-    """Mask (n,) of configurations (n, N) that an arm alone in the cell reaches on straight motions from others."""
-    without_others = alone(gate, name)
-    free = np.zeros(len(q), dtype=np.intp)
-    neighbours = (np.roll(q, -1 - i, axis=0) for i in range(min(_NEIGHBOURS, len(q) - 1)))
-    for start in (np.broadcast_to(home, q.shape), *neighbours):
-        left = np.flatnonzero(free < _LEAST_REACHED_FROM)
-        free[left] += free_motions(without_others, {name: start[left]}, {name: q[left]})
-    return np.asarray(free >= _LEAST_REACHED_FROM)
+    return CandidatePoses(q, None, {})
 
 
 def alone(gate: CellBodies, name: str) -> CellBodies:

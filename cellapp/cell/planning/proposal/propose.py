@@ -229,18 +229,15 @@ def propose_stops(
 
 # -- Greedy choice of further stops for all arms, among candidates that the safety gate lets them reach ---------------
 #
-# Stop by stop, each arm takes the candidate of the largest gain (sequential T-optimal design). The chosen stops are
-# then put in random order, so that time is confounded with nothing, as far as the arms can move from each to the next.
-# Stops that fit nowhere in that order are replaced.
+# Stop by stop, each arm takes the candidate of the largest gain (sequential T-optimal design). The arms can move to
+# every stop from home, and home from it. The order is random, so that time is confounded with nothing.
 
 
 _MOST_OFTEN = 3
-"""How often a posture, whatever its wrist roll, is proposed at most: optimal designs repeat few stops, which would hide
+"""How often a pose is proposed at most: optimal designs repeat few stops, which would hide
 that a law is wrong elsewhere."""
 _REFUSALS = 400
 """Refusals in a row after which the search for a further stop ends: bounds the time in a crowded cell."""
-_ROUNDS = 4
-"""Rounds of replacing stops that fit nowhere in the order; each fills the gaps of the one before."""
 
 
 @dataclass(frozen=True)
@@ -265,8 +262,6 @@ class StopSelection:
     rng
     refused : set of ChosenStop
         Combinations that the gate refused.
-    reachable : dict
-        Cached answers of the gate for motions from one stop to the start of another's last step; None is home.
     """
 
     arms: Sequence[ArmCandidates]
@@ -274,19 +269,22 @@ class StopSelection:
     paired: bool
     rng: np.random.Generator
     refused: set[ChosenStop] = field(default_factory=set)
-    reachable: dict[tuple[ChosenStop | None, ChosenStop | None], bool] = field(default_factory=dict)
 
     def select(self, count: int, listener: Listener, cancel: CancelToken) -> list[ChosenStop]:
-        """Choose ``count`` stops, each reachable from the one before; fewer if the gate refuses."""
-        kept: list[ChosenStop] = []
-        for _ in range(_ROUNDS):
-            for number, arm in enumerate(self.arms):
-                arm.restart((one.poses[number], one.approaches[number]) for one in kept)
-            before = len(kept)
-            kept = self._ordered([*kept, *self._further(kept, count, listener, cancel)])
-            if len(kept) == count or len(kept) == before:
+        """Choose ``count`` stops, each the best in addition to those before; fewer if the gate refuses."""
+        used = [np.zeros(len(self.poses), dtype=np.intp) for _ in self.arms]
+        found: list[ChosenStop] = []
+        while len(found) < count:
+            cancel.check()
+            listener(Progress("propose", len(found), count, "stops"))
+            stop = self._next(used, count - len(found))
+            if stop is None:
                 break
-        return kept
+            for arm, counts, pose, approach in zip(self.arms, used, stop.poses, stop.approaches, strict=True):
+                arm.add(pose, approach)
+                counts[pose] += 1
+            found.append(stop)
+        return [found[k] for k in self.rng.permutation(len(found))]
 
     def target(self, stop: ChosenStop) -> dict[str, Array]:
         """Return the joint positions of the arms at a stop."""
@@ -297,36 +295,11 @@ class StopSelection:
         chosen = zip(self.arms, stop.poses, stop.approaches, strict=True)
         return {arm.name: arm.stop_conditions(self.poses, pose, approach) for arm, pose, approach in chosen}
 
-    def _further(
-        self, kept: Sequence[ChosenStop], count: int, listener: Listener, cancel: CancelToken
-    ) -> list[ChosenStop]:
-        """Choose the missing stops one by one, each the best in addition to those before."""
-        used = [np.zeros(int(self.poses.posture.max()) + 1, dtype=np.intp) for _ in self.arms]
-        for earlier in kept:
-            self._count(used, earlier)
-        found: list[ChosenStop] = []
-        while len(kept) + len(found) < count:
-            cancel.check()
-            listener(Progress("propose", len(kept) + len(found), count, "stops"))
-            stop = self._next(used, count - len(kept) - len(found))
-            if stop is None:
-                break
-            for arm, pose, approach in zip(self.arms, stop.poses, stop.approaches, strict=True):
-                arm.add(pose, approach)
-            self._count(used, stop)
-            found.append(stop)
-        return found
-
-    def _count(self, used: list[NDArray[np.intp]], stop: ChosenStop) -> None:
-        """Count the postures of a stop."""
-        for counts, pose in zip(used, stop.poses, strict=True):
-            counts[self.poses.posture[pose]] += 1
-
     def _next(self, used: list[NDArray[np.intp]], stops_left: int) -> ChosenStop | None:
         """Choose the best stop whose last steps the gate accepts; None if there is none."""
         gains = [arm.gains(stops_left) for arm in self.arms]
         for gain, counts in zip(gains, used, strict=True):
-            gain[counts[self.poses.posture] >= _MOST_OFTEN] = -math.inf
+            gain[counts >= _MOST_OFTEN] = -math.inf
         for _ in range(_REFUSALS):
             stop = self._best(gains)
             if stop is None:
@@ -374,51 +347,16 @@ class StopSelection:
         ]
 
     def _refused_together(self, stop: ChosenStop) -> bool:
-        """Return whether the tracker misses an SMR at a stop, or the gate refuses the last steps together."""
-        gate = self.poses.gate
+        """Return whether the tracker misses an SMR at a stop, or the gate refuses the last steps or the ways home."""
+        gate, homes = self.poses.gate, self.poses.homes
         if gate is None:
             return False
-        target = self.target(stop)
+        start, target = self._start(stop), self.target(stop)
         if not self.paired and not visible_stops(gate, {name: q[None] for name, q in target.items()})[0]:
             return True
-        return bool(refuse_motion(gate, self._start(stop), target))
-
-    def _ordered(self, chosen: Sequence[ChosenStop]) -> list[ChosenStop]:
-        """Put the stops in random order, each reachable from the one before, without those that fit nowhere."""
-        waiting = [chosen[k] for k in self.rng.permutation(len(chosen))]
-        if self.poses.gate is None:
-            return waiting
-        path: list[ChosenStop] = []
-        grown = True
-        while waiting and grown:
-            grown = False
-            for stop in list(waiting):
-                place = self._place_in(path, stop)
-                if place is not None:
-                    path.insert(place, stop)
-                    waiting.remove(stop)
-                    grown = True
-        self.refused.update(waiting)
-        return path
-
-    def _place_in(self, path: Sequence[ChosenStop], stop: ChosenStop) -> int | None:
-        """Find a random place in the order from and to which the arms can move; None if there is none."""
-        for place in self.rng.permutation(len(path) + 1).tolist():
-            before = path[place - 1] if place else None
-            after = path[place] if place < len(path) else None
-            if self._can_go(before, stop) and self._can_go(stop, after):
-                return int(place)
-        return None
-
-    def _can_go(self, before: ChosenStop | None, after: ChosenStop | None) -> bool:
-        """Return whether the arms can move from one stop to the start of another's last step; None is home."""
-        if (before, after) not in self.reachable:
-            gate = self.poses.gate
-            assert gate is not None
-            here = self.poses.homes if before is None else self.target(before)
-            there = self.poses.homes if after is None else self._start(after)
-            self.reachable[before, after] = can_go(gate, here, there)
-        return self.reachable[before, after]
+        return bool(refuse_motion(gate, start, target)) or not (
+            can_go(gate, homes, start) and can_go(gate, target, homes)
+        )
 
 
 def _least_loss(gains: Sequence[Array], stop: ChosenStop) -> int:
