@@ -164,9 +164,9 @@ def readings_at(q: Array, conditions: Conditions, p_M: Array, covariance_M: Arra
     """Return points (n, 3) [m] that were measured under these conditions as readings."""
     return Readings(
         configuration=np.arange(len(q)),
-        time_s=conditions["time_s"],
+        time_s=np.asarray(conditions["time_s"]),
         q=q,
-        approach=conditions["approach"].astype(np.int8),
+        approach=np.asarray(conditions["approach"], dtype=np.int8),
         p_M=p_M,
         payload_kg=conditions["payload"],
         temperature_c=conditions["air_c"],
