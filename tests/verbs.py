@@ -17,8 +17,8 @@ from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import Target
 from cellapp.commands import correct, import_
 from cellapp.commands.certificate import request as certificate
-from cellapp.commands.certificate.result import CertificateResult
 from cellapp.commands.certificate.run import certify
+from cellapp.commands.certificate_result import CertificateResult
 from cellapp.commands.check import request as check
 from cellapp.commands.check.run import check_run as check_asked
 from cellapp.commands.collect.request import CollectRequest

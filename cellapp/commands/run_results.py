@@ -10,7 +10,7 @@ import numpy as np
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.targets.path import PathResult
 from cellapp.cell.targets.records import CompensateResult, VerifyResult
-from cellapp.commands.certificate.result import CertificateResult
+from cellapp.commands.certificate_result import CertificateResult
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.stages import RunStages, read_stages
 from cellapp.commands.stored_model import joined_calibration

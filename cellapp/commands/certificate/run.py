@@ -16,8 +16,8 @@ from cellapp.cell.run.csv_export import write_recordings_csv
 from cellapp.cell.run.recordings import recording_states
 from cellapp.cell.run.samples import all_known_readings
 from cellapp.commands.certificate.request import CertificateRequest
-from cellapp.commands.certificate.result import CertificateResult
 from cellapp.commands.certificate.statement import CertificateInput, certificate_of
+from cellapp.commands.certificate_result import CertificateResult
 from cellapp.commands.record import Work
 from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import (

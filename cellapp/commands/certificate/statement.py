@@ -10,7 +10,7 @@ from cellapp.cell.run.arm_identity import ControllerIdentity
 from cellapp.cell.targets.records import ArmVerification, VerifyResult
 from cellapp.commands.certificate.iso9283_judgements import found_in
 from cellapp.commands.certificate.judgements import held_verification, judge_run, orientation_budget
-from cellapp.commands.certificate.result import (
+from cellapp.commands.certificate_result import (
     SIMULATED,
     CertificateResult,
     CertifiedArm,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from cellapp.commands.certificate.request import CertificateRequest
-from cellapp.commands.certificate.result import (
+from cellapp.commands.certificate_result import (
     CertificateResult,
     CertifiedArm,
     CertifiedCharacteristic,

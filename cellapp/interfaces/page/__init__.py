@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
-    from cellapp.commands.certificate.result import CertificateResult
+    from cellapp.commands.certificate_result import CertificateResult
 
 
 def write_page(run: RunFile) -> Path:

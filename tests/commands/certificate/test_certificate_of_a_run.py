@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from cellapp.cell.run import RunFile, write_readings_csv
-from cellapp.commands.certificate.result import CertificateResult
 from cellapp.commands.certificate.run import PAGE_FILE, SUMS_FILE
+from cellapp.commands.certificate_result import CertificateResult
 from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import CERTIFICATE_FILE, append_stage, complaints_of, read_stages
 from cellapp.ground.errors import InputError

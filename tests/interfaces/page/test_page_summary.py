@@ -16,14 +16,14 @@ from playwright.sync_api import sync_playwright
 from pypdf import PdfReader
 
 from cellapp.cell.profile import load_profile
-from cellapp.commands.certificate.result import (
+from cellapp.commands.certificate.view import certificate_sentences, certificate_tables
+from cellapp.commands.certificate_result import (
     SIMULATED,
     CertificateResult,
     CertifiedArm,
     CertifiedErrors,
     CertifiedInstrument,
 )
-from cellapp.commands.certificate.view import certificate_sentences, certificate_tables
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.report.sections import SECTIONS, placed
 from cellapp.commands.report.summary import judged_matrix, summary, verdict
