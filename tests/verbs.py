@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from cellapp.cell.driving.records import CollectResult, ImportResult
+from cellapp.cell.driving.records import CollectResult, ImportResult, PlanResult
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.exports.records import ExportResult
@@ -28,6 +28,7 @@ from cellapp.commands.export.run import export as export_asked
 from cellapp.commands.locate import request as locate
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.locate.run import locate_run as locate_asked
+from cellapp.commands.plan.run import new_planned_run, plan_result
 from cellapp.commands.push import request as push
 from cellapp.commands.push.run import push_targets
 from cellapp.commands.record import Work
@@ -102,6 +103,11 @@ def locate_run(
 ) -> LocateResult:
     request: Any = locate.VERB.asked({"folder": run.folder, "points": points})
     return locate_asked(run, request, Work(listener, control or JobControl(), lambda profile_name: ask), **opening)
+
+
+def plan_new_run(profile: Profile, folder: Path, **asked: Any) -> PlanResult:
+    with new_planned_run(profile, folder, **asked) as run:
+        return plan_result(run)
 
 
 def push_run(

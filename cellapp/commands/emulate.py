@@ -87,24 +87,14 @@ _CALIBRATED = 2
 
 def run(request: EmulateRequest, work: Work) -> EmulateResult:
     """Emulate the cell until the work is stopped; announce the addresses when the servers listen."""
-    trackers: list[EmulatedTracker] = []
-    served: list[EmulateResult] = []
-
-    def announce(arms: Sequence[EmulatedArm]) -> None:
-        tracker = trackers[0] if trackers else None
-        served.append(EmulateResult(pace=request.pace, arms=tuple(arms), tracker=tracker))
-        work.announce(served[0])
-
-    emulate(
+    return emulate(
         load_profile(request.profile),
         work.control,
-        announce,
+        work.announce,
         pace=request.pace,
-        announce_tracker=trackers.append,
         lost_beams=request.lost_beams,
         simulation=request.simulation,
     )
-    return served[0]
 
 
 def emulated_tracker(profile: Profile) -> EmulatedTracker | None:
@@ -193,16 +183,15 @@ def _hosts(controllers: Mapping[str, EmulatedController]) -> dict[str, str]:
 def emulate(
     profile: Profile,
     cancel: CancelToken,
-    announce: Callable[[Sequence[EmulatedArm]], None],
+    announce: Callable[[EmulateResult], None],
     arms: Sequence[EmulatedArm] | None = None,
     pace: float = 1.0,
     tracker: EmulatedTracker | None = None,
-    announce_tracker: Callable[[EmulatedTracker], None] = lambda _: None,
     watch_clearance: bool = False,
     lost_beams: float = 0.0,
     simulation: bool = False,
-) -> None:
-    """Emulate the controllers of a profile until ``cancel``; all ports are free on return.
+) -> EmulateResult:
+    """Emulate the controllers of a profile until ``cancel``; all ports are free on return. Returns what was served.
 
     The arms belong to the simulated cell of the section ``plant``; without one, only their joints move. In real time
     they run with priority over other programs, if permitted: real controllers have their own computers.
@@ -210,15 +199,13 @@ def emulate(
     Parameters
     ----------
     announce : callable
-        Called once with the addresses, when all controllers listen.
+        Called once with the addresses, when all controllers and the tracker listen.
     arms : sequence of EmulatedArm, or None
         Controllers to use instead of ``emulated_arms``; port 0 takes a free one.
     pace : float
         Seconds of the cell for each second of wall time.
     tracker : EmulatedTracker, or None
         Address to use instead of ``emulated_tracker``; the tracker measures the same cell.
-    announce_tracker : callable
-        Called before ``announce`` with that address.
     watch_clearance : bool
         Whether the command ``clearance`` of the control channel reports the smallest distances.
     lost_beams : float
@@ -234,18 +221,23 @@ def emulate(
         If a port is in use, an address is not available, or the simulation fails while it runs.
     """
     chosen = emulated_arms(profile) if arms is None else arms
-    served = emulated_tracker(profile) if tracker is None else tracker
+    bridge = emulated_tracker(profile) if tracker is None else tracker
     plant = None if profile.plant is None else build_plant(profile, watch_clearance=watch_clearance)
     server = _server(profile, chosen, plant, pace, simulation=simulation)
     with ExitStack() as stack:
         if pace <= REAL_TIME:
             stack.enter_context(in_real_time(inherited=True))
         _listen(stack, server)
-        if served is not None and plant is not None and not simulation:
-            announce_tracker(_serve_tracker(stack, profile, plant, server, served, lost_beams))
-        announce([_listening(arm, server.addresses) for arm in chosen])
+        if bridge is not None and plant is not None and not simulation:
+            bridge = _serve_tracker(stack, profile, plant, server, bridge, lost_beams)
+        else:
+            bridge = None
+        listening = tuple(_listening(arm, server.addresses) for arm in chosen)
+        served = EmulateResult(pace=pace, arms=listening, tracker=bridge)
+        announce(served)
         while not cancel.wait(_STEP_S):
             _check(server)
+        return served
 
 
 def _server(

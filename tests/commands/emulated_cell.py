@@ -67,15 +67,13 @@ def _serve(
         cancel.cancel()
 
     threading.Thread(target=until_told, daemon=True).start()
-    ports: list[int] = []
     emulate(
         profile,
         cancel,
-        lambda _: pipe.send(ports[0] if ports else 0),
+        lambda served: pipe.send(0 if served.tracker is None else served.tracker.port),
         arms,
         pace=pace,
         tracker=EmulatedTracker(host="127.0.0.1", port=0),
-        announce_tracker=lambda where: ports.append(where.port),
         lost_beams=lost_beams,
         simulation=simulation,
     )

@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 from cellapp.cell.planning.plan import make_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.commands.plan.run import plan_new_run
 from cellapp.commands.report.sections import power_section
 from cellapp.commands.trials.power.result import (
     NamingTrial,
@@ -29,6 +28,7 @@ from cellapp.ground.executors import Gathered, TimeLimit, Work
 from cellapp.ground.profile import Profile
 from tests.program import app
 from tests.twin import PROFILES, whole_twin
+from tests.verbs import plan_new_run
 
 
 def twin(stops: int = 60) -> Profile:

@@ -15,7 +15,7 @@ import pytest
 from cellapp.cell.driving.cell import tracker_driver
 from cellapp.cell.driving.examination import examine
 from cellapp.cell.profile import load_profile
-from cellapp.commands.emulate import EmulatedTracker, emulate
+from cellapp.commands.emulate import EmulatedTracker, EmulateResult, emulate
 from cellapp.commands.tracker_bridge import TrackerBridgeRequest, TrackerBridgeResult, serve_tracker, view
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
@@ -191,10 +191,10 @@ def test_the_doctor_asks_the_tracker_behind_the_bridge() -> None:
 def test_arms_and_tracker_are_emulated_together() -> None:
     profile = behind(small_twin(), "socket://127.0.0.1:50960")
     cancel = CancelToken()
-    where: list[EmulatedTracker] = []
 
-    def announced(_: object) -> None:
-        tracker = BridgeTracker(f"socket://127.0.0.1:{where[0].port}", timeout_s=5.0, preparation=Preparation())
+    def announced(served: EmulateResult) -> None:
+        assert served.tracker is not None
+        tracker = BridgeTracker(f"socket://127.0.0.1:{served.tracker.port}", timeout_s=5.0, preparation=Preparation())
         tracker.connect()
         with pytest.raises(TargetLost, match="no SMR within 100 mm"):
             tracker.measure(np.array([1.0, 0.5, 0.2]), 1.0)
@@ -203,8 +203,5 @@ def test_arms_and_tracker_are_emulated_together() -> None:
 
     before = threading.active_count()
     anywhere = EmulatedTracker(host="127.0.0.1", port=0)
-    emulate(
-        profile, cancel, announced, on_free_ports(profile), pace=20.0, tracker=anywhere, announce_tracker=where.append
-    )
-    assert where
+    assert emulate(profile, cancel, announced, on_free_ports(profile), pace=20.0, tracker=anywhere).tracker
     assert threading.active_count() == before

@@ -353,7 +353,7 @@ def test_the_commands(
     found = JudgeResult.from_json(out.read_text("utf-8"), str(out))
     assert found.trials == judged_once[2].trials
     shutil.copytree(PROFILES, tmp_path / "profiles")
-    monkeypatch.setattr("cellapp.commands.trials.sealed._write_runs", lambda *arguments: [])
+    monkeypatch.setattr("cellapp.commands.trials.sealed.cases", lambda *arguments: [])
     code, said, _ = call(
         capsys, monkeypatch, "trials", "seal", tmp_path / "profiles" / "twin.yaml", "--out", tmp_path / "new", "--n", 2
     )

@@ -173,8 +173,8 @@ _HELD_S = 0.3
 """How long the end is held [s]: a controller is late by less."""
 _PATH_NOTES = (
     "CHECK IT BEFORE USE. Each path, with the way from home and back, was checked alone, with all other arms at home.",
-    "Nothing is checked for a start elsewhere, another order, or an obstacle that the profile does not have.",
-    "Begin with the arm at home, and try the program at reduced speed first. A controller follows the stream late.",
+    _PROGRAM_NOTES[1],
+    f"{_PROGRAM_NOTES[2]} A controller follows the stream late.",
 )
 
 

@@ -357,13 +357,13 @@ def plan_path(profile: Profile, model: CellModel, spec: PathSpec, period_s: floa
     if branches[0].failure:
         return PathPlan(spec, _placed(branches[0].failure, branches[0].failed_m), path, nominal_path)
     refusals = []
+    drive = _Drive(profile, cell, homes, arm, spec, period_s)
     for branch in branches:
         if branch.failure:
             break
-        plan = _on_branch(profile, cell, homes, arm, spec, path, branch, period_s)
+        plan = drive.on_branch(path, branch)
         if not plan.refusal:
-            nominal = _nominal(profile, arm, spec, nominal_path, branch, period_s, cell, homes)
-            return replace(plan, nominal_path=nominal_path, nominal=nominal)
+            return replace(plan, nominal_path=nominal_path, nominal=drive.nominal(nominal_path, branch))
         refusals.append(plan.refusal)
     return PathPlan(spec, refusals[0], path, nominal_path)
 
@@ -426,66 +426,61 @@ def path_record(model: CellModel, plan: PathPlan) -> PathRecord:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _on_branch(
-    profile: Profile,
-    cell: CellBodies,
-    homes: Mapping[str, Array],
-    arm: ArmModel,
-    spec: PathSpec,
-    path: CartesianPath,
-    branch: Branch,
-    period_s: float,
-) -> PathPlan:
-    """Return the plan on one branch of the inverse kinematics."""
-    rates = _rates(profile, spec)
-    cross_s = float(np.sqrt(5.774 / (_CROSS_SHARE * rates.acceleration.min())))
-    try:
-        joints = joint_path(arm, path, branch, _conditions(profile, spec), spec.tolerance, cross_s)
-        trajectory = timed(path, joints, rates, period_s)
-    except PathError as error:
-        return PathPlan(spec, _placed(str(error), error.at_m), path)
-    if joints.deviation_m > spec.tolerance:
-        place = _placed(f"{joints.deviation_m * 1e3:.3f} mm off by the model", joints.deviation_at_m)
-        return PathPlan(spec, place, path)
-    run_up = np.clip(trajectory.q[0] - RUN_UP_RAD * joints.stretches[0].signs, *cell.arms[spec.arm].limits.T)
-    others = {name: q for name, q in homes.items() if name != spec.arm}
-    if refusal := refuse_path(cell, spec.arm, trajectory.q, others, trajectory.s):
-        return PathPlan(spec, refusal, path)
-    ways = ((homes[spec.arm], run_up), (run_up, trajectory.q[0]), (trajectory.q[-1], homes[spec.arm]))
-    for start, end in ways:
-        if refusal := refuse_motion(cell, {**others, spec.arm: start}, {**others, spec.arm: end}):
-            return PathPlan(spec, f"on the way between home and the path: {refusal}", path)
-    unseen = _unseen(cell, spec.arm, trajectory, others)
-    return PathPlan(spec, "", path, joints=joints, trajectory=trajectory, run_up=run_up, unseen_m=unseen)
+@dataclass(frozen=True)
+class _Drive:
+    """What every way to drive a path has in common: the cell, the arm, the path's own settings, time of a sample."""
 
+    profile: Profile
+    cell: CellBodies
+    homes: Mapping[str, Array]
+    arm: ArmModel
+    spec: PathSpec
+    period_s: float
 
-def _nominal(
-    profile: Profile,
-    arm: ArmModel,
-    spec: PathSpec,
-    path: CartesianPath,
-    branch: Branch,
-    period_s: float,
-    cell: CellBodies,
-    homes: Mapping[str, Array],
-) -> Trajectory | None:
-    """Return the path as the published geometry drives it on the same branch; None if it cannot be driven."""
-    published = replace(arm, geometry=arm.nominal, effects=(), network=None, posterior=None)
-    share = branch.s / branch.s[-1] * path.length  # both paths have the same shape
-    try:
-        joints = joint_path(
-            published, path, Branch(share, branch.q), _conditions(profile, spec), spec.tolerance, cross_s=0.0
-        )
-        trajectory = timed(path, joints, _rates(profile, spec), period_s)
-    except PathError:
-        return None
-    others = {name: q for name, q in homes.items() if name != spec.arm}
-    return None if refuse_path(cell, spec.arm, trajectory.q, others, trajectory.s) else trajectory
+    @property
+    def others(self) -> dict[str, Array]:
+        """The other arms at home."""
+        return {name: q for name, q in self.homes.items() if name != self.spec.arm}
 
+    @property
+    def rates(self) -> Rates:
+        """The limits of the arm's joints at the profile's share, and the path's own acceleration."""
+        return Rates(*joint_rates(self.profile.arms[self.spec.arm]), self.spec.acceleration)
 
-def _rates(profile: Profile, spec: PathSpec) -> Rates:
-    """Return the limits of the arm's joints at the profile's share, and the path's own acceleration."""
-    return Rates(*joint_rates(profile.arms[spec.arm]), spec.acceleration)
+    def on_branch(self, path: CartesianPath, branch: Branch) -> PathPlan:
+        """Return the plan on one branch of the inverse kinematics."""
+        spec, cell, rates, others = self.spec, self.cell, self.rates, self.others
+        cross_s = float(np.sqrt(5.774 / (_CROSS_SHARE * rates.acceleration.min())))
+        try:
+            joints = joint_path(self.arm, path, branch, _conditions(self.profile, spec), spec.tolerance, cross_s)
+            trajectory = timed(path, joints, rates, self.period_s)
+        except PathError as error:
+            return PathPlan(spec, _placed(str(error), error.at_m), path)
+        if joints.deviation_m > spec.tolerance:
+            place = _placed(f"{joints.deviation_m * 1e3:.3f} mm off by the model", joints.deviation_at_m)
+            return PathPlan(spec, place, path)
+        run_up = np.clip(trajectory.q[0] - RUN_UP_RAD * joints.stretches[0].signs, *cell.arms[spec.arm].limits.T)
+        if refusal := refuse_path(cell, spec.arm, trajectory.q, others, trajectory.s):
+            return PathPlan(spec, refusal, path)
+        home = self.homes[spec.arm]
+        for start, end in ((home, run_up), (run_up, trajectory.q[0]), (trajectory.q[-1], home)):
+            if refusal := refuse_motion(cell, {**others, spec.arm: start}, {**others, spec.arm: end}):
+                return PathPlan(spec, f"on the way between home and the path: {refusal}", path)
+        unseen = _unseen(cell, spec.arm, trajectory, others)
+        return PathPlan(spec, "", path, joints=joints, trajectory=trajectory, run_up=run_up, unseen_m=unseen)
+
+    def nominal(self, path: CartesianPath, branch: Branch) -> Trajectory | None:
+        """Return the path as the published geometry drives it on the same branch; None if it cannot be driven."""
+        published = replace(self.arm, geometry=self.arm.nominal, effects=(), network=None, posterior=None)
+        on = Branch(branch.s / branch.s[-1] * path.length, branch.q)  # both paths have the same shape
+        conditions = _conditions(self.profile, self.spec)
+        try:
+            joints = joint_path(published, path, on, conditions, self.spec.tolerance, cross_s=0.0)
+            trajectory = timed(path, joints, self.rates, self.period_s)
+        except PathError:
+            return None
+        refusal = refuse_path(self.cell, self.spec.arm, trajectory.q, self.others, trajectory.s)
+        return None if refusal else trajectory
 
 
 def _conditions(profile: Profile, spec: PathSpec) -> Conditions:

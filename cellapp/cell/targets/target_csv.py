@@ -240,25 +240,13 @@ def _fill(
         values = list(zip(*(_values(table, column, problems) for column in members)))
         if path == ("approach",):
             _fill_approach(rows, values, joints)
-        else:
-            _fill_vector(rows, table, members, values, problems)
-
-
-def _fill_vector(
-    rows: list[dict[str, Any]],
-    table: CsvTable,
-    members: Sequence[_Column],
-    values: Sequence[tuple[float | None, ...]],
-    problems: Problems,
-) -> None:
-    """Store a vector that each row must have completely or not at all."""
-    path = members[0].path[:-1]
-    for index, vector in enumerate(values):
-        if None not in vector:
-            _enter(rows[index], path, vector)
-        elif any(value is not None for value in vector):
-            name = members[vector.index(None)].name
-            problems.add(*_cell(table, index, name), "the value is missing; the row has others of the same vector")
+            continue
+        for index, vector in enumerate(values):  # each row must have it completely or not at all
+            if None not in vector:
+                _enter(rows[index], path, vector)
+            elif any(value is not None for value in vector):
+                where = _cell(table, index, members[vector.index(None)].name)
+                problems.add(*where, "the value is missing; the row has others of the same vector")
 
 
 def _fill_approach(

@@ -33,7 +33,7 @@ TEST_OF: Mapping[Characteristic, IsoTest] = {
 
 
 @dataclass(frozen=True)
-class _Found:
+class FoundValue:
     """A characteristic at one place, for example a pose."""
 
     characteristic: Characteristic
@@ -53,11 +53,11 @@ def judge_characteristics(
     for name, arm in arms.items():
         kind = _last(arm.tests)
         if kind is not None:
-            found += _judged(tolerances, name, kind, list(_of_arm(arm.tests[kind])), cycles)
+            found += _judged(tolerances, name, kind, list(found_in(arm.tests[kind])), cycles)
     for pair in pairs:
         kind = _last(pair.distance)
         if kind is not None:
-            each = [_Found("cooperative", " and ".join(one.between), one.accuracy) for one in pair.distance[kind]]
+            each = [FoundValue("cooperative", " and ".join(one.between), one.accuracy) for one in pair.distance[kind]]
             found += _judged(tolerances, " and ".join(pair.arms), kind, each, cycles)
     return tuple(found)
 
@@ -67,7 +67,7 @@ def unmeasured_tests(
 ) -> tuple[IsoTest, ...]:
     """Return the tests of characteristics with a tolerance that are missing for any of the arms ``names``."""
     measured = {
-        name: {one.characteristic for tests in arms[name].tests.values() for one in _of_arm(tests)} for name in arms
+        name: {one.characteristic for tests in arms[name].tests.values() for one in found_in(tests)} for name in arms
     }
     given = [characteristic for characteristic in TEST_OF if getattr(tolerances, characteristic) is not None]
     missing = (one for one in given if any(one not in measured.get(name, ()) for name in names))
@@ -75,7 +75,7 @@ def unmeasured_tests(
 
 
 def _judged(
-    tolerances: Tolerances, where: str, kind: IsoCommands, found: list[_Found], cycles: int
+    tolerances: Tolerances, where: str, kind: IsoCommands, found: list[FoundValue], cycles: int
 ) -> Iterator[Judgement]:
     for characteristic in dict.fromkeys(one.characteristic for one in found):
         tolerance_m = getattr(tolerances, characteristic)
@@ -102,7 +102,7 @@ def _judged(
         )
 
 
-def _source(worst: _Found, kind: IsoCommands, n: int, norm: int, *, enough: bool) -> str:
+def _source(worst: FoundValue, kind: IsoCommands, n: int, norm: int, *, enough: bool) -> str:
     cycles = counted(n, "cycle") if n >= norm else f"{n} of {counted(norm, 'cycle')}"
     short = "" if enough else ", too few to judge"
     return f"ISO 9283, {worst.at}, {kind} commands, {cycles}{short}"
@@ -112,19 +112,20 @@ def _last(measured: Mapping[IsoCommands, object]) -> IsoCommands | None:
     return next((kind for kind in reversed(ISO_COMMANDS) if measured.get(kind)), None)
 
 
-def _of_arm(tests: CommandedTests) -> Iterator[_Found]:
+def found_in(tests: CommandedTests) -> Iterator[FoundValue]:
+    """Yield every characteristic that the tests of an arm measured, at each of its places."""
     for pose in tests.pose:
-        yield _Found("pose_accuracy", pose.pose, pose.accuracy)
-        yield _Found("pose_repeatability", pose.pose, pose.repeatability)
+        yield FoundValue("pose_accuracy", pose.pose, pose.accuracy)
+        yield FoundValue("pose_repeatability", pose.pose, pose.repeatability)
     for one in tests.multidirectional:
-        yield _Found("multidirectional", one.pose, one.variation)
+        yield FoundValue("multidirectional", one.pose, one.variation)
     for pair in tests.distance:
         at = " to ".join(pair.between)
-        yield _Found("distance_accuracy", at, pair.accuracy)
-        yield _Found("distance_repeatability", at, pair.repeatability)
+        yield FoundValue("distance_accuracy", at, pair.accuracy)
+        yield FoundValue("distance_repeatability", at, pair.repeatability)
     if tests.drift is not None:
         at = f"{tests.drift.pose}, {tests.drift.minutes:.0f} of {NORM_DRIFT_MIN:.0f} min"
-        yield _Found("drift", at, tests.drift.accuracy)
+        yield FoundValue("drift", at, tests.drift.accuracy)
     for path in tests.path:
-        yield _Found("path_accuracy", path.path, path.accuracy)
-        yield _Found("path_repeatability", path.path, path.repeatability)
+        yield FoundValue("path_accuracy", path.path, path.accuracy)
+        yield FoundValue("path_repeatability", path.path, path.repeatability)

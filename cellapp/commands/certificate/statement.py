@@ -8,6 +8,7 @@ from datetime import date
 
 from cellapp.cell.run.arm_identity import ControllerIdentity
 from cellapp.cell.targets.records import ArmVerification, VerifyResult
+from cellapp.commands.certificate.iso9283_judgements import found_in
 from cellapp.commands.certificate.judgements import held_verification, judge_run, orientation_budget
 from cellapp.commands.certificate_result import (
     SIMULATED,
@@ -30,6 +31,7 @@ from cellapp.estimation.uncertainty.budget import (
 )
 from cellapp.estimation.uncertainty.records import Characteristic, UncertaintyContribution
 from cellapp.ground.counting import counted
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Instrument
 from cellapp.ground.results import BEST_METHODS, CERTIFICATE, VERIFY
@@ -205,17 +207,8 @@ def _tests(results: RunResults) -> CertifiedTests | None:
 
 
 def _largest(tests: CommandedTests) -> dict[Characteristic, IsoValue]:
-    measured: dict[Characteristic, list[IsoValue]] = {
-        "pose_accuracy": [one.accuracy for one in tests.pose],
-        "pose_repeatability": [one.repeatability for one in tests.pose],
-        "multidirectional": [one.variation for one in tests.multidirectional],
-        "distance_accuracy": [one.accuracy for one in tests.distance],
-        "distance_repeatability": [one.repeatability for one in tests.distance],
-        "drift": [] if tests.drift is None else [tests.drift.accuracy],
-        "path_accuracy": [one.accuracy for one in tests.path],
-        "path_repeatability": [one.repeatability for one in tests.path],
-    }
-    return {name: max(found, key=lambda one: abs(one.value_mm)) for name, found in measured.items() if found}
+    measured = grouped((one.characteristic, one.value) for one in found_in(tests))
+    return {name: max(found, key=lambda one: abs(one.value_mm)) for name, found in measured.items()}
 
 
 # -- words ------------------------------------------------------------------------------------------------------------

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from cellapp.cell.driving.records import CollectedStop, SweepTrace
 from cellapp.cell.run.records import ReferenceDrift
-from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, enumerated, mm, series, styles
+from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, enumerated, mm, series
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.progress import ReferenceReport, StopReport, SweepLive
@@ -40,7 +40,7 @@ def live_residual_chart(reports: Sequence[StopReport], arms: Sequence[str] = (),
             if rows
         ]
         message = f"Last residual: {enumerated(latest)}."
-    drawn = _arm_series(by_arm, lambda report: report.residual_mm, "points")
+    drawn = _named({name: [(row.stop + 1, row.residual_mm) for row in rows] for name, rows in by_arm.items()}, "points")
     return Chart("Residual of each stop", _STOP, Axis("residual", "mm"), drawn, message)
 
 
@@ -49,16 +49,13 @@ def stored_residual_chart(
 ) -> Chart:
     """Show the residual of each stored stop from the model fitted to all of them, by arm; mark the ``chosen`` stop."""
     by_arm = grouped((one.arm, (one.stop + 1, one.residual_mm)) for one in stops if one.residual_mm is not None)
-    number = styles(list(dict.fromkeys((*arms, *by_arm))))
-    drawn = [
-        series(name, [at for at, _ in rows], [length for _, length in rows], "points", style=number[name])
-        for name, rows in by_arm.items()
-    ]
+    ordered: dict[str, list[tuple[int, float]]] = {name: [] for name in arms} | by_arm
+    drawn = [*_named(ordered, "points")]
     medians = [f"{name} {mm(statistics.median(length for _, length in rows))}" for name, rows in by_arm.items()]
     message = f"Median: {enumerated(medians)}." if by_arm else NO_READINGS
     if chosen is not None and chosen.residual_mm is not None:
         name = f"stop {chosen.stop + 1}, arm {chosen.arm}"
-        style = number[chosen.arm]
+        style = [*ordered].index(chosen.arm)
         drawn.append(series(name, [chosen.stop + 1], [chosen.residual_mm], "points", style=style, mark="◉"))
         message = f"Chosen: {name}, {mm(chosen.residual_mm)}. {message}"
     return Chart("Residual of each stop", _STOP, Axis("residual", "mm"), tuple(drawn), message)
@@ -76,25 +73,20 @@ def standard_error_chart(reports: Sequence[StopReport], arms: Sequence[str] = ()
         ]
         message = f"Standard error of a predicted position: {enumerated(changes)}."
     axis = Axis("standard error", "mm", logarithmic=True)
-    drawn = _arm_series(by_arm, lambda report: report.standard_error_mm, "line")
+    drawn = _named({name: [(row.stop + 1, row.standard_error_mm) for row in rows] for name, rows in by_arm.items()})
     return Chart("Standard error of a prediction", _STOP, axis, drawn, message)
 
 
 def _by_arm(reports: Sequence[StopReport], arms: Sequence[str]) -> dict[str, list[StopReport]]:
-    by_arm: dict[str, list[StopReport]] = {name: [] for name in arms}
-    for report in reports:
-        by_arm.setdefault(report.arm, []).append(report)
-    return by_arm
+    return {name: list[StopReport]() for name in arms} | grouped((report.arm, report) for report in reports)
 
 
-def _arm_series(
-    by_arm: Mapping[str, Sequence[StopReport]], value: Callable[[StopReport], float], kind: Kind
-) -> tuple[Series, ...]:
-    number = styles(list(by_arm))
+def _named(rows: Mapping[str, Sequence[tuple[float, float]]], kind: Kind = "line") -> tuple[Series, ...]:
+    """Return a series of x and y for each name that has any; its style is its place."""
     return tuple(
-        series(name, [row.stop + 1 for row in rows], [value(row) for row in rows], kind, style=number[name])
-        for name, rows in by_arm.items()
-        if rows
+        series(name, [x for x, _ in its], [y for _, y in its], kind, style=style)
+        for style, (name, its) in enumerate(rows.items())
+        if its
     )
 
 
@@ -120,12 +112,7 @@ def live_drift_chart(reports: Sequence[ReferenceReport]) -> Chart:
 
 
 def _drift_chart(drift_mm: Mapping[str, Sequence[tuple[int, float]]], limit_mm: float | None, x: Axis) -> Chart:
-    number = styles(list(drift_mm))
-    drawn = tuple(
-        series(name, [at for at, _ in rows], [drift for _, drift in rows], style=number[name])
-        for name, rows in drift_mm.items()
-        if rows
-    )
+    drawn = _named(drift_mm)
     limits = () if limit_mm is None or not drawn else (Limit("limit", limit_mm),)
     message = _drift_message(drift_mm, limit_mm) if drawn else NO_REFERENCES
     return Chart("Drift of the references", x, Axis("distance from the first", "mm"), drawn, message, limits)

@@ -177,12 +177,8 @@ def _profile_differences(a: Profile, b: Profile) -> Iterator[ProfileDifference]:
 
 def _leaves(profile: Profile) -> dict[str, str]:
     """Return every value of a profile as JSON, by its key, as ``arms.left.base.position[0]``."""
-    return {dotted(at): json.dumps(value, ensure_ascii=False) for at, value in _walk((), _content(profile))}
-
-
-def _content(profile: Profile) -> object:
-    content: object = json.loads(profile_to_json(profile))
-    return content
+    content = json.loads(profile_to_json(profile))
+    return {dotted(at): json.dumps(value, ensure_ascii=False) for at, value in _walk((), content)}
 
 
 def _walk(at: KeyPath, value: object) -> Iterator[tuple[KeyPath, object]]:
@@ -199,18 +195,16 @@ def _walk(at: KeyPath, value: object) -> Iterator[tuple[KeyPath, object]]:
 # -- values -----------------------------------------------------------------------------------------------------------
 
 
+def _compared(
+    of: str, name: str, unit: str, a: float | None, b: float | None, change: float | None, u: float | None = None
+) -> ValueComparison:
+    z = change / u if change is not None and u else None
+    return ValueComparison(of=of, name=name, unit=unit, a=a, b=b, difference=change, standard_uncertainty=u, z=z)
+
+
 def _moved(one: Difference) -> ValueComparison:
-    z = one.difference / one.standard_uncertainty if one.standard_uncertainty > 0.0 else None
-    uncertainty, values = one.standard_uncertainty, {"a": one.first.value, "b": one.later.value}
-    return ValueComparison(
-        of=GEOMETRY,
-        name=one.name,
-        unit=one.unit,
-        difference=one.difference,
-        standard_uncertainty=uncertainty,
-        z=z,
-        **values,
-    )
+    values = one.first.value, one.later.value
+    return _compared(GEOMETRY, one.name, one.unit, *values, one.difference, one.standard_uncertainty)
 
 
 def _of_arm(name: str, a: RunResults, b: RunResults) -> Iterator[ValueComparison]:
@@ -255,8 +249,7 @@ def _effects(a: Sequence[AcceptedEffect], b: Sequence[AcceptedEffect]) -> Iterat
 
 
 def _error(of: str, name: str, a: float | None, b: float | None) -> ValueComparison:
-    change = None if a is None or b is None else b - a
-    return ValueComparison(of=of, name=name, unit="mm", a=a, b=b, difference=change, standard_uncertainty=None, z=None)
+    return _compared(of, name, "mm", a, b, None if a is None or b is None else b - a)
 
 
 def _values(of: str, a: Mapping[str, Estimate], b: Mapping[str, Estimate]) -> Iterator[ValueComparison]:
@@ -269,16 +262,9 @@ def _values(of: str, a: Mapping[str, Estimate], b: Mapping[str, Estimate]) -> It
                 difference = math.remainder(difference, math.tau)  # angles near half a turn may differ in sign
             if one.standard_error is not None and other.standard_error is not None:
                 combined = math.hypot(one.standard_error, other.standard_error)
-        yield ValueComparison(
-            of=of,
-            name=name,
-            unit=" or ".join(dict.fromkeys(estimate.unit for estimate in (one, other) if estimate is not None)),
-            a=None if one is None else one.value,
-            b=None if other is None else other.value,
-            difference=difference,
-            standard_uncertainty=combined,
-            z=difference / combined if difference is not None and combined else None,
-        )
+        unit = " or ".join(dict.fromkeys(estimate.unit for estimate in (one, other) if estimate is not None))
+        values = (None if estimate is None else estimate.value for estimate in (one, other))
+        yield _compared(of, name, unit, *values, difference, combined)
 
 
 def view(result: RunComparison, request: Request | None = None) -> View:

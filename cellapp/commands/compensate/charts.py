@@ -18,7 +18,6 @@ from cellapp.commands.view.charts import (
     mm,
     noise_limit,
     series,
-    styles,
 )
 from cellapp.estimation.uncertainty.records import UncertaintyParts
 from cellapp.ground.counting import counted
@@ -63,9 +62,9 @@ def bound_chart(verify: VerifyResult) -> Chart:
     title, x, y = "Stated bounds", Axis("predicted 95 % bound", "mm", True), Axis("measured error", "mm", True)
     known = {name: bounds_and_errors(verify, name) for name in verify.arms}
     drawn = []
-    for name, style in styles(list(known)).items():
-        if known[name]:
-            bound, error = np.array(known[name]).T
+    for style, (name, its) in enumerate(known.items()):
+        if its:
+            bound, error = np.array(its).T
             drawn.append(series(f"arm {name}", drawable_mm(bound), drawable_mm(error), "points", style=style))
     if not drawn:
         return Chart(title, x, y, (), "No measured target has a predicted bound.")

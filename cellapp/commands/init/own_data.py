@@ -166,7 +166,8 @@ _SMOOTH, _JUMPS = 0.02, 0.1
 
 class InitResult(Result, schema="cellapp-init"):
     """``init``: the profile that was written, and what is to be known about it; ``readings`` are the converted ones,
-    ``joints`` and ``points`` the files of a recording of motion, ``smr`` the one of two SMRs that ``import`` takes."""
+    ``joints`` the file of joint positions of a motion, ``points`` that of its points, where it is known, ``smr`` the
+    one of two SMRs that is taken."""
 
     profile: str
     notes: tuple[str, ...] = ()

@@ -9,7 +9,7 @@ import numpy as np
 
 from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
-from cellapp.commands.view.charts import Axis, Chart, Limit, Series, mm, series
+from cellapp.commands.view.charts import Axis, Chart, Series, mm, noise_limit, series
 from cellapp.commands.view.parts import Part, Section, section_of
 from cellapp.commands.view.table import Cell, Field, Table, columns_of, table_of
 from cellapp.commands.view.words import RULE_WORDS
@@ -418,7 +418,7 @@ def accuracy_chart(result: Iso9283Result, tolerance_mm: float | None = None) -> 
         Axis("AP", "mm", logarithmic=True),
         tuple(drawn),
         f"Largest pose accuracy AP, by arm and commands: {'; '.join(words)}.",
-        _limits(tolerance_mm),
+        noise_limit(tolerance_mm, name="tolerance of AP"),
     )
 
 
@@ -434,10 +434,6 @@ def drift_chart(result: Iso9283Result) -> Chart:
         words.append(f"arm {name} {mm(drift.shift_mm)} in {drift.minutes:.0f} min")
     message = f"The mean position at P1 moved by: {'; '.join(words)}." if words else "Drift was not measured."
     return Chart("Drift at P1", Axis("after", "min"), Axis("displacement", "mm"), tuple(drawn), message)
-
-
-def _limits(tolerance_mm: float | None) -> tuple[Limit, ...]:
-    return () if tolerance_mm is None else (Limit("tolerance of AP", tolerance_mm),)
 
 
 def _drifting(result: Iso9283Result) -> Iterator[tuple[str, CommandedTests]]:

@@ -65,7 +65,8 @@ def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult:
     elif request.keep is not None:
         result = plan_around_file(profile, request.keep, request.folder, *watched)
     else:
-        result = plan_new_run(profile, request.folder, *watched, sweeps=request.sweeps)
+        with new_planned_run(profile, request.folder, *watched, sweeps=request.sweeps) as made:
+            result = plan_result(made)
     with RunFile.open(request.folder, write=True) as planned:
         note_profile(planned, request.profile)
     return result
@@ -120,19 +121,6 @@ def new_planned_run(
                     run.log("note", note)
 
     return RunFile.create(folder, profile, fill)
-
-
-def plan_new_run(
-    profile: Profile,
-    folder: Path,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
-    *,
-    sweeps: int | None = None,
-) -> PlanResult:
-    """Make a new run with its plan. Arguments and errors are as of ``new_planned_run``."""
-    with new_planned_run(profile, folder, listener, cancel, sweeps=sweeps) as run:
-        return plan_result(run)
 
 
 def plan_result(run: RunFile, notes: Sequence[str] = ()) -> PlanResult:

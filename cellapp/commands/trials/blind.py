@@ -117,43 +117,64 @@ def blind_readings(
     readings = {}
     for place, (name, q) in enumerate(visits.q.items()):
         step = visits.step[name]
-        approach = np.sign(step).astype(np.int8)
-        others = {other: rows for other, rows in visits.q.items() if other != name}
         rise = rng.uniform(*_JOINT_RISE_K, q.shape[1]) * -np.expm1(-time_s[:, None] / _WARM_UP_S)
         joints_c = air_c[:, None] + rise
         stopped = q + noise.repeatability * rng.standard_normal(q.shape)
-        conditions: Conditions = {
-            "approach": approach.astype(np.float64),
-            "others": others,
-            "other_payloads": {other: loads_kg[other] for other in others},
-            "time_s": time_s,
-            "last_step": step,
-            "since_rest_s": dwell_s,
-            "payload": loads_kg[name],
-            "joints_c": joints_c,
-            "air_c": air_c,
-        }
+        conditions = conditions_at(name, visits.q, step, time_s, dwell_s, loads_kg[name], joints_c, air_c)
+        conditions["other_payloads"] = {other: loads_kg[other] for other in loads_kg if other != name}
         exact = plant.smr_positions(name, stopped, **conditions)
         draw = np.random.default_rng([seed, place, 0x401])
         points, covariance = plant.measure_positions(exact, draw)
         if noise.kind == "heavy":
             points = _heavy_tailed(exact, covariance, draw)
-        readings[name] = Readings(
-            configuration=np.arange(n),
-            time_s=time_s,
-            q=q,
-            approach=approach,
-            p_M=points,
-            payload_kg=loads_kg[name],
+        readings[name] = replace(
+            readings_at(q, conditions, points, covariance),
             temperature_c=air_c + 0.05 * draw.standard_normal(n),
             joint_temperature_c=np.round(joints_c + 0.1 * draw.standard_normal(q.shape), 2),
-            step=step,
-            dwell_s=dwell_s,
-            covariance_M=covariance,
             **_measured_orientation(profile, plant, name, stopped, conditions, [seed, place, 0x6D]),
         )
     splits, _ = profile_splits(profile, readings)
     return {name: replace(arm, split=splits[name]) for name, arm in readings.items()}
+
+
+def conditions_at(
+    name: str,
+    q: Mapping[str, Array],
+    step: Array,
+    time_s: Array,
+    dwell_s: Array,
+    load_kg: Array,
+    joints_c: Array,
+    air_c: Array,
+) -> Conditions:
+    """Return the plant's conditions at the stops of an arm, all arms at ``q`` (n, N) [rad] each."""
+    return {
+        "approach": np.sign(step),
+        "others": {other: rows for other, rows in q.items() if other != name},
+        "time_s": time_s,
+        "last_step": step,
+        "since_rest_s": dwell_s,
+        "payload": load_kg,
+        "joints_c": joints_c,
+        "air_c": air_c,
+    }
+
+
+def readings_at(q: Array, conditions: Conditions, p_M: Array, covariance_M: Array) -> Readings:
+    """Return points (n, 3) [m] that were measured under these conditions as readings."""
+    return Readings(
+        configuration=np.arange(len(q)),
+        time_s=np.asarray(conditions["time_s"]),
+        q=q,
+        approach=np.asarray(conditions["approach"], dtype=np.int8),
+        p_M=p_M,
+        payload_kg=conditions["payload"],
+        temperature_c=conditions["air_c"],
+        joint_temperature_c=conditions["joints_c"],
+        step=conditions["last_step"],
+        dwell_s=conditions["since_rest_s"],
+        covariance_M=covariance_M,
+    )
 
 
 def _measured_orientation(

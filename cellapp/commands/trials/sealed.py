@@ -12,7 +12,7 @@ import json
 import math
 import secrets
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -219,7 +219,15 @@ def seal_trials(
     made = _new_folder(folder)
     try:
         hidden = cases(tuple(profile.arms), setup.hides, n, seed)
-        truths = _write_runs(profile, folder, hidden, seed, setup, listener, cancel)
+        truths: list[GroundTruth] = []
+        for first in range(0, len(hidden), _TRIALS_A_PLAN):
+            listener(Progress("seal", first, n, f"run {first + 1}"))
+            plan = _Plan.of(profile, setup, seed, first, cancel)
+            for number, case in enumerate(hidden[first : first + _TRIALS_A_PLAN], first + 1):
+                cancel.check()
+                listener(Progress("seal", number - 1, n, f"run {number}"))
+                truths.append(_write_run(profile, folder / f"run-{number:04d}", number, case, plan, seed, setup))
+        listener(Progress("seal", n, n, "done"))
         header = SealHeader(
             written=datetime.now(UTC).isoformat(timespec="seconds"),
             program=f"cellapp {__version__}",
@@ -349,28 +357,6 @@ class _Plan:
         return cls(setup.plan(profile, own, cancel), sweeps, own)
 
 
-def _write_runs(
-    profile: Profile,
-    folder: Path,
-    cases: Sequence[Case],
-    seed: int,
-    setup: Setup,
-    listener: Listener,
-    cancel: CancelToken,
-) -> list[GroundTruth]:
-    """Write the runs; return their truth."""
-    truths: list[GroundTruth] = []
-    for first in range(0, len(cases), _TRIALS_A_PLAN):
-        listener(Progress("seal", first, len(cases), f"run {first + 1}"))
-        plan = _Plan.of(profile, setup, seed, first, cancel)
-        for number, case in enumerate(cases[first : first + _TRIALS_A_PLAN], first + 1):
-            cancel.check()
-            listener(Progress("seal", number - 1, len(cases), f"run {number}"))
-            truths.append(_write_run(profile, folder / f"run-{number:04d}", number, case, plan, seed, setup))
-    listener(Progress("seal", len(cases), len(cases), "done"))
-    return truths
-
-
 @dataclass(frozen=True, eq=False)
 class _HiddenCell:
     """The simulated cell of one run, with effects in one arm; ``plan`` and ``noise_seed`` are as in ``blind_readings``.
@@ -449,36 +435,25 @@ def _drawn_parameters(
 
 
 def _hidden_laws(cell: _HiddenCell, parameters: _Effects, with_all: Mapping[str, Readings]) -> tuple[HiddenLaw, ...]:
-    """Return every hidden effect with its size; ``with_all`` are the exact readings with all effects."""
+    """Return every hidden effect with its size, from exact readings without it and ``with_all`` effects."""
     found = []
-    for slug, own in parameters.items():
+    for slug, law in parameters.items():
         without = cell.exact({other: values for other, values in parameters.items() if other != slug})
-        found.append(_hidden_law(cell.profile, cell.arm, slug, own, without, with_all))
+        own = without[cell.arm]
+        moved = with_all[cell.arm].p_M - own.p_M
+        models = {name: registered_model(cell.profile, name, arm.q, arm.p_M) for name, arm in without.items()}
+        conditions = conditions_of_arms(models, without)[cell.arm]
+        beyond = beyond_law(models[cell.arm], library_name(slug), own.q, conditions, moved)
+        one = HiddenLaw(
+            effect=library_name(slug),
+            plant=slug,
+            parameters=json.loads(json.dumps(law)),
+            raw_um=_rms_um(moved),
+            visible_um=_rms_um(beyond_geometry(cell.profile.arms[cell.arm], own.q, own.p_M, moved)),
+            beyond_law_um=None if beyond is None else _rms_um(beyond),
+        )
+        found.append(one)
     return tuple(found)
-
-
-def _hidden_law(
-    profile: Profile,
-    name: str,
-    slug: str,
-    parameters: Mapping[str, Any],
-    without: Mapping[str, Readings],
-    with_all: Mapping[str, Readings],
-) -> HiddenLaw:
-    """Return one hidden effect of arm ``name`` with its size, from exact readings without it and with all effects."""
-    own = without[name]
-    moved = with_all[name].p_M - own.p_M
-    models = {each: registered_model(profile, each, readings.q, readings.p_M) for each, readings in without.items()}
-    conditions = conditions_of_arms(models, without)[name]
-    beyond = beyond_law(models[name], library_name(slug), own.q, conditions, moved)
-    return HiddenLaw(
-        effect=library_name(slug),
-        plant=slug,
-        parameters=json.loads(json.dumps(parameters)),
-        raw_um=_rms_um(moved),
-        visible_um=_rms_um(beyond_geometry(profile.arms[name], own.q, own.p_M, moved)),
-        beyond_law_um=None if beyond is None else _rms_um(beyond),
-    )
 
 
 def _rms_um(vectors: Array) -> float:

@@ -5,7 +5,7 @@ Modules ``charts_*`` build charts from typed results; ``cellapp.interfaces.tui.p
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
@@ -179,11 +179,6 @@ def enumerated(parts: Iterable[str]) -> str:
     """Join words: ``a``, ``a and b``, ``a, b and c``."""
     words = list(parts)
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
-
-
-def styles(names: Sequence[str]) -> dict[str, int]:
-    """Number the arms or references by their order: the styles that they have in charts."""
-    return {name: number for number, name in enumerate(dict.fromkeys(names))}
 
 
 def evenly_spread(n: int, most: int) -> NDArray[np.intp]:

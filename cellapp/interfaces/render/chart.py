@@ -81,11 +81,8 @@ def look_of(chart: Chart, one: Series) -> Look:
     if one.kind != "points":
         return Look(colour, guide or "line")
     several = len(one.x) > FEW
-    return Look(colour, _shape(one.mark, several=several), bool(one.mark) and one.mark in _HOLLOW and not several)
-
-
-def _shape(mark: str, *, several: bool) -> Swatch:
-    return "round" if several else _SHAPES.get(mark, "round")
+    shape = "round" if several else _SHAPES.get(one.mark, "round")
+    return Look(colour, shape, bool(one.mark) and one.mark in _HOLLOW and not several)
 
 
 def is_marked(one: Series) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -125,17 +126,12 @@ def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str, begun: Callable
     if (calibrated := screen.calibrated_run()) is None:
         return
     folder, *_ = calibrated
-
-    def begin(request: Request | None) -> None:
-        if request is not None:
-            begun()
-            screen.start(work.verb_job(verb, request))
-
     text = f"{words} {arms_words(screen.workspace)}."
     if stale := screen.workspace.stale:
         text += f"\nThe model is not up to date: {stale}."
     simulated = screen.workspace.kind == "simulated"
-    screen.app.push_screen(VerbQuestion(verb, text, BEGIN, {"folder": folder}, simulated=simulated), begin)
+    question = VerbQuestion(verb, text, BEGIN, {"folder": folder}, simulated=simulated)
+    screen.start_from(question, partial(work.verb_job, verb), begun)
 
 
 class QuitQuestion(Choice):

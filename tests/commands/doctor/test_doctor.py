@@ -20,7 +20,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.doctor.run import _end_left_programs, examine_run
-from cellapp.commands.emulate import EmulatedArm, emulate, emulated_arms
+from cellapp.commands.emulate import EmulatedArm, EmulateResult, emulate, emulated_arms
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, Placement, SphereObstacle
@@ -323,9 +323,8 @@ def test_the_doctor_finds_emulated_controllers_until_they_are_cancelled(real: Pr
 
     found: dict[str, Finding] = {}
 
-    def announced(arms: object) -> None:
-        assert isinstance(arms, list)
-        listening.extend(arms)
+    def announced(served: EmulateResult) -> None:
+        listening.extend(served.arms)
         found.update(findings(profile, at_their_ports))
         cancel.cancel()
 

@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from cellapp.cell.profile import profile_from_json, profile_to_json
-from cellapp.commands.emulate import EmulatedArm, EmulatedTracker, emulate
+from cellapp.commands.emulate import EmulatedTracker, EmulateResult, emulate
 from cellapp.ground.errors import CellappError, HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Collection, SlowStart, Suspend, Suspension
@@ -175,7 +175,6 @@ def _serve(profile_text: str, pace: float, watch_clearance: bool, pipe: Connecti
     logging.disable(logging.WARNING)  # clients that hang up are what this trial is about
     profile = profile_from_json(profile_text)
     cancel = CancelToken()
-    trackers: list[EmulatedTracker] = []
 
     def until_told() -> None:
         try:
@@ -183,14 +182,12 @@ def _serve(profile_text: str, pace: float, watch_clearance: bool, pipe: Connecti
         finally:
             cancel.cancel()
 
-    def announce(arms: object) -> None:
-        assert isinstance(arms, list)
-        assert isinstance(arms[0], EmulatedArm)
-        pipe.send((arms[0].control_port, trackers[0]))
+    def announce(served: EmulateResult) -> None:
+        pipe.send((served.arms[0].control_port, served.tracker))
 
     threading.Thread(target=until_told, daemon=True).start()
     try:
-        emulate(profile, cancel, announce, pace=pace, announce_tracker=trackers.append, watch_clearance=watch_clearance)
+        emulate(profile, cancel, announce, pace=pace, watch_clearance=watch_clearance)
     except CellappError as error:
         pipe.send(str(error))
     os._exit(0)  # whatever threads still wait

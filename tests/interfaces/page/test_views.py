@@ -40,7 +40,7 @@ from cellapp.commands.compensate.words import PART_WORDS, compensate_lines, veri
 from cellapp.commands.discover.request import VERB as DISCOVER_VERB
 from cellapp.commands.discover.view import discovery_section
 from cellapp.commands.plan.check_view import design_sentences, design_tables
-from cellapp.commands.plan.run import new_planned_run, plan_new_run, stored_plan
+from cellapp.commands.plan.run import new_planned_run, stored_plan
 from cellapp.commands.plan.view import plan_section
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.headlines import out_of_date_lines
@@ -73,7 +73,7 @@ from tests.interfaces.page.cases import ERRORS, discovery, unknown_effect
 from tests.interfaces.page.plan_cases import plan_design
 from tests.robot.effects.cell import context_of
 from tests.twin import small_twin
-from tests.verbs import collect_stops
+from tests.verbs import collect_stops, plan_new_run
 
 APPROVED = Path(__file__).parent / "approved"
 

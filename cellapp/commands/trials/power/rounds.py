@@ -27,7 +27,7 @@ from cellapp.cell.planning.view import required_plan
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.commands.trials.blind import with_hidden
+from cellapp.commands.trials.blind import conditions_at, readings_at, with_hidden
 from cellapp.commands.trials.power.result import (
     POWER_RESULT,
     SHARE,
@@ -139,30 +139,10 @@ def trial_cell(planned: PlannedCell) -> TrialCell:
         step = np.array(planned.step[name])
         load = np.full(len(own), planned.profile.arms[name].payload.mass)
         joints_c = np.repeat(warm_c[:, None], own.shape[1], axis=1)
-        conditions[name] = {
-            "approach": np.sign(step),
-            "others": {other: rows for other, rows in q.items() if other != name},
-            "time_s": time_s,
-            "last_step": step,
-            "since_rest_s": dwell_s,
-            "payload": load,
-            "joints_c": joints_c,
-            "air_c": air_c,
-        }
+        conditions[name] = conditions_at(name, q, step, time_s, dwell_s, load, joints_c, air_c)
         exact = plant.smr_positions(name, own, **conditions[name])
-        readings[name] = Readings(
-            configuration=np.arange(len(own)),
-            time_s=time_s,
-            q=own,
-            approach=np.sign(step).astype(np.int8),
-            p_M=exact,
-            payload_kg=load,
-            temperature_c=air_c,
-            joint_temperature_c=joints_c,
-            step=step,
-            dwell_s=dwell_s,
-            covariance_M=plant.measure_positions(exact, np.random.default_rng(0))[1],
-        )
+        covariance = plant.measure_positions(exact, np.random.default_rng(0))[1]
+        readings[name] = readings_at(own, conditions[name], exact, covariance)
     return TrialCell(planned.profile, simulated, conditions, readings)
 
 

@@ -7,6 +7,7 @@ The verbs of the screen Accept as jobs. Packages that a verb needs are loaded in
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -21,7 +22,6 @@ from textual.worker import get_current_worker
 from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
 from cellapp.commands.check.request import VERB as CHECK_VERB
 from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
-from cellapp.commands.record import Request
 from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.run_results import RunResults
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
@@ -71,11 +71,6 @@ def ask_iso9283(screen: ScreenOfResults) -> None:
     commands = ISO_COMMANDS if calibrated else ("nominal",)
     stale = workspace.stale
 
-    def begin(request: Request | None) -> None:
-        if request is not None:
-            screen.show_tab(ISO9283)
-            screen.start(work.verb_job(ISO9283_VERB, request))
-
     where = f", in {folder}" if workspace.folder is None else ""  # the first line of the screen shows an open run
     text = f"Drive to the test cube's poses{where}; {arms_words(workspace)}."
     if stale:
@@ -93,23 +88,15 @@ def ask_iso9283(screen: ScreenOfResults) -> None:
             "arms": tuple(profile.arms),
         },
     )
-    screen.app.push_screen(dialog, begin)
+    screen.start_from(dialog, partial(work.verb_job, ISO9283_VERB), partial(screen.show_tab, ISO9283))
 
 
 def ask_certificate(screen: ScreenOfResults) -> None:
     """Ask for number and data, then write the certificate."""
-    folder = screen.open_folder()
-    if folder is None:
-        return
-
-    def begin(request: Request | None) -> None:
-        if request is not None:
-            screen.show_tab(CERTIFICATE)
-            screen.start(work.verb_job(CERTIFICATE_VERB, request))
-
-    text = f"{_certificate_words(screen.workspace)} Nothing moves."
-    dialog = VerbQuestion(CERTIFICATE_VERB, text, _sent("Write", "w"), {"folder": folder})
-    screen.app.push_screen(dialog, begin)
+    if (folder := screen.open_folder()) is not None:
+        text = f"{_certificate_words(screen.workspace)} Nothing moves."
+        dialog = VerbQuestion(CERTIFICATE_VERB, text, _sent("Write", "w"), {"folder": folder})
+        screen.start_from(dialog, partial(work.verb_job, CERTIFICATE_VERB), partial(screen.show_tab, CERTIFICATE))
 
 
 def write_report(screen: ScreenOfResults) -> None:

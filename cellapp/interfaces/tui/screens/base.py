@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, ClassVar, TypeVar, cast
 
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Vertical
 from textual.events import Resize, ScreenResume
 from textual.geometry import Size
-from textual.screen import Screen
+from textual.screen import ModalScreen, Screen
 from textual.widgets import Static
 
 from cellapp.interfaces.tui.host import Host
@@ -23,11 +23,15 @@ from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from cellapp.commands.run_results import RunResults
     from cellapp.estimation.calibration.records import CalibrateResult
     from cellapp.ground.results import Result
     from cellapp.interfaces.tui.host import Severity
     from cellapp.interfaces.tui.jobs import Job
+
+A = TypeVar("A")
 
 _LEAST = (60, 16)
 """Columns and lines of the smallest terminal in which tables and plots are readable."""
@@ -132,6 +136,22 @@ class DayScreen(Screen[None]):
         """Start a job; if it cannot start, a sentence says why."""
         if self.cell_app.start_job(job):
             self.cell_app.asked_by = self
+
+    def start_from(
+        self, question: ModalScreen[A], job_of: Callable[[A], Job], begun: Callable[[], object] = lambda: None
+    ) -> None:
+        """Ask, then start the job of the answer; a question that is left starts none. ``begun`` is called before."""
+
+        def begin(answer: A | None) -> None:
+            if answer is not None:
+                begun()
+                self.start(job_of(answer))
+
+        self.app.push_screen(question, begin)
+
+    def start_if(self, answer: str, question: ModalScreen[str], job_of: Callable[[], Job]) -> None:
+        """Ask, then start a job if this is the answer."""
+        self.app.push_screen(question, lambda given: self.start(job_of()) if given == answer else None)
 
     def begin_next(self, verb: str) -> None:
         """Begin the next verb, which belongs to this step; empty: the step's own work."""

@@ -31,7 +31,6 @@ from cellapp.commands.calibrate.charts_accuracy import (
 from cellapp.commands.calibrate.view import calibration_tables, merged_sentences, parameter_tables, tracker_sentences
 from cellapp.commands.export.request import STAGES, VERB
 from cellapp.commands.export.request import VERB as EXPORT
-from cellapp.commands.record import Request
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.charts import Chart
 from cellapp.estimation.calibration.records import CalibrateResult
@@ -176,16 +175,9 @@ tables; chapter *exports*.
             return
         from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 
-        def begin(path: Path | None) -> None:
-            if path is not None:
-                self.start(work.job_of(request.VERB, folder=folder, prior=path.parent))
-
         title = f"{FILE_NAME} of the earlier run of the same arms"
         picker = FilePicker(title, folder.parent, lambda path: path.name == FILE_NAME)
-
-        def ask() -> None:
-            self.app.push_screen(picker, begin)
-
+        ask = partial(self.start_from, picker, lambda path: work.job_of(request.VERB, folder=folder, prior=path.parent))
         offer_again(self, "Calibrate again, with a prior?", self._result, CALIBRATE, ask)
 
     def action_plots(self) -> None:
@@ -198,18 +190,10 @@ tables; chapter *exports*.
 
     def action_export(self) -> None:
         """Ask for format and file, then write the calibrated arms."""
-        folder, results = self.open_folder(), self.workspace.results
-        if folder is None:
-            return
-        if results is None or results.calibrate is None:
-            self.say(self.state.not_calibrated, "warning")
-            return
-
-        def write(request: Request | None) -> None:
-            if request is not None:
-                self.start(work.verb_job(EXPORT, request))
-
-        self.app.push_screen(ExportArms(folder, tuple(results.calibrate.arms), WRITE), write)
+        if (calibrated := self.calibrated_run()) is not None:
+            folder, _, calibration = calibrated
+            question = ExportArms(folder, tuple(calibration.arms), WRITE)
+            self.start_from(question, partial(work.verb_job, EXPORT))
 
     def show_result(self, result: Result) -> None:
         """Show what was exported, and what the files do not contain."""

@@ -311,12 +311,7 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
             return
         moves = arms_words(self.workspace) + (", after one more question" if kind == "real" else "")
         text = f"Measure {what}. In {folder}; {moves}. Escape stops at any time; what is measured is kept."
-
-        def begin(answer: str | None) -> None:
-            if answer == "begin":
-                self.start(job)
-
-        self.app.push_screen(Choice(title, text, BEGIN), begin)
+        self.start_if("begin", Choice(title, text, BEGIN), lambda: job)
 
     # -- views ---------------------------------------------------------------------------------------------------------
 

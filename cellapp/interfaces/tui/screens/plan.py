@@ -6,6 +6,7 @@ Keys of the screen Plan that change a plan: freeze, add, design again, write and
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -20,7 +21,6 @@ from textual.widgets import DataTable, Static, TabbedContent, TabPane
 from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.plan.request import VERB as PLAN
-from cellapp.commands.record import Request
 from cellapp.ground.counting import counted
 from cellapp.ground.outputs import RENEWED
 from cellapp.interfaces.tui import work as verbs
@@ -77,13 +77,10 @@ class PlanEdits(DayScreen):
         if folder is None:
             return
 
-        def begin(request: Request | None) -> None:
-            if request is not None:
-                self.start(verbs.verb_job(PLAN, request))
-
         text = "They tell most beside those that are planned or measured already. Nothing moves."
         proposed = {"add": _FURTHER}
-        self.app.push_screen(VerbQuestion(PLAN, text, _TAKE, {"folder": folder}, proposed=proposed), begin)
+        question = VerbQuestion(PLAN, text, _TAKE, {"folder": folder}, proposed=proposed)
+        self.start_from(question, partial(verbs.verb_job, PLAN))
 
     def action_replan(self) -> None:
         """Ask, then design the unmeasured stops again."""
@@ -91,28 +88,21 @@ class PlanEdits(DayScreen):
         if folder is None:
             return
 
-        def begin(answer: str | None) -> None:
-            if answer == "replan":
-                self.start(verbs.job_of(PLAN, folder=folder, replan=True))
-
         text = (
             "Stops that are measured, proposed by discovery or frozen stay, as far as they could be reached; all others"
             " of this run are replaced. Nothing moves."
         )
         answers = (Answer("no", "Leave the plan", "l"), Answer("replan", "Design again", "d", "warning"))
-        self.app.push_screen(Choice("Design the rest again?", text, answers), begin)
+        job_of = partial(verbs.job_of, PLAN, folder=folder, replan=True)
+        self.start_if("replan", Choice("Design the rest again?", text, answers), job_of)
 
     def action_write(self) -> None:
         """Ask where to write the plan."""
-        folder = self.planned_folder()
-        if folder is None:
-            return
-
-        def begin(path: Path | None) -> None:
-            if path is not None:
-                self.start(verbs.verb_job(EXPORT, ExportRequest(folder=folder, plan=path), RENEWED))
-
-        self.app.push_screen(SaveAs("the plan", None, folder / _PLAN_FILE), begin)
+        if (folder := self.planned_folder()) is not None:
+            self.start_from(
+                SaveAs("the plan", None, folder / _PLAN_FILE),
+                lambda path: verbs.verb_job(EXPORT, ExportRequest(folder=folder, plan=path), RENEWED),
+            )
 
     def action_read(self) -> None:
         """Ask for an edited plan, and check it."""
@@ -120,13 +110,8 @@ class PlanEdits(DayScreen):
         if self.workspace.file_profile is None or profile is None:
             self.say(self.state.no_profile, "warning")
             return
-
-        def begin(path: Path | None) -> None:
-            if path is not None:
-                self.start(verbs.job_of(PLAN, profile=profile, check=path))
-
-        start = self.workspace.folder or Path()
-        self.app.push_screen(FilePicker("A plan as CSV", start, lambda path: path.suffix == ".csv"), begin)
+        picker = FilePicker("A plan as CSV", self.workspace.folder or Path(), lambda path: path.suffix == ".csv")
+        self.start_from(picker, lambda path: verbs.job_of(PLAN, profile=profile, check=path))
 
     def offer_file(self, file: Path) -> None:
         """Ask what to do with a plan that is safe."""
@@ -134,20 +119,12 @@ class PlanEdits(DayScreen):
         if profile is None or path is None:
             return
 
-        def into(around: bool) -> None:
-            def begin(folder: Path | None) -> None:
-                if folder is not None:
-                    how_used = {"keep" if around else "source": file}
-                    self.start(verbs.job_of(PLAN, profile=path, folder=folder, **how_used))
-
-            how = "with other stops designed around these" if around else "exactly as it is written"
-            self.app.push_screen(
-                NewRunQuestion(f"The plan of {file}, {how}. Nothing moves.", new_folder(profile)), begin
-            )
-
         def answered(answer: str | None) -> None:
             if answer in ("from", "keep"):
-                into(answer == "keep")
+                how = "with other stops designed around these" if answer == "keep" else "exactly as it is written"
+                question = NewRunQuestion(f"The plan of {file}, {how}. Nothing moves.", new_folder(profile))
+                used = {"keep" if answer == "keep" else "source": file}
+                self.start_from(question, lambda folder: verbs.job_of(PLAN, profile=path, folder=folder, **used))
 
         answers = (
             Answer("look", "Only look", "l"),
@@ -272,12 +249,8 @@ class PlanScreen(PlanEdits):
             f"{counted(profile.plan.stops, 'stop')}{reserve} of the cell '{profile.name}', read from {path}."
             " Nothing moves."
         )
-
-        def begin(folder: Path | None) -> None:
-            if folder is not None:
-                self.start(verbs.job_of(PLAN, profile=path, folder=folder))
-
-        self.app.push_screen(NewRunQuestion(text, new_folder(profile)), begin)
+        question = NewRunQuestion(text, new_folder(profile))
+        self.start_from(question, lambda folder: verbs.job_of(PLAN, profile=path, folder=folder))
 
     def action_check(self) -> None:
         """Check the plan of the open run."""

@@ -9,6 +9,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
@@ -42,7 +43,6 @@ from cellapp.commands.correct import VERB as CORRECT
 from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.push.request import VERB as PUSH
-from cellapp.commands.record import Request
 from cellapp.commands.run_results import RunResults
 from cellapp.commands.view.parts import Part
 from cellapp.ground.counting import counted
@@ -185,13 +185,9 @@ def ask_push(screen: DayScreen, targets: Sequence[Target]) -> None:
     if (given := _pushed(screen, targets, verify=False)) is None:
         return
 
-    def begin(answer: str | None) -> None:
-        if answer == "begin":
-            screen.start(work.job_of(PUSH, **given))
-
     stale = screen.workspace.stale
     text = _push_words(screen, targets, "", stale)
-    screen.app.push_screen(Choice("Push?", text, USE_STALE if stale else BEGIN), begin)
+    screen.start_if("begin", Choice("Push?", text, USE_STALE if stale else BEGIN), partial(work.job_of, PUSH, **given))
 
 
 def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
@@ -199,14 +195,11 @@ def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
     if (given := _pushed(screen, targets, verify=True)) is None:
         return
 
-    def begin(request: Request | None) -> None:
-        if request is not None:
-            screen.start(work.verb_job(PUSH, request))
-
     stale = screen.workspace.stale
     measured = " with the nominal and the compensated command, measured by the tracker"
     text = _push_words(screen, targets, measured, stale)
-    screen.app.push_screen(VerbQuestion(PUSH, text, USE_STALE if stale else BEGIN, given), begin)
+    question = VerbQuestion(PUSH, text, USE_STALE if stale else BEGIN, given)
+    screen.start_from(question, partial(work.verb_job, PUSH))
 
 
 def ask_locate(screen: DayScreen) -> None:
@@ -221,10 +214,6 @@ def ask_correct(screen: DayScreen) -> None:
     folder, _, calibration = calibrated
     arms = tuple(calibration.arms)
 
-    def write(request: Request | None) -> None:
-        if request is not None:
-            screen.start(work.verb_job(CORRECT, request))
-
     def ask(program: Path | None) -> None:
         if program is not None:
             given = {"folder": folder, "program": program}
@@ -234,7 +223,7 @@ def ask_correct(screen: DayScreen) -> None:
             }
             text = f"{program.name}; nothing moves."
             dialog = VerbQuestion(CORRECT, text, WRITE, given, proposed=proposed, choices={"arm": arms})
-            screen.app.push_screen(dialog, write)
+            screen.start_from(dialog, partial(work.verb_job, CORRECT))
 
     title = f"A program of a UR controller ({', '.join(ENDINGS)})"
     screen.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in ENDINGS), ask)
