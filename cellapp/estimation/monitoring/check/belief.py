@@ -137,14 +137,12 @@ class ArmBelief:
 class CheckBelief:
     """Predictions of a cell by a calibration.
 
-    ``arms`` maps names to beliefs, in the expected frame of the tracker: the earlier one, or the approximate one of a
-    new station. ``T_new_old`` (4, 4) maps the earlier frame into that; None if the tracker was not set up anew.
-    ``station_free`` is True if it was set up anew, so that its motion is no change.
+    ``arms`` maps names to beliefs, in the frame of the tracker's station. ``station`` (6, 6) is the covariance of a
+    twist of that frame, shift at its origin [m] and rotation [rad]; None if it is that of the calibration.
     """
 
     arms: Mapping[str, ArmBelief]
-    station_free: bool = False
-    T_new_old: Array | None = None
+    station: Array | None = None
 
     @property
     def models(self) -> dict[str, ArmModel]:
@@ -184,8 +182,8 @@ def check_belief(
     readings: Mapping[str, Readings],
     *,
     turned: Collection[str] = (),
-    station_free: bool = False,
     T_new_old: Array | None = None,
+    station: Array | None = None,
 ) -> CheckBelief:
     """Build the belief of a check from a calibration.
 
@@ -198,10 +196,10 @@ def check_belief(
         Arm -> the readings that it was calibrated from, of all splits.
     turned : collection of str
         Arms of which the check measures orientation too; used if the calibration measured it.
-    station_free : bool
-        Whether the tracker was set up anew since, so that its pose is unknown.
     T_new_old : array, shape (4, 4), optional
-        Its approximate new station: maps coordinates in its earlier frame into the present one.
+        Maps coordinates of the tracker's frame into that of the station where it was located since.
+    station : array, shape (6, 6), optional
+        Covariance of that station, see ``CheckBelief``.
 
     Raises
     ------
@@ -220,9 +218,9 @@ def check_belief(
         for name, arm in model.arms.items()
     }
     arms = {name: arm_belief(*calibration_posterior(profile, name, models, own)) for name in own}
-    if T_new_old is None:
-        return CheckBelief(arms, station_free)
-    return CheckBelief({name: _relocated(arm, T_new_old) for name, arm in arms.items()}, station_free, T_new_old)
+    if T_new_old is not None:
+        arms = {name: _relocated(arm, T_new_old) for name, arm in arms.items()}
+    return CheckBelief(arms, station)
 
 
 def watched_terms(model: ArmModel, measured: Measured) -> tuple[EffectTerm, ...]:
@@ -310,7 +308,7 @@ def noise_covariance(arm: ArmBelief, measured: Measured, again: Array) -> Array:
 
 
 def _relocated(arm: ArmBelief, T: Array) -> ArmBelief:
-    """Return the belief in the frame of a tracker that was set up anew."""
+    """Return the belief in the frame of another station of the tracker."""
     names = ParameterSet("", arm.model.geometry.joints, arm.columns).names
     terms = tuple(f"{k}" for k in range(len(arm.covariance) - len(names)))
     model = replace(arm.model, posterior=None, identified=(*names, *terms), covariance=arm.covariance)

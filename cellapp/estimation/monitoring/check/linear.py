@@ -8,7 +8,7 @@ Expected is the model's prediction and, at a stop of the calibration, a share of
 explains but which comes again. S is the posterior covariance of all parameters of the calibration, common to all stops,
 X their effects, less that share; R the covariance of tracker and repeatability, independent between stops. V are the
 effects of changes on y, b their sizes in units of the smallest change to be detected. T are the six motions of a
-tracker that was set up anew, P their wide prior covariance.
+tracker that was located since, P their covariance.
 """
 
 from __future__ import annotations
@@ -99,8 +99,7 @@ def directions_of(belief: CheckBelief) -> list[Direction]:
 def alternatives_of(belief: CheckBelief, directions: Sequence[Direction]) -> list[Alternative]:
     """List what may have changed, causes that affect most points first: tracker, bases, SMRs, parameters, effects.
 
-    Each parameter is an alternative; so are all values of an effect at one place together. A tracker that was set up
-    anew is not an alternative.
+    Each parameter is an alternative; so are all values of an effect at one place together.
     """
     places: dict[tuple[str, ChangeKind, str], list[int]] = {}
     for k, one in enumerate(directions):
@@ -108,8 +107,6 @@ def alternatives_of(belief: CheckBelief, directions: Sequence[Direction]) -> lis
         places.setdefault((one.arm, one.kind, what), []).append(k)
     order = ("tracker", "base", "smr", "parameter", "effect")
     found = [Alternative(*key, tuple(members)) for key, members in places.items()]
-    if belief.station_free:
-        found = [one for one in found if one.kind != "tracker"]
     return sorted(found, key=lambda one: order.index(one.kind))
 
 
@@ -167,9 +164,6 @@ def _growth(name: str, arm: ArmBelief, rows: Array) -> list[Direction]:
     return [Direction(name, "effect", GROWTH, tuple(places), LENGTH_M / rms, "m/m", tuple(shares.tolist()))]
 
 
-_STATION_M = 0.01
-"""Prior standard deviation of a tracker's motion about its fitted pose if it was set up anew [m, and rad at 1 m]: far
-above the noise, so that the points determine it, yet small enough that the factor of K stays accurate."""
 _SAME_STOP_RAD = 0.01
 """Distance in joint space within which a stop is one of the calibration."""
 _DEPENDENT = 1e-6
@@ -194,8 +188,6 @@ class StopRows:
         Motion of the coordinates by one step of each direction [m].
     factor : array, shape (d, d)
         Lower Cholesky factor of K [m].
-    free : int
-        Number of leading directions that are unknown and fitted: six for a tracker that was set up anew, else 0.
     turned : array, shape (m,), or None
         Mask of points that are orientations; None if there are none.
     """
@@ -206,7 +198,6 @@ class StopRows:
     arm_of: NDArray[np.intp]
     rows: Array
     factor: Array
-    free: int = 0
     turned: NDArray[np.bool_] | None = None
 
     @property
@@ -271,8 +262,9 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
                 rows[k, here] = one.row_of(station[:, here])
         _add_noise(K, first, noise_covariance(arm, its, again))
         first = here.stop
-    if belief.station_free:
-        K += _STATION_M**2 * station.T @ station
+    if belief.station is not None:
+        T = twists(p_M, turned).reshape(total, 6)
+        K += T @ belief.station @ T.T
     order = np.argsort(places, kind="stable")
     coordinates = (3 * order[:, None] + np.arange(3)).ravel()
     measured = np.concatenate([its.readings.p_M for its in vectors.values()])
@@ -284,7 +276,6 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
         arm_of=arm_of[order],
         rows=rows[:, coordinates],
         factor=scipy.linalg.cholesky(K[np.ix_(coordinates, coordinates)], lower=True),
-        free=len(station) if belief.station_free else 0,
         turned=turned[order] if turned.any() else None,
     )
 
@@ -313,7 +304,7 @@ class Moments:
         columns = np.column_stack([stops.left.ravel(), stops.rows.T])
         solved = scipy.linalg.solve_triangular(stops.factor, columns, lower=True)
         directions = np.ascontiguousarray(solved[:, 1:].T)
-        return cls(solved[:, 0], directions, spanned(directions[: stops.free]))
+        return cls(solved[:, 0], directions, directions[:0])
 
     @property
     def information(self) -> Array:
@@ -411,8 +402,8 @@ def visibility(belief: CheckBelief, directions: Sequence[Direction], moved: Mapp
     """Compute the rms motion (C,) of the SMR by one step of each direction, in [m] and in units of the noise.
 
     Motions are judged by the noise of a position, rotations of a probe by that of an orientation. The best-fitting
-    motion of the tracker is subtracted, see ``check.belief``, except from the tracker's own directions; these show
-    nothing if it was set up anew. ``moved`` are the motions at the calibration's readings.
+    motion of the tracker is subtracted, see ``check.belief``, except from the tracker's own directions. ``moved`` are
+    the motions at the calibration's readings.
     """
     rows = np.concatenate([_as_points(arm, moved[name]) for name, arm in belief.arms.items()], axis=1)
     points = np.concatenate([np.repeat(arm.measured.points, 3) for arm in belief.arms.values()])
@@ -424,7 +415,7 @@ def visibility(belief: CheckBelief, directions: Sequence[Direction], moved: Mapp
     counts[TRACKER], noise[TRACKER] = sum(counts.values()), max(noise.values())
     of_arm = np.array([counts[one.arm] for one in directions])
     shown = np.sqrt(np.sum(left**2, axis=1) / of_arm) / np.array([noise[one.arm] for one in directions])
-    return np.sqrt(np.sum(left[:, points] ** 2, axis=1) / of_arm), np.where(own & belief.station_free, 0.0, shown)
+    return np.sqrt(np.sum(left[:, points] ** 2, axis=1) / of_arm), shown
 
 
 def _as_points(arm: ArmBelief, moved: Array) -> Array:

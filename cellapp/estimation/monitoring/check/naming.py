@@ -267,14 +267,10 @@ class Cause:
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Causes, the most evident first, and the p-value of chi-squared of the residuals.
-
-    ``station`` (4, 4) is the motion of a tracker that was set up anew, beyond that without any change.
-    """
+    """Causes, the most evident first, and the p-value of chi-squared of the residuals."""
 
     causes: tuple[Cause, ...]
     left_p_value: float
-    station: Array
 
     @property
     def holds(self) -> bool:
@@ -282,19 +278,10 @@ class Explanation:
         return bool(self.causes) and self.left_p_value >= NOT_EXPLAINED
 
 
-def with_station(design: Design, stops: StopRows) -> tuple[StopRows, Array]:
-    """Fit a tracker that was set up anew; return the stops in the expected frame, and the tracker's motion (4, 4)."""
-    if not design.belief.station_free or np.sum(stops.points) < FEWEST_POINTS:
-        return stops, np.eye(4)
-    found = solve_motions(stops, centre_of(design.belief), tracker=True)
-    return found.stops, found.tracker
-
-
 def explain(design: Design, stops: StopRows) -> Explanation:
     """Find what changed, given that something did."""
     causes: list[Cause] = []
     nuisance: list[int] = []
-    station = np.eye(4)
     while True:
         moments = Moments.of(stops)
         rest = after(moments, nuisance) if nuisance else moments
@@ -307,7 +294,7 @@ def explain(design: Design, stops: StopRows) -> Explanation:
             break
         fits = [_fit(design, stops, one, nuisance, rest, basis) for one, basis in zip(left, test.bases, strict=True)]
         best = _best(fits, len(rest.white))
-        stops, station = fits[best].stops, station @ fits[best].station
+        stops = fits[best].stops
         nuisance += fits[best].members
         sizes, covariance = solved(Moments.of(stops), nuisance)
         own = slice(len(sizes) - len(fits[best].members), len(sizes))
@@ -323,14 +310,14 @@ def explain(design: Design, stops: StopRows) -> Explanation:
                 open_rivals=open_rivals,
             )
         )
-    return Explanation(tuple(causes), float(p_values[-1]), station)
+    return Explanation(tuple(causes), float(p_values[-1]))
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A fitted alternative: its directions, the stops without the fitted motions, the remaining chi-squared.
+    """A fitted alternative: its directions, the stops without the fitted motion, the remaining chi-squared.
 
-    ``motion`` is that of a tracker or base that moved, ``station`` that of a tracker that was set up anew.
+    ``motion`` is that of a tracker or base that moved.
     """
 
     members: list[int]
@@ -339,7 +326,6 @@ class _Fit:
     explained: float
     rank: int
     motion: Array | None
-    station: Array
 
     def gain(self, coordinates: int) -> float:
         """Gain of the log likelihood less the penalty (BIC) of the alternative's ``rank`` parameters."""
@@ -377,31 +363,23 @@ def _fit(design: Design, stops: StopRows, one: Alternative, nuisance: list[int],
     before = float(rest.white @ rest.white)
     points = None if one.kind != "base" else stops.arm_of == list(belief.arms).index(one.arm)
     moves = one.kind == "tracker" or (points is not None and np.sum(points & stops.points) >= FEWEST_POINTS)
-    large = belief.station_free and float(np.abs(stops.left).max()) > LARGE_M
-    if not moves and not large:
+    if not moves:
         explained = float(np.sum((basis @ rest.white) ** 2))
-        return _Fit(members, stops, before - explained, explained, len(basis), None, np.eye(4))
+        return _Fit(members, stops, before - explained, explained, len(basis), None)
     whole = [*nuisance, *members]
-    found = solve_motions(
-        stops,
-        centre_of(belief),
-        tracker=one.kind == "tracker" or belief.station_free,
-        base=points if moves else None,
-        linear=[k for k in whole if design.directions[k].kind not in ("tracker", "base")],
-    )
+    linear = [k for k in whole if design.directions[k].kind not in ("tracker", "base")]
+    found = solve_motions(stops, centre_of(belief), tracker=one.kind == "tracker", base=points, linear=linear)
     moments = Moments.of(found.stops)
     left = float(np.sum((after(moments, whole) if whole else moments).white ** 2))
-    motion = {"tracker": found.tracker, "base": found.base}.get(one.kind) if moves else None
-    station = found.tracker if belief.station_free else np.eye(4)
-    return _Fit(members, found.stops, left, before - left, len(basis), motion, station)
+    motion = found.tracker if one.kind == "tracker" else found.base
+    return _Fit(members, found.stops, left, before - left, len(basis), motion)
 
 
 def _tells(design: Design, cause: Alternative, sizes: Array, rival: Alternative) -> bool:
-    """Return whether the calibration's configurations distinguish a change from a rival, given an unknown station."""
+    """Return whether the calibration's configurations distinguish a change from a rival."""
     whole = np.concatenate([moved.reshape(len(moved), -1) for moved in design.motions.values()], axis=1)
     moved = sizes @ whole[list(cause.members)]
-    free = [k for k, one in enumerate(design.directions) if one.kind == "tracker" and design.belief.station_free]
-    basis = np.linalg.qr(whole[[*rival.members, *free]].T)[0]
+    basis = np.linalg.qr(whole[list(rival.members)].T)[0]
     left = moved - basis @ (basis.T @ moved)
     return float(np.linalg.norm(left)) > _INSEPARABLE * float(np.linalg.norm(moved))
 
@@ -469,7 +447,7 @@ def solve_motions(
     T, M = _registered(stops, tracker, own)
     first, size = math.inf, math.inf
     for _ in range(_STEPS):
-        moments = Moments.of(replace(_without(stops, T, M, own), rows=rows, free=0))
+        moments = Moments.of(replace(_without(stops, T, M, own), rows=rows))
         left = float(np.sum(after(moments, range(count, len(rows))).white ** 2))
         first = min(first, left + _UNRESOLVED[0] + _UNRESOLVED[1] * left)
         if size < _SMALL * LENGTH_M or not left <= first:

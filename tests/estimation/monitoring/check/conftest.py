@@ -119,11 +119,6 @@ def with_parameter(true: Geometry, place: int, change: float) -> Geometry:
     return true.with_vector(vector)
 
 
-def free(cell: SimulatedCell) -> SimulatedCell:
-    """The cell whose tracker was set up anew where it was."""
-    return replace(cell, belief=replace(cell.belief, station_free=True))
-
-
 @pytest.fixture(scope="session")
 def pair() -> SimulatedCell:
     return cell_of({"left": at_station(UR10, OFF_AXIS), "right": at_station(UR5, OFF_AXIS, BESIDE)}, 3)
