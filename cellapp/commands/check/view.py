@@ -36,8 +36,8 @@ def view(result: CheckResult, request: CheckRequest | None = None) -> View:
 
 
 def check_tables(result: CheckResult) -> list[Table]:
-    """Show each arm's errors, what changed, changes that these stops may miss, and every stop."""
-    return [_arm_table(result), *with_rows(_change_table(result), _weak_table(result), _stop_table(result))]
+    """Show each arm's errors, what changed, and every stop."""
+    return [_arm_table(result), *with_rows(_change_table(result), _stop_table(result))]
 
 
 def check_sentences(result: CheckResult) -> list[str]:
@@ -150,18 +150,6 @@ def _change_table(result: CheckResult) -> Table:
         *((("probe turns [mrad]", "turned_mrad", ".3f"),) if any(one.turned_mrad for one in result.changes) else ()),
         ("p", lambda one: _chance(one.p_value)),
         ("explains about as well", lambda one: ", ".join(one.rivals) or "nothing"),
-    )
-
-
-def _weak_table(result: CheckResult) -> Table:
-    """Show visible changes that would have to be larger to be found by these stops."""
-    return table_of(
-        "Check: visible changes that these stops may miss",
-        result.weak,
-        ("where", "arm"),
-        ("what", "what"),
-        ("found from", lambda one: one.detected * _in_unit(one.unit)[0], ".2g"),
-        ("unit", lambda one: _in_unit(one.unit)[1]),
     )
 
 

@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2, kstest
 
-from cellapp.estimation.monitoring.check import CheckBelief, SequentialTest, check_belief
-from cellapp.estimation.monitoring.check.belief import arm_belief
+from cellapp.estimation.monitoring.check.belief import CheckBelief, arm_belief, check_belief
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows, directions_of, stop_rows
 from cellapp.estimation.monitoring.check.naming import Design, MinPValueTest, after, log_valid
 from cellapp.estimation.monitoring.check.records import CheckResult
+from cellapp.estimation.monitoring.check.sequential import SequentialTest
 from cellapp.estimation.prior.belief import Measured, Prior, posterior
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError, NotConverged
