@@ -38,7 +38,6 @@ from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.kinematics.chain import all_names, parameter_names, parameter_unit
 from cellapp.robot.kinematics.transforms import Array, twist_columns
-from cellapp.robot.model import ArmModel
 
 # -- Changes that a check looks for: of single parameters, of effects, and rigid motions of tracker, bases and SMRs ---
 
@@ -369,10 +368,8 @@ def _add_noise(K: Array, first: int, blocks: Array) -> None:
 def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequence[Direction]) -> Array:
     """Compute the motion (C, n, 3) [m, rad] of n measured vectors of an arm by one step of each direction."""
     arm = belief.arms[name]
-    model, kept = _without_free_functions(arm.model, len(arm.columns))
-    X = np.zeros((len(arm.covariance), len(measured), 3))
-    X[kept] = design(model, measured, arm.columns).reshape(-1, 3, len(measured)).transpose(0, 2, 1)
-    p_M = model.predict(measured.readings.q, conditions=measured.conditions)
+    X = design(arm.model, measured, arm.columns).reshape(-1, 3, len(measured)).transpose(0, 2, 1)
+    p_M = arm.model.predict(measured.readings.q, conditions=measured.conditions)
     station = twists(p_M - centre_of(belief), ~measured.points).transpose(2, 0, 1)
     found = np.zeros((len(directions), len(measured), 3))
     for k, one in enumerate(directions):
@@ -381,16 +378,6 @@ def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequ
         elif one.arm == TRACKER:
             found[k] = one.row_of(station)
     return found
-
-
-def _without_free_functions(model: ArmModel, geometric: int) -> tuple[ArmModel, NDArray[np.bool_]]:
-    """Return the model without free functions, and the mask of the parameters that are kept.
-
-    Free functions have hundreds of values, none of which is a direction; they turn the joints by some 0.1 mrad, which
-    changes no motion by a thousandth.
-    """
-    kept = np.concatenate([np.full(geometric, True), *(np.full(len(t.names), not is_smooth(t)) for t in model.effects)])
-    return replace(model, effects=tuple(term for term in model.effects if not is_smooth(term))), kept
 
 
 def calibration_motions(belief: CheckBelief, directions: Sequence[Direction]) -> dict[str, Array]:

@@ -210,8 +210,8 @@ def test_motions_that_do_not_converge_are_an_error_and_no_verdict(
     pair: SimulatedCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changed = moved_base(pair.true["right"], [0.3, -0.2, 0.1], [1.0, -0.5, 0.5])
-    monkeypatch.setattr("cellapp.estimation.monitoring.check.naming._STEPS", 1)
-    with pytest.raises(NotConverged, match="fit of motions to the stops did not converge: the last of at most 1 steps"):
+    monkeypatch.setattr("cellapp.estimation.monitoring.check.naming._STEPS", 0)
+    with pytest.raises(NotConverged, match="fit of a motion to the stops did not converge: 0 steps were not enough"):
         checked(pair, {"right": changed})
 
 
