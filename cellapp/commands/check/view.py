@@ -223,13 +223,8 @@ def _evidence_message(result: CheckResult) -> str:
     if not result.stops:
         return "No stop was measured."
     last = result.stops[-1]
-    words = [
-        f"{what} {value:.1f}" + ("" if sure is None else f" (sure at {sure:.1f})")
-        for what, value, sure in (
-            ("of a change", last.log_evidence, result.sure_change),
-            ("of no visible change", last.log_valid, result.sure_valid),
-        )
-    ]
+    of = {"of a change": (last.log_evidence, result.sure_change), "of none": (last.log_valid, result.sure_valid)}
+    words = [f"{what} {it:.1f}" + ("" if sure is None else f" (sure at {sure:.1f})") for what, (it, sure) in of.items()]
     return (
         f"Evidence after {counted(len(result.stops), 'stop')}: {', '.join(words)}; the verdict is '{result.verdict}'."
     )

@@ -228,12 +228,13 @@ def _remembered(arm: ArmBelief, its: Measured) -> tuple[Array, Array]:
 
 
 def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions: Sequence[Direction]) -> StopRows:
-    """Build the linear model of stops; rows of several arms with the same ``configuration`` are one stop."""
-    conditions, order_of = conditions_now(belief, readings), _order_of_stops(readings)
+    """Build the linear model of stops; rows of several arms with the same ``configuration`` are one stop; these
+    numbers are in the order of measurement."""
+    conditions = conditions_now(belief, readings)
     names = [name for name in belief.arms if name in readings]
     vectors = {name: measured_vectors(belief.arms[name], readings[name], conditions[name]) for name in names}
     arm_of = np.concatenate([np.full(len(vectors[name]), list(belief.arms).index(name)) for name in names])
-    places = np.array([order_of[k] for name in names for k in vectors[name].readings.configuration.tolist()])
+    places = np.concatenate([vectors[name].readings.configuration for name in names])
     p_M = np.concatenate(
         [belief.arms[name].model.predict(its.readings.q, conditions=its.conditions) for name, its in vectors.items()]
     )
@@ -248,8 +249,8 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
         X = X.reshape(-1, 3, len(its)).transpose(0, 2, 1).reshape(len(X), -1)
         left, again = _remembered(arm, its)
         p_M[here.start // 3 : here.stop // 3] += again[:, None] * left
-        open_ = X * (1.0 - np.repeat(again, 3))
-        K[here, here] = open_.T @ arm.covariance @ open_
+        uncertain = X * (1.0 - np.repeat(again, 3))
+        K[here, here] = uncertain.T @ arm.covariance @ uncertain
         if arm.day_m:
             at = slice(first // 3, here.stop // 3)
             drift = twists(p_M[at] - arm_centre(arm), turned[at]).reshape(-1, 6) * _day_sizes(arm)
@@ -327,18 +328,6 @@ def spanned(rows: Array) -> Array:
         return rows
     _, values, vectors = np.linalg.svd(rows, full_matrices=False)
     return np.asarray(vectors[values > _DEPENDENT * max(values[0], 1e-300)])
-
-
-def _order_of_stops(readings: Mapping[str, Readings]) -> dict[int, int]:
-    """Map the number of each stop to its rank in the order of measurement.
-
-    An arm that was not measured at some stops has smaller row numbers than others: the largest row of a stop counts.
-    """
-    last: dict[int, int] = {}
-    for its in readings.values():
-        for row, number in enumerate(its.configuration.tolist()):
-            last[number] = max(row, last.get(number, 0))
-    return {number: place for place, number in enumerate(sorted(last, key=last.__getitem__))}
 
 
 def arm_centre(arm: ArmBelief) -> Array:
