@@ -322,8 +322,8 @@ def _notes(
     if verdict == "valid" and hidden:
         noise_mm = 1e3 * max(arm.of_points.noise for arm in design.belief.arms.values())
         notes.append(
-            f"a change of 0.05 mm or 50 µrad of {hidden} of {counted(len(own), 'parameter')} of the arms would not"
-            f" be seen: it moves the SMR by less than {VISIBLE:g} times what a measurement scatters ({noise_mm:.3f} mm)"
+            f"{hidden} of {counted(len(own), 'parameter')} of the arms show a change only from more than 0.05 mm or"
+            f" 50 µrad: where it moves the SMR by {VISIBLE:g} times what a measurement scatters ({noise_mm:.3f} mm)"
         )
     return tuple(notes)
 
