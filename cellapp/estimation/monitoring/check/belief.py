@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import conditions_of_arms, states_nothing
-from cellapp.estimation.calibration.weights import mean_variance
+from cellapp.estimation.calibration.weights import excess_variance, mean_variance
 from cellapp.estimation.prior.belief import Measured, Posterior, design, is_smooth
 from cellapp.estimation.prior.calibrate import calibration_posterior
 from cellapp.estimation.readings import Readings
@@ -176,6 +176,10 @@ class SequentialState:
     p_value: float
 
 
+_INTERPOLATED = 1e-3
+"""Least share of its variance by which a fitted reading differs from the measured one."""
+
+
 def check_belief(
     profile: Profile,
     model: CellModel,
@@ -249,24 +253,32 @@ def watching(model: ArmModel, measured: Measured) -> ArmModel:
 def arm_belief(found: Posterior, measured: Measured) -> ArmBelief:
     """Build the belief of one arm from the posterior of its readings."""
     X = design(found.model, measured, found.prior.columns).reshape(-1, 3, len(measured))
-    promised = np.einsum("pan,pq,qan->n", X, found.covariance, X, optimize=True)
-    points, sigma = measured.points, found.measured.sigma
-    of_turns = Scatter() if measured.turned is None else Scatter(_rms(sigma[~points]), found.scatter_rad)
+    promised = np.einsum("pan,pq,qbn->nab", X, found.covariance, X, optimize=True)
+    points = measured.points
     return ArmBelief(
         model=found.model,
         columns=found.prior.columns,
         covariance=found.covariance,
-        of_points=Scatter(_rms(sigma[points]), found.scatter_m),
-        of_turns=of_turns,
+        of_points=_scatter(found, promised, points, found.scatter_m),
+        of_turns=_scatter(found, promised, ~points, found.scatter_rad) if measured.turned is not None else Scatter(),
         day_m=_day_m(found.model, measured.positions),
-        promised_m=math.sqrt(float(np.mean(promised[points]))),
+        promised_m=math.sqrt(float(np.mean(np.trace(promised[points], axis1=1, axis2=2)))),
         measured=measured,
         left=found.left_M,
     )
 
 
-def _rms(sigma: Array) -> float:
-    return math.sqrt(mean_variance(sigma))
+def _scatter(found: Posterior, promised: Array, rows: NDArray[np.bool_], arm: float) -> Scatter:
+    """Estimate the scatter of some readings from the errors of their predictions by all others.
+
+    Residuals are too small where free functions follow the readings: with R the covariance of a reading and P that
+    of its fitted value, the reading left out has the residual R (R - P)^-1 r, with covariance R (R - P)^-1 R.
+    """
+    sigma = found.measured.sigma[rows]
+    R = sigma if sigma.ndim == 3 else sigma[:, None, None] ** 2 * np.eye(3)
+    gain = R @ np.linalg.inv((1.0 + _INTERPOLATED) * R - promised[rows])
+    excess = excess_variance(np.einsum("nab,nb->na", gain, found.left_M[rows]), gain @ R, 3 * len(R))
+    return Scatter(math.sqrt(mean_variance(sigma) + excess), math.sqrt(arm**2 + excess))
 
 
 def _day_m(model: ArmModel, measured: Measured) -> float:
