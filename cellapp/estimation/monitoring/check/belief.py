@@ -57,7 +57,7 @@ repeatability of 0.1 mm by ISO 9283."""
 class Scatter:
     """Standard deviation of a component of the calibration's residuals: ``whole``, and ``arm`` without the tracker's.
 
-    A stop that is measured again, approached from the same side, has an unknown share of the arm's part again: at
+    A stop that is measured again after the same last motion has an unknown share of the arm's part again: at
     least all beyond ``UNREPEATED``. Expected is the mean of the least share and all of it, and the variance is that of
     the least share.
     """
