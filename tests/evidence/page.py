@@ -37,8 +37,8 @@ README_ROWS: tuple[tuple[str, str, str], ...] = (
     ),
     ("stated 95 % intervals that hold the truth", "{left} and {right}", "coverage"),
     (
-        "check of a calibration: false alarms; changes found",
-        "{false}; {found}, in {stops} stops (mean)",
+        "check of a calibration: unchanged cells valid; changes of three times the visible size found",
+        "{valid}; {found}, in {found_stops} stops (mean)",
         "check",
     ),
     (

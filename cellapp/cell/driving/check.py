@@ -7,6 +7,7 @@ base, tracker or SMR may have moved.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Protocol
@@ -20,7 +21,7 @@ from cellapp.cell.driving.supervision import MovingCell, Opened, moving_cell
 from cellapp.cell.driving.target_visit import Driver
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import clear_stops, visible_stops
-from cellapp.estimation.monitoring.check import SequentialState
+from cellapp.estimation.monitoring.check.belief import SequentialState
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
@@ -173,9 +174,13 @@ class _Checking:
         self.driven.notes.append(f"stop {number + 1}, arm {', '.join(names)}: {error}")
 
     def _drive(self, wanted: Mapping[str, Readings]) -> dict[str, ArmState]:
-        """Drive arms to readings of the calibration; end with a short motion of each joint in the direction as then."""
-        sides = {name: its.approach[0].astype(np.float64) for name, its in wanted.items()}
-        return self.driver.to(list(wanted), lambda name, start: wanted[name].q[0], sides)
+        """Drive arms to readings of the calibration, with the last motion as then; else one of its direction."""
+        signs = {name: its.approach[0].astype(np.float64) for name, its in wanted.items()}
+        steps = {name: np.nan_to_num(its.step[0]) for name, its in wanted.items() if its.step is not None}
+        if len(steps) == len(wanted):
+            with suppress(MotionRefused):
+                return self.driver.to(list(wanted), lambda name, start: wanted[name].q[0], steps, 1.0)
+        return self.driver.to(list(wanted), lambda name, start: wanted[name].q[0], signs)
 
     def _measure(self, number: int, states: Mapping[str, ArmState]) -> bool:
         """Measure the SMRs of arms that are at a stop together; return whether the test is decided then."""

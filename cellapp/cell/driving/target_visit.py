@@ -53,10 +53,13 @@ class Driver:
     mover: Mover
     homes: Targets
 
-    def to(self, names: Sequence[str], command: CommandFrom, sides: Sides) -> dict[str, ArmState]:
+    def to(
+        self, names: Sequence[str], command: CommandFrom, sides: Sides, step_rad: float = _STEPS_BACK_RAD[0]
+    ) -> dict[str, ArmState]:
         """Drive ``names`` to their commands from the given sides, the others home first. Return their states at rest.
 
-        Only motions after which the arms can move home again are allowed.
+        The last motion of each joint is ``step_rad`` times its side [rad]. Only motions after which the arms can move
+        home again are allowed.
 
         Raises
         ------
@@ -69,10 +72,10 @@ class Driver:
         away = [name for name in q if name not in names and not self.mover.rests_at({name: self.homes[name]})]
         if away:
             self.mover.go_home(away)
-        way, refusal = self._accepted({name: command(name, q[name]) for name in names}, sides)
+        way, refusal = self._accepted({name: command(name, q[name]) for name in names}, sides, step_rad)
         if not way:
             self.mover.go_home(names)
-            way, refusal = self._accepted({name: command(name, self.homes[name]) for name in names}, sides)
+            way, refusal = self._accepted({name: command(name, self.homes[name]) for name in names}, sides, step_rad)
         return self._along(way, refusal)
 
     def back_to(self, targets: Targets, sides: Sides) -> dict[str, ArmState]:

@@ -24,8 +24,8 @@ from cellapp.commands.locate.station import excess_of_readings, profile_at_stati
 from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
-from cellapp.estimation.calibration.station_location import displacement_m, predicted_points
-from cellapp.estimation.monitoring.check import CheckBelief, SequentialTest, check_belief, choose_stops, design_of
+from cellapp.estimation.calibration.station_location import predicted_points
+from cellapp.estimation.monitoring.check.belief import CheckBelief, check_belief
 from cellapp.estimation.monitoring.check.naming import Design
 from cellapp.estimation.monitoring.check.records import (
     CHANGES_OF_ARMS,
@@ -34,6 +34,7 @@ from cellapp.estimation.monitoring.check.records import (
     CheckResult,
     CheckVerdict,
 )
+from cellapp.estimation.monitoring.check.sequential import SequentialTest, choose_stops, design_of
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -41,7 +42,7 @@ from cellapp.ground.profile.schema import Plant
 from cellapp.ground.progress import with_eta
 from cellapp.ground.results import CHECK, LOCATE
 from cellapp.ground.shell import shell_word
-from cellapp.robot.kinematics.transforms import Array, invert, xyz_of
+from cellapp.robot.kinematics.transforms import xyz_of
 from cellapp.robot.model import ArmModel, CellModel
 
 
@@ -111,7 +112,6 @@ class _Checked:
     """The model to check and its data.
 
     ``used`` is the stage in force, ``arms`` the stage whose model is in the tracker frame of the readings.
-    ``located_T`` (4, 4) maps coordinates of that frame into the frame of a tracker located since; None if it was not.
     """
 
     stages: RunStages
@@ -119,7 +119,6 @@ class _Checked:
     arms: StoredStage
     model: CellModel
     belief: CheckBelief
-    located_T: Array | None
 
     @property
     def stale(self) -> str:
@@ -132,18 +131,16 @@ def _checked(run: RunFile, turned: Collection[str] = ()) -> _Checked:
     stages = read_stages(run)
     used, arms = stage_in_force(run, stages), arms_stage(run, stages, "check")
     readings = {name: known_readings(run, name) for name in run.profile.arms}
-    located_T = None
-    if used.name == LOCATE:
-        located_T = np.array(LocateResult.from_json(used.text, f"{run.path}: {LOCATE}").T_new_old)
+    located = LocateResult.from_json(used.text, f"{run.path}: {LOCATE}") if used.name == LOCATE else None
     belief = check_belief(
         run.profile,
         model_of(run, arms),
         readings,
         turned=turned,
-        station_free=located_T is not None,
-        T_new_old=located_T,
+        T_new_old=None if located is None else np.array(located.T_new_old),
+        station=None if located is None else np.array(located.covariance),
     )
-    return _Checked(stages, used, arms, model_of(run, used), belief, located_T)
+    return _Checked(stages, used, arms, model_of(run, used), belief)
 
 
 def _with_plant(profile: Profile, plant: Plant | None) -> Profile:
@@ -169,7 +166,7 @@ def _stops(profile: Profile, checked: _Checked, design: Design, count: int) -> l
 
 
 def _result(run: RunFile, checked: _Checked, driven: DrivenCheck, found: CheckResult) -> CheckResult:
-    verdict = _verdict(run.profile, checked, driven, found)
+    verdict = "cannot say" if driven.lost and found.verdict == "valid" else found.verdict
     return found.model_copy(
         update={
             "verdict": verdict,
@@ -181,18 +178,6 @@ def _result(run: RunFile, checked: _Checked, driven: DrivenCheck, found: CheckRe
             "notes": (*driven.notes, *found.notes),
         }
     )
-
-
-def _verdict(profile: Profile, checked: _Checked, driven: DrivenCheck, found: CheckResult) -> CheckVerdict:
-    """Return the verdict: that of the test; if valid, a located tracker may have moved again, or an arm not be seen."""
-    if found.verdict != "valid":
-        return found.verdict
-    if checked.located_T is not None and found.T_new_old is not None:
-        points = points_of([one for stop in driven.stops for one in stop.found.values()])
-        since = np.array(found.T_new_old) @ invert(checked.located_T)
-        if displacement_m(checked.model, points, since) > profile.collection.reference.drift:
-            return "tracker moved"
-    return "cannot say" if driven.lost else "valid"
 
 
 def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:

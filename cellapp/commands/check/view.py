@@ -36,8 +36,8 @@ def view(result: CheckResult, request: CheckRequest | None = None) -> View:
 
 
 def check_tables(result: CheckResult) -> list[Table]:
-    """Show each arm's errors, what changed, changes that these stops may miss, and every stop."""
-    return [_arm_table(result), *with_rows(_change_table(result), _weak_table(result), _stop_table(result))]
+    """Show each arm's errors, what changed, and every stop."""
+    return [_arm_table(result), *with_rows(_change_table(result), _stop_table(result))]
 
 
 def check_sentences(result: CheckResult) -> list[str]:
@@ -153,18 +153,6 @@ def _change_table(result: CheckResult) -> Table:
     )
 
 
-def _weak_table(result: CheckResult) -> Table:
-    """Show visible changes that would have to be larger to be found by these stops."""
-    return table_of(
-        "Check: visible changes that these stops may miss",
-        result.weak,
-        ("where", "arm"),
-        ("what", "what"),
-        ("found from", lambda one: one.detected * _in_unit(one.unit)[0], ".2g"),
-        ("unit", lambda one: _in_unit(one.unit)[1]),
-    )
-
-
 def _stop_table(result: CheckResult) -> Table:
     def error_at(name: str, stop: CheckedStop, of: str = "error_mm") -> float | None:
         return getattr(stop.points[name], of) if name in stop.points else None
@@ -235,13 +223,8 @@ def _evidence_message(result: CheckResult) -> str:
     if not result.stops:
         return "No stop was measured."
     last = result.stops[-1]
-    words = [
-        f"{what} {value:.1f}" + ("" if sure is None else f" (sure at {sure:.1f})")
-        for what, value, sure in (
-            ("of a change", last.log_evidence, result.sure_change),
-            ("of no visible change", last.log_valid, result.sure_valid),
-        )
-    ]
+    of = {"of a change": (last.log_evidence, result.sure_change), "of none": (last.log_valid, result.sure_valid)}
+    words = [f"{what} {it:.1f}" + ("" if sure is None else f" (sure at {sure:.1f})") for what, (it, sure) in of.items()]
     return (
         f"Evidence after {counted(len(result.stops), 'stop')}: {', '.join(words)}; the verdict is '{result.verdict}'."
     )

@@ -102,10 +102,10 @@ def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
     first, second = read_results(a, stages[0]), read_results(b, stages[1])
     models = comparable_arms(a, stages[0]), comparable_arms(b, stages[1])
     common = [name for name in a.profile.arms if name in b.profile.arms]
-    others = dict(_other_serials(a, b, common))
+    others = dict(_other_ones(a, b, common))
     arms = {}
     for name in common:
-        same = name not in others and _same_type(a, b, name) and all(name in model for model in models)
+        same = name not in others and all(name in model for model in models)
         moved = differences(models[0][name], models[1][name]) if same else []
         arms[name] = (*map(_moved, moved), *_of_arm(name, first, second))
     return RunComparison(
@@ -114,7 +114,7 @@ def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
         profile=tuple(_profile_differences(a.profile, b.profile)),
         arms=arms,
         pair=tuple(_of_pair(first.calibrate, second.calibrate)),
-        notes=(*_other_arms(a, b), *_other_types(a, b, common), *others.values(), *_missing(first), *_missing(second)),
+        notes=(*_other_arms(a, b), *others.values(), *_missing(first), *_missing(second)),
     )
 
 
@@ -129,30 +129,20 @@ def _other_arms(a: RunFile, b: RunFile) -> Iterator[str]:
                 yield f"arm '{name}' is in {run.folder} only; the arms of {other.folder} are {names}"
 
 
-def _same_type(a: RunFile, b: RunFile, name: str) -> bool:
-    return a.profile.arms[name].type.model == b.profile.arms[name].type.model
-
-
-def _other_types(a: RunFile, b: RunFile, common: Sequence[str]) -> Iterator[str]:
-    for name in common:
-        if not _same_type(a, b, name):
-            types = [run.profile.arms[name].type.model for run in (a, b)]
-            yield (
-                f"arm '{name}' is of type {types[0]} in {a.folder} and {types[1]} in {b.folder}; parameters of"
-                " different arms are not compared"
-            )
-
-
-def _other_serials(a: RunFile, b: RunFile, common: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield arms with one name but different serial numbers, each with a note."""
+def _other_ones(a: RunFile, b: RunFile, common: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield arms with one name but different types or serial numbers, each with a note."""
     first, second = arm_identities(a), arm_identities(b)
     for name in common:
-        if first[name].is_other_than(second[name]):
-            yield (
-                name,
-                f"arm '{name}' has the serial number {first[name].serial} in {a.folder} and {second[name].serial} in"
-                f" {b.folder}; parameters of different arms are not compared",
-            )
+        what, values = "is of type", [run.profile.arms[name].type.model for run in (a, b)]
+        if values[0] == values[1]:
+            if not first[name].is_other_than(second[name]):
+                continue
+            what, values = "has the serial number", [str(one[name].serial) for one in (first, second)]
+        yield (
+            name,
+            f"arm '{name}' {what} {values[0]} in {a.folder} and {values[1]} in {b.folder}; parameters of different arms"
+            " are not compared",
+        )
 
 
 def _missing(results: RunResults) -> Iterator[str]:

@@ -8,7 +8,7 @@ zeros of the first and of the last joint) then keeps its original priors.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import inverse_psd, shortened, solve_psd
 from cellapp.estimation.calibration.parameters import candidate_columns, typical_spreads
-from cellapp.estimation.calibration.quantities import measured_quantities, states_nothing
+from cellapp.estimation.calibration.quantities import NOT_STATED, measured_quantities
 from cellapp.estimation.calibration.records import SignaturePart
-from cellapp.estimation.calibration.weights import excess_variance, with_excess
+from cellapp.estimation.calibration.weights import excess_of_kinds, with_excess
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.joint_fit import LinearModel, NormalMatrix
 from cellapp.estimation.readings import Readings
@@ -240,19 +240,12 @@ def _scatter(measured: Measured, left_M: Array, fitted: float) -> tuple[float, f
 
     The parameters are charged to both kinds in proportion to their numbers of readings.
     """
-    turned, stated = measured.turned, measured.stated
-    if turned is None:
-        return scatter_of(left_M, stated, 3 * len(measured) - fitted), _FIRST_SCATTER_RAD
-    assert stated is not None
-    kinds = [
-        scatter_of(
-            left_M[rows],
-            None if states_nothing(stated[rows]) else stated[rows],
-            3.0 * int(rows.sum()) - fitted * float(rows.mean()),
-        )
-        for rows in (~turned, turned)
-    ]
-    return kinds[0], kinds[1]
+    stated = np.full(len(measured), NOT_STATED) if measured.stated is None else measured.stated
+    freedom = max(3 * len(measured) - fitted, 1.0)
+    of_turns = freedom * float(np.mean(~measured.points))
+    found = excess_of_kinds(left_M, stated, freedom, measured.turned, of_turns)
+    least = _LEAST_SCATTER_M if measured.stated is None else 0.0
+    return max(math.sqrt(found[0]), least), math.sqrt(found[1])
 
 
 def solution(normal: NormalMatrix, prior: Prior) -> tuple[Array, Array]:
@@ -262,14 +255,6 @@ def solution(normal: NormalMatrix, prior: Prior) -> tuple[Array, Array]:
     A = A * unit * unit[:, None]
     b = unit * (normal.moment + prior.precision @ prior.mean)
     return solve_psd(A, b) * unit, inverse_psd(A) * unit * unit[:, None]
-
-
-def scatter_of(left_M: Array, stated: Array | None, freedom: float) -> float:
-    """Return the standard deviation of a coordinate [m] beyond the stated uncertainty, all of it if none is stated."""
-    degrees = max(1, round(freedom))
-    if stated is None:
-        return max(math.sqrt(float(np.sum(left_M**2)) / degrees), _LEAST_SCATTER_M)
-    return math.sqrt(excess_variance(left_M, stated, degrees))
 
 
 def _sigma(measured: Measured, scatter_m: float, scatter_rad: float) -> Array:
@@ -357,23 +342,12 @@ class Belief:
         """Return the belief after changes of each parameter with ``variance`` (p,)."""
         return replace(self, covariance=self.covariance + np.diag(variance))
 
-    def restricted(self, parts: Collection[SignaturePart]) -> Belief:
-        """Return the belief about some parts only; effects of the others are removed from the model."""
-        kept = np.flatnonzero([part in parts for part in self.parts]).astype(np.intp)
-        smooth = {"curves": True, "effects": False}
-        taken = [part for part in smooth if part in parts]
-        return replace(
-            self,
-            terms=tuple(term for term in self.terms if is_smooth(term) in [smooth[part] for part in taken]),
-            mean=self.mean[kept],
-            covariance=self.covariance[np.ix_(kept, kept)],
-            size=self.size[kept],
-        )
-
     def forgotten(self) -> Belief:
         """Return the knowledge of the geometry before any calibration, without effects."""
-        bare = self.restricted(["geometry"])
-        return replace(bare, mean=np.zeros_like(bare.mean), covariance=np.diag(bare.jump_sd**2), is_forgotten=True)
+        size = self.jump_sd[: len(self.columns)]
+        return replace(
+            self, terms=(), mean=np.zeros_like(size), covariance=np.diag(size**2), size=size, is_forgotten=True
+        )
 
     def geometry(self, start: Geometry) -> Geometry:
         """Return the mean geometry with base and tool of ``start``."""

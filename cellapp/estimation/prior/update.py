@@ -339,12 +339,6 @@ _FEW_READINGS = 100
 """Most vectors for deciding which parts are believed: a wrong part contradicts most of them."""
 _SUBSET_SEED = 0x51A7
 """Combined with the profile's seed, so that the draw of these readings is independent of all other draws."""
-_PARTS: tuple[tuple[SignaturePart, ...], ...] = (
-    ("geometry", "effects", "curves"),
-    ("geometry", "curves"),
-    ("geometry",),
-)
-"""Parts that may be believed together. Curves belong to their geometry; named effects may be wrong."""
 _BELIEVED = 0.5
 """Share of the parameters' largest size above which the drift of a part means that it is not believed."""
 _GEOMETRY_UNIT = "m, rad"
@@ -423,16 +417,12 @@ def update(
 
 
 def _supported(profile: Profile, name: str, measured: Measured, belief: Belief) -> Belief:
-    """Return the belief about the parts that make the readings likeliest; without any, ``belief.forgotten()``."""
+    """Return the belief, or ``belief.forgotten()`` if that makes the readings likelier."""
     some = measured.take(_subset(profile, len(measured), _FEW_READINGS))
-    alternatives = {len(one.mean): one for parts in _PARTS for one in [belief.restricted(parts)]}
     found = []
-    for one in (*alternatives.values(), belief.forgotten()):
-        model = first_model(profile, name, some, one)
-        problem = _evidence(one, model, some)
-        if one.is_forgotten:
-            problem = replace(problem, drift={})
-        drifts = problem.drifts()
+    for one in (belief, belief.forgotten()):
+        problem = _evidence(one, first_model(profile, name, some, one), some)
+        drifts = (replace(problem, drift={}) if one.is_forgotten else problem).drifts()
         found.append((drifts.log_likelihood - len(drifts.of_parts), one))
     return max(found, key=lambda pair: pair[0])[1]
 

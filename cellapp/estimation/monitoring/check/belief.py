@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import conditions_of_arms, states_nothing
-from cellapp.estimation.calibration.weights import mean_variance
+from cellapp.estimation.calibration.weights import excess_variance, mean_variance
 from cellapp.estimation.prior.belief import Measured, Posterior, design, is_smooth
 from cellapp.estimation.prior.calibrate import calibration_posterior
 from cellapp.estimation.readings import Readings
@@ -57,7 +57,7 @@ repeatability of 0.1 mm by ISO 9283."""
 class Scatter:
     """Standard deviation of a component of the calibration's residuals: ``whole``, and ``arm`` without the tracker's.
 
-    A stop that is measured again, approached from the same side, has an unknown share of the arm's part again: at
+    A stop that is measured again after the same last motion has an unknown share of the arm's part again: at
     least all beyond ``UNREPEATED``. Expected is the mean of the least share and all of it, and the variance is that of
     the least share.
     """
@@ -137,14 +137,12 @@ class ArmBelief:
 class CheckBelief:
     """Predictions of a cell by a calibration.
 
-    ``arms`` maps names to beliefs, in the expected frame of the tracker: the earlier one, or the approximate one of a
-    new station. ``T_new_old`` (4, 4) maps the earlier frame into that; None if the tracker was not set up anew.
-    ``station_free`` is True if it was set up anew, so that its motion is no change.
+    ``arms`` maps names to beliefs, in the frame of the tracker's station. ``station`` (6, 6) is the covariance of a
+    twist of that frame, shift at its origin [m] and rotation [rad]; None if it is that of the calibration.
     """
 
     arms: Mapping[str, ArmBelief]
-    station_free: bool = False
-    T_new_old: Array | None = None
+    station: Array | None = None
 
     @property
     def models(self) -> dict[str, ArmModel]:
@@ -178,14 +176,18 @@ class SequentialState:
     p_value: float
 
 
+_INTERPOLATED = 1e-3
+"""Least share of its variance by which a fitted reading differs from the measured one."""
+
+
 def check_belief(
     profile: Profile,
     model: CellModel,
     readings: Mapping[str, Readings],
     *,
     turned: Collection[str] = (),
-    station_free: bool = False,
     T_new_old: Array | None = None,
+    station: Array | None = None,
 ) -> CheckBelief:
     """Build the belief of a check from a calibration.
 
@@ -198,10 +200,10 @@ def check_belief(
         Arm -> the readings that it was calibrated from, of all splits.
     turned : collection of str
         Arms of which the check measures orientation too; used if the calibration measured it.
-    station_free : bool
-        Whether the tracker was set up anew since, so that its pose is unknown.
     T_new_old : array, shape (4, 4), optional
-        Its approximate new station: maps coordinates in its earlier frame into the present one.
+        Maps coordinates of the tracker's frame into that of the station where it was located since.
+    station : array, shape (6, 6), optional
+        Covariance of that station, see ``CheckBelief``.
 
     Raises
     ------
@@ -220,9 +222,9 @@ def check_belief(
         for name, arm in model.arms.items()
     }
     arms = {name: arm_belief(*calibration_posterior(profile, name, models, own)) for name in own}
-    if T_new_old is None:
-        return CheckBelief(arms, station_free)
-    return CheckBelief({name: _relocated(arm, T_new_old) for name, arm in arms.items()}, station_free, T_new_old)
+    if T_new_old is not None:
+        arms = {name: _relocated(arm, T_new_old) for name, arm in arms.items()}
+    return CheckBelief(arms, station)
 
 
 def watched_terms(model: ArmModel, measured: Measured) -> tuple[EffectTerm, ...]:
@@ -251,24 +253,32 @@ def watching(model: ArmModel, measured: Measured) -> ArmModel:
 def arm_belief(found: Posterior, measured: Measured) -> ArmBelief:
     """Build the belief of one arm from the posterior of its readings."""
     X = design(found.model, measured, found.prior.columns).reshape(-1, 3, len(measured))
-    promised = np.einsum("pan,pq,qan->n", X, found.covariance, X, optimize=True)
-    points, sigma = measured.points, found.measured.sigma
-    of_turns = Scatter() if measured.turned is None else Scatter(_rms(sigma[~points]), found.scatter_rad)
+    promised = np.einsum("pan,pq,qbn->nab", X, found.covariance, X, optimize=True)
+    points = measured.points
     return ArmBelief(
         model=found.model,
         columns=found.prior.columns,
         covariance=found.covariance,
-        of_points=Scatter(_rms(sigma[points]), found.scatter_m),
-        of_turns=of_turns,
+        of_points=_scatter(found, promised, points, found.scatter_m),
+        of_turns=_scatter(found, promised, ~points, found.scatter_rad) if measured.turned is not None else Scatter(),
         day_m=_day_m(found.model, measured.positions),
-        promised_m=math.sqrt(float(np.mean(promised[points]))),
+        promised_m=math.sqrt(float(np.mean(np.trace(promised[points], axis1=1, axis2=2)))),
         measured=measured,
         left=found.left_M,
     )
 
 
-def _rms(sigma: Array) -> float:
-    return math.sqrt(mean_variance(sigma))
+def _scatter(found: Posterior, promised: Array, rows: NDArray[np.bool_], arm: float) -> Scatter:
+    """Estimate the scatter of some readings from the errors of their predictions by all others.
+
+    Residuals are too small where free functions follow the readings: with R the covariance of a reading and P that
+    of its fitted value, the reading left out has the residual R (R - P)^-1 r, with covariance R (R - P)^-1 R.
+    """
+    sigma = found.measured.sigma[rows]
+    R = sigma if sigma.ndim == 3 else sigma[:, None, None] ** 2 * np.eye(3)
+    gain = R @ np.linalg.inv((1.0 + _INTERPOLATED) * R - promised[rows])
+    excess = excess_variance(np.einsum("nab,nb->na", gain, found.left_M[rows]), gain @ R, 3 * len(R))
+    return Scatter(math.sqrt(mean_variance(sigma) + excess), math.sqrt(arm**2 + excess))
 
 
 def _day_m(model: ArmModel, measured: Measured) -> float:
@@ -310,7 +320,7 @@ def noise_covariance(arm: ArmBelief, measured: Measured, again: Array) -> Array:
 
 
 def _relocated(arm: ArmBelief, T: Array) -> ArmBelief:
-    """Return the belief in the frame of a tracker that was set up anew."""
+    """Return the belief in the frame of another station of the tracker."""
     names = ParameterSet("", arm.model.geometry.joints, arm.columns).names
     terms = tuple(f"{k}" for k in range(len(arm.covariance) - len(names)))
     model = replace(arm.model, posterior=None, identified=(*names, *terms), covariance=arm.covariance)

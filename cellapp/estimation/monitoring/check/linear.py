@@ -8,7 +8,7 @@ Expected is the model's prediction and, at a stop of the calibration, a share of
 explains but which comes again. S is the posterior covariance of all parameters of the calibration, common to all stops,
 X their effects, less that share; R the covariance of tracker and repeatability, independent between stops. V are the
 effects of changes on y, b their sizes in units of the smallest change to be detected. T are the six motions of a
-tracker that was set up anew, P their wide prior covariance.
+tracker that was located since, P their covariance.
 """
 
 from __future__ import annotations
@@ -38,7 +38,6 @@ from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.kinematics.chain import all_names, parameter_names, parameter_unit
 from cellapp.robot.kinematics.transforms import Array, twist_columns
-from cellapp.robot.model import ArmModel
 
 # -- Changes that a check looks for: of single parameters, of effects, and rigid motions of tracker, bases and SMRs ---
 
@@ -99,8 +98,7 @@ def directions_of(belief: CheckBelief) -> list[Direction]:
 def alternatives_of(belief: CheckBelief, directions: Sequence[Direction]) -> list[Alternative]:
     """List what may have changed, causes that affect most points first: tracker, bases, SMRs, parameters, effects.
 
-    Each parameter is an alternative; so are all values of an effect at one place together. A tracker that was set up
-    anew is not an alternative.
+    Each parameter is an alternative; so are all values of an effect at one place together.
     """
     places: dict[tuple[str, ChangeKind, str], list[int]] = {}
     for k, one in enumerate(directions):
@@ -108,8 +106,6 @@ def alternatives_of(belief: CheckBelief, directions: Sequence[Direction]) -> lis
         places.setdefault((one.arm, one.kind, what), []).append(k)
     order = ("tracker", "base", "smr", "parameter", "effect")
     found = [Alternative(*key, tuple(members)) for key, members in places.items()]
-    if belief.station_free:
-        found = [one for one in found if one.kind != "tracker"]
     return sorted(found, key=lambda one: order.index(one.kind))
 
 
@@ -167,9 +163,6 @@ def _growth(name: str, arm: ArmBelief, rows: Array) -> list[Direction]:
     return [Direction(name, "effect", GROWTH, tuple(places), LENGTH_M / rms, "m/m", tuple(shares.tolist()))]
 
 
-_STATION_M = 0.01
-"""Prior standard deviation of a tracker's motion about its fitted pose if it was set up anew [m, and rad at 1 m]: far
-above the noise, so that the points determine it, yet small enough that the factor of K stays accurate."""
 _SAME_STOP_RAD = 0.01
 """Distance in joint space within which a stop is one of the calibration."""
 _DEPENDENT = 1e-6
@@ -194,8 +187,6 @@ class StopRows:
         Motion of the coordinates by one step of each direction [m].
     factor : array, shape (d, d)
         Lower Cholesky factor of K [m].
-    free : int
-        Number of leading directions that are unknown and fitted: six for a tracker that was set up anew, else 0.
     turned : array, shape (m,), or None
         Mask of points that are orientations; None if there are none.
     """
@@ -206,7 +197,6 @@ class StopRows:
     arm_of: NDArray[np.intp]
     rows: Array
     factor: Array
-    free: int = 0
     turned: NDArray[np.bool_] | None = None
 
     @property
@@ -238,12 +228,13 @@ def _remembered(arm: ArmBelief, its: Measured) -> tuple[Array, Array]:
 
 
 def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions: Sequence[Direction]) -> StopRows:
-    """Build the linear model of stops; rows of several arms with the same ``configuration`` are one stop."""
-    conditions, order_of = conditions_now(belief, readings), _order_of_stops(readings)
+    """Build the linear model of stops; rows of several arms with the same ``configuration`` are one stop; these
+    numbers are in the order of measurement."""
+    conditions = conditions_now(belief, readings)
     names = [name for name in belief.arms if name in readings]
     vectors = {name: measured_vectors(belief.arms[name], readings[name], conditions[name]) for name in names}
     arm_of = np.concatenate([np.full(len(vectors[name]), list(belief.arms).index(name)) for name in names])
-    places = np.array([order_of[k] for name in names for k in vectors[name].readings.configuration.tolist()])
+    places = np.concatenate([vectors[name].readings.configuration for name in names])
     p_M = np.concatenate(
         [belief.arms[name].model.predict(its.readings.q, conditions=its.conditions) for name, its in vectors.items()]
     )
@@ -258,8 +249,8 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
         X = X.reshape(-1, 3, len(its)).transpose(0, 2, 1).reshape(len(X), -1)
         left, again = _remembered(arm, its)
         p_M[here.start // 3 : here.stop // 3] += again[:, None] * left
-        open_ = X * (1.0 - np.repeat(again, 3))
-        K[here, here] = open_.T @ arm.covariance @ open_
+        uncertain = X * (1.0 - np.repeat(again, 3))
+        K[here, here] = uncertain.T @ arm.covariance @ uncertain
         if arm.day_m:
             at = slice(first // 3, here.stop // 3)
             drift = twists(p_M[at] - arm_centre(arm), turned[at]).reshape(-1, 6) * _day_sizes(arm)
@@ -271,8 +262,9 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
                 rows[k, here] = one.row_of(station[:, here])
         _add_noise(K, first, noise_covariance(arm, its, again))
         first = here.stop
-    if belief.station_free:
-        K += _STATION_M**2 * station.T @ station
+    if belief.station is not None:
+        T = twists(p_M, turned).reshape(total, 6)
+        K += T @ belief.station @ T.T
     order = np.argsort(places, kind="stable")
     coordinates = (3 * order[:, None] + np.arange(3)).ravel()
     measured = np.concatenate([its.readings.p_M for its in vectors.values()])
@@ -284,7 +276,6 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
         arm_of=arm_of[order],
         rows=rows[:, coordinates],
         factor=scipy.linalg.cholesky(K[np.ix_(coordinates, coordinates)], lower=True),
-        free=len(station) if belief.station_free else 0,
         turned=turned[order] if turned.any() else None,
     )
 
@@ -313,7 +304,7 @@ class Moments:
         columns = np.column_stack([stops.left.ravel(), stops.rows.T])
         solved = scipy.linalg.solve_triangular(stops.factor, columns, lower=True)
         directions = np.ascontiguousarray(solved[:, 1:].T)
-        return cls(solved[:, 0], directions, spanned(directions[: stops.free]))
+        return cls(solved[:, 0], directions, directions[:0])
 
     @property
     def information(self) -> Array:
@@ -337,18 +328,6 @@ def spanned(rows: Array) -> Array:
         return rows
     _, values, vectors = np.linalg.svd(rows, full_matrices=False)
     return np.asarray(vectors[values > _DEPENDENT * max(values[0], 1e-300)])
-
-
-def _order_of_stops(readings: Mapping[str, Readings]) -> dict[int, int]:
-    """Map the number of each stop to its rank in the order of measurement.
-
-    An arm that was not measured at some stops has smaller row numbers than others: the largest row of a stop counts.
-    """
-    last: dict[int, int] = {}
-    for its in readings.values():
-        for row, number in enumerate(its.configuration.tolist()):
-            last[number] = max(row, last.get(number, 0))
-    return {number: place for place, number in enumerate(sorted(last, key=last.__getitem__))}
 
 
 def arm_centre(arm: ArmBelief) -> Array:
@@ -378,10 +357,8 @@ def _add_noise(K: Array, first: int, blocks: Array) -> None:
 def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequence[Direction]) -> Array:
     """Compute the motion (C, n, 3) [m, rad] of n measured vectors of an arm by one step of each direction."""
     arm = belief.arms[name]
-    model, kept = _without_free_functions(arm.model, len(arm.columns))
-    X = np.zeros((len(arm.covariance), len(measured), 3))
-    X[kept] = design(model, measured, arm.columns).reshape(-1, 3, len(measured)).transpose(0, 2, 1)
-    p_M = model.predict(measured.readings.q, conditions=measured.conditions)
+    X = design(arm.model, measured, arm.columns).reshape(-1, 3, len(measured)).transpose(0, 2, 1)
+    p_M = arm.model.predict(measured.readings.q, conditions=measured.conditions)
     station = twists(p_M - centre_of(belief), ~measured.points).transpose(2, 0, 1)
     found = np.zeros((len(directions), len(measured), 3))
     for k, one in enumerate(directions):
@@ -390,16 +367,6 @@ def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequ
         elif one.arm == TRACKER:
             found[k] = one.row_of(station)
     return found
-
-
-def _without_free_functions(model: ArmModel, geometric: int) -> tuple[ArmModel, NDArray[np.bool_]]:
-    """Return the model without free functions, and the mask of the parameters that are kept.
-
-    Free functions have hundreds of values, none of which is a direction; they turn the joints by some 0.1 mrad, which
-    changes no motion by a thousandth.
-    """
-    kept = np.concatenate([np.full(geometric, True), *(np.full(len(t.names), not is_smooth(t)) for t in model.effects)])
-    return replace(model, effects=tuple(term for term in model.effects if not is_smooth(term))), kept
 
 
 def calibration_motions(belief: CheckBelief, directions: Sequence[Direction]) -> dict[str, Array]:
@@ -411,8 +378,8 @@ def visibility(belief: CheckBelief, directions: Sequence[Direction], moved: Mapp
     """Compute the rms motion (C,) of the SMR by one step of each direction, in [m] and in units of the noise.
 
     Motions are judged by the noise of a position, rotations of a probe by that of an orientation. The best-fitting
-    motion of the tracker is subtracted, see ``check.belief``, except from the tracker's own directions; these show
-    nothing if it was set up anew. ``moved`` are the motions at the calibration's readings.
+    motion of the tracker is subtracted, see ``check.belief``, except from the tracker's own directions. ``moved`` are
+    the motions at the calibration's readings.
     """
     rows = np.concatenate([_as_points(arm, moved[name]) for name, arm in belief.arms.items()], axis=1)
     points = np.concatenate([np.repeat(arm.measured.points, 3) for arm in belief.arms.values()])
@@ -424,7 +391,7 @@ def visibility(belief: CheckBelief, directions: Sequence[Direction], moved: Mapp
     counts[TRACKER], noise[TRACKER] = sum(counts.values()), max(noise.values())
     of_arm = np.array([counts[one.arm] for one in directions])
     shown = np.sqrt(np.sum(left**2, axis=1) / of_arm) / np.array([noise[one.arm] for one in directions])
-    return np.sqrt(np.sum(left[:, points] ** 2, axis=1) / of_arm), np.where(own & belief.station_free, 0.0, shown)
+    return np.sqrt(np.sum(left[:, points] ** 2, axis=1) / of_arm), shown
 
 
 def _as_points(arm: ArmBelief, moved: Array) -> Array:

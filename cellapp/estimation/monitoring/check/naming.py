@@ -17,8 +17,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from cellapp.estimation.calibration.least_squares import LeastSquares
 from cellapp.estimation.calibration.station_location import FEWEST_POINTS
-from cellapp.estimation.monitoring.check.belief import LENGTH_M, CheckBelief
+from cellapp.estimation.monitoring.check.belief import CheckBelief
 from cellapp.estimation.monitoring.check.linear import (
     Alternative,
     Direction,
@@ -29,7 +30,6 @@ from cellapp.estimation.monitoring.check.linear import (
     twists,
 )
 from cellapp.estimation.prior.update import SURE
-from cellapp.ground.errors import NotConverged
 from cellapp.robot.kinematics.transforms import (
     Array,
     apply,
@@ -92,13 +92,12 @@ class MinPValueTest:
 
     bases: tuple[Array, ...]
     fitted: Array
-    seed: tuple[int, ...] = (0,)
 
     @classmethod
-    def of(cls, moments: Moments, alternatives: Sequence[Alternative], seed: Sequence[int] = (0,)) -> MinPValueTest:
+    def of(cls, moments: Moments, alternatives: Sequence[Alternative]) -> MinPValueTest:
         """Build the test for the stops of ``moments``."""
         bases = tuple(spanned(moments.directions[list(one.members)]) for one in alternatives)
-        return cls(bases, moments.fitted, tuple(seed))
+        return cls(bases, moments.fitted)
 
     def least(self, moments: Moments) -> float:
         """Return the least p-value of all alternatives and of chi-squared."""
@@ -117,7 +116,7 @@ class MinPValueTest:
     @cached_property
     def _null(self) -> Array:
         """Least p-values of simulated checks without a change, ascending."""
-        generator = np.random.default_rng([*self.seed, 0xC4EC])
+        generator = np.random.default_rng(0xC4EC)
         white = generator.standard_normal((self.fitted.shape[1], _DRAWS))
         white -= self.fitted.T @ (self.fitted @ white)
         ranks = {len(basis) for basis in self.bases}
@@ -267,14 +266,10 @@ class Cause:
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """Causes, the most evident first, and the p-value of chi-squared of the residuals.
-
-    ``station`` (4, 4) is the motion of a tracker that was set up anew, beyond that without any change.
-    """
+    """Causes, the most evident first, and the p-value of chi-squared of the residuals."""
 
     causes: tuple[Cause, ...]
     left_p_value: float
-    station: Array
 
     @property
     def holds(self) -> bool:
@@ -282,19 +277,10 @@ class Explanation:
         return bool(self.causes) and self.left_p_value >= NOT_EXPLAINED
 
 
-def with_station(design: Design, stops: StopRows) -> tuple[StopRows, Array]:
-    """Fit a tracker that was set up anew; return the stops in the expected frame, and the tracker's motion (4, 4)."""
-    if not design.belief.station_free or np.sum(stops.points) < FEWEST_POINTS:
-        return stops, np.eye(4)
-    found = solve_motions(stops, centre_of(design.belief), tracker=True)
-    return found.stops, found.tracker
-
-
 def explain(design: Design, stops: StopRows) -> Explanation:
     """Find what changed, given that something did."""
     causes: list[Cause] = []
     nuisance: list[int] = []
-    station = np.eye(4)
     while True:
         moments = Moments.of(stops)
         rest = after(moments, nuisance) if nuisance else moments
@@ -307,7 +293,7 @@ def explain(design: Design, stops: StopRows) -> Explanation:
             break
         fits = [_fit(design, stops, one, nuisance, rest, basis) for one, basis in zip(left, test.bases, strict=True)]
         best = _best(fits, len(rest.white))
-        stops, station = fits[best].stops, station @ fits[best].station
+        stops = fits[best].stops
         nuisance += fits[best].members
         sizes, covariance = solved(Moments.of(stops), nuisance)
         own = slice(len(sizes) - len(fits[best].members), len(sizes))
@@ -323,14 +309,14 @@ def explain(design: Design, stops: StopRows) -> Explanation:
                 open_rivals=open_rivals,
             )
         )
-    return Explanation(tuple(causes), float(p_values[-1]), station)
+    return Explanation(tuple(causes), float(p_values[-1]))
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """A fitted alternative: its directions, the stops without the fitted motions, the remaining chi-squared.
+    """A fitted alternative: its directions, the stops without the fitted motion, the remaining chi-squared.
 
-    ``motion`` is that of a tracker or base that moved, ``station`` that of a tracker that was set up anew.
+    ``motion`` is that of a tracker or base that moved.
     """
 
     members: list[int]
@@ -339,7 +325,6 @@ class _Fit:
     explained: float
     rank: int
     motion: Array | None
-    station: Array
 
     def gain(self, coordinates: int) -> float:
         """Gain of the log likelihood less the penalty (BIC) of the alternative's ``rank`` parameters."""
@@ -375,138 +360,80 @@ def _fit(design: Design, stops: StopRows, one: Alternative, nuisance: list[int],
     """
     members, belief = list(one.members), design.belief
     before = float(rest.white @ rest.white)
-    points = None if one.kind != "base" else stops.arm_of == list(belief.arms).index(one.arm)
-    moves = one.kind == "tracker" or (points is not None and np.sum(points & stops.points) >= FEWEST_POINTS)
-    large = belief.station_free and float(np.abs(stops.left).max()) > LARGE_M
-    if not moves and not large:
+    moved = np.array([one.kind == "tracker" or list(belief.arms)[arm] == one.arm for arm in stops.arm_of])
+    if one.kind not in ("tracker", "base") or np.sum(moved & stops.points) < FEWEST_POINTS:
         explained = float(np.sum((basis @ rest.white) ** 2))
-        return _Fit(members, stops, before - explained, explained, len(basis), None, np.eye(4))
+        return _Fit(members, stops, before - explained, explained, len(basis), None)
     whole = [*nuisance, *members]
-    found = solve_motions(
-        stops,
-        centre_of(belief),
-        tracker=one.kind == "tracker" or belief.station_free,
-        base=points if moves else None,
-        linear=[k for k in whole if design.directions[k].kind not in ("tracker", "base")],
-    )
-    moments = Moments.of(found.stops)
-    left = float(np.sum((after(moments, whole) if whole else moments).white ** 2))
-    motion = {"tracker": found.tracker, "base": found.base}.get(one.kind) if moves else None
-    station = found.tracker if belief.station_free else np.eye(4)
-    return _Fit(members, found.stops, left, before - left, len(basis), motion, station)
+    linear = [k for k in whole if design.directions[k].kind not in ("tracker", "base")]
+    motion, here = solve_motion(stops, centre_of(belief), moved, linear)
+    left = float(np.sum(after(Moments.of(here), whole).white ** 2))
+    return _Fit(members, here, left, before - left, len(basis), motion)
 
 
 def _tells(design: Design, cause: Alternative, sizes: Array, rival: Alternative) -> bool:
-    """Return whether the calibration's configurations distinguish a change from a rival, given an unknown station."""
+    """Return whether the calibration's configurations distinguish a change from a rival."""
     whole = np.concatenate([moved.reshape(len(moved), -1) for moved in design.motions.values()], axis=1)
     moved = sizes @ whole[list(cause.members)]
-    free = [k for k, one in enumerate(design.directions) if one.kind == "tracker" and design.belief.station_free]
-    basis = np.linalg.qr(whole[[*rival.members, *free]].T)[0]
+    basis = np.linalg.qr(whole[list(rival.members)].T)[0]
     left = moved - basis @ (basis.T @ moved)
     return float(np.linalg.norm(left)) > _INSEPARABLE * float(np.linalg.norm(moved))
 
 
-# -- Rigid motions of tracker and bases, solved for by Gauss-Newton steps from the registration of the points ---------
+# -- Rigid motion of the tracker or a base, solved for from the registration of the points ----------------------------
 #
-# A measured point p of an arm whose base moved by M, seen by a tracker whose frame moved by T, lies at T M p'; p' is
-# where the calibration expects it, up to changes of parameters, which enter linearly. An orientation turns with both.
-
+# A measured point p that was moved by T lies at T p'; p' is where the calibration expects it, up to changes of
+# parameters, which enter linearly. An orientation turns with it.
 
 LARGE_M = 5e-4
 """Errors above this are registered first: a turn of that size leaves second-order errors below a micrometre."""
 _STEPS = 9
-"""Gauss-Newton steps at most; two to four are usual."""
-_UNRESOLVED = 0.1, 1e-6
-"""Rise of chi-squared, and share of it, that no reading resolves. Along a motion that K leaves free, as that of a
-tracker that was set up anew, it is flat, and the second order of a step raises it by some thousandths."""
-_SMALL = 1e-4
-"""Change in steps of what has to be detected that ends them: 5 nm."""
+"""Steps at most; two to four are usual."""
+_SMALL = 1e-9
+"""Length of the last step [m, rad]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Motions:
-    """Motions (4, 4) of the tracker's frame and of a base, and the stops with both taken off."""
-
-    tracker: Array
-    base: Array
-    stops: StopRows
-
-
-def solve_motions(
-    stops: StopRows,
-    centre: Array,
-    *,
-    tracker: bool,
-    base: NDArray[np.bool_] | None = None,
-    linear: Sequence[int] = (),
-) -> Motions:
-    """The motions that explain the stops best.
+def solve_motion(
+    stops: StopRows, centre: Array, moved: NDArray[np.bool_], linear: Sequence[int] = ()
+) -> tuple[Array, StopRows]:
+    """Find the motion (4, 4) that explains the stops best, and the stops without it.
 
     Parameters
     ----------
     stops : StopRows
     centre : array, shape (3,)
         About which steps turn [m].
-    tracker : bool
-        Whether the frame of the tracker moved.
-    base : array, shape (m,), optional
-        Points of the arm whose base moved.
+    moved : array, shape (m,)
+        Mask of the points that moved.
     linear : sequence of int
         Directions that changed besides.
 
     Raises
     ------
     NotConverged
-        If the steps do not end, or make chi-squared larger than at the start.
     """
-    every = np.ones(len(stops.measured), dtype=np.bool_)
-    own = every & False if base is None else base
-    parts = [points for points, moves in ((every, tracker), (own, base is not None)) if moves]
-    columns = twists(stops.expected - centre, ~stops.points)
-    whole = [(columns * points[:, None, None]).reshape(-1, 6).T for points in parts]
-    rows = np.concatenate([*whole, stops.rows[list(linear)]])
-    count = 6 * len(parts)
-    T, M = _registered(stops, tracker, own)
-    first, size = math.inf, math.inf
-    for _ in range(_STEPS):
-        moments = Moments.of(replace(_without(stops, T, M, own), rows=rows, free=0))
-        left = float(np.sum(after(moments, range(count, len(rows))).white ** 2))
-        first = min(first, left + _UNRESOLVED[0] + _UNRESOLVED[1] * left)
-        if size < _SMALL * LENGTH_M or not left <= first:
-            break
-        step = solved(moments, range(len(rows)))[0][:count]
-        if tracker:
-            T = T @ _small(step[:6], centre)
-        if base is not None:
-            M = M @ _small(step[-6:], centre)
-        size = float(np.abs(step).max(initial=0.0))
-    if not (size < _SMALL * LENGTH_M and left <= first):
-        raise NotConverged.of("fit of motions to the stops", f"the last of at most {_STEPS} steps was {size:.1e} long")
-    return Motions(T, M, _without(stops, T, M, own))
+    twist = (twists(stops.expected - centre, ~stops.points) * moved[:, None, None]).reshape(-1, 6)
+    A, own, start = np.column_stack([twist, stops.rows[list(linear)].T]), moved & stops.points, np.eye(4)
+    if float(np.abs(stops.left).max()) > LARGE_M and np.sum(own) >= FEWEST_POINTS:
+        start = register(stops.measured[own], stops.expected[own])
+    problem = LeastSquares[tuple[Array, Array]](
+        lambda one: (_without(stops, one[0], moved).left.ravel() - A[:, 6:] @ one[1], A),
+        lambda one, step: (one[0] @ _small(step[:6], centre), one[1] + step[6:]),
+        stops.factor,
+    )
+    first = (start, np.zeros(len(linear)))
+    best = problem.best("fit of a motion to the stops", first, tolerance=_SMALL, max_iterations=_STEPS)
+    T = best.point.state[0]
+    return T, _without(stops, T, moved)
 
 
-def _registered(stops: StopRows, tracker: bool, own: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Where the solution begins; other points than the moved arm's tell the tracker's motion if there are enough."""
-    T, M = np.eye(4), np.eye(4)
-    if float(np.abs(stops.left).max()) <= LARGE_M:
-        return T, M
-    own, others = own & stops.points, ~own & stops.points
-    if tracker:
-        fixed = others if np.sum(others) >= FEWEST_POINTS else stops.points
-        T = register(stops.measured[fixed], stops.expected[fixed])
-    if np.sum(own) >= FEWEST_POINTS:
-        M = register(apply(invert(T), stops.measured[own]), stops.expected[own])
-    return T, M
-
-
-def _without(stops: StopRows, T: Array, M: Array, own: NDArray[np.bool_]) -> StopRows:
-    """The stops with both motions taken off."""
-    measured = apply(invert(T), stops.measured)
-    measured[own] = apply(invert(M), measured[own])
+def _without(stops: StopRows, T: Array, moved: NDArray[np.bool_]) -> StopRows:
+    """Return the stops without a motion of some points."""
+    measured = np.where(moved[:, None], apply(invert(T), stops.measured), stops.measured)
     if stops.turned is not None:
-        left = scipy.spatial.transform.Rotation.from_rotvec(stops.measured[stops.turned]).as_matrix()
-        moved = np.where(own[stops.turned, None, None], (T @ M)[:3, :3], T[:3, :3])
-        measured[stops.turned] = rotation_vectors(moved.swapaxes(1, 2) @ left)
+        rows = stops.turned & moved
+        left = scipy.spatial.transform.Rotation.from_rotvec(stops.measured[rows]).as_matrix()
+        measured[rows] = rotation_vectors(T[:3, :3].T @ left)
     return replace(stops, measured=measured)
 
 

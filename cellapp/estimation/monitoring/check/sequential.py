@@ -10,19 +10,16 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.station_location import FEWEST_POINTS
 from cellapp.estimation.monitoring.check.belief import (
     FALSE_ALARM,
     MISS,
     MOST_STEPS,
-    TRACKER,
     VISIBLE,
     CheckBelief,
     SequentialState,
     measured_vectors,
 )
 from cellapp.estimation.monitoring.check.linear import (
-    Direction,
     Moments,
     StopRows,
     alternatives_of,
@@ -41,7 +38,6 @@ from cellapp.estimation.monitoring.check.naming import (
     MinPValueTest,
     explain,
     log_valid,
-    with_station,
 )
 from cellapp.estimation.monitoring.check.records import CheckedArm, CheckResult, CheckVerdict, FoundChange, WeakChange
 from cellapp.estimation.readings import Readings, joined
@@ -51,16 +47,13 @@ from cellapp.robot.kinematics.transforms import Array, apply, rotation_vectors, 
 
 # -- Choose stops that show every visible change ----------------------------------------------------------------------
 #
-# Stops are chosen greedily. Each direction k has the information I_k = b_k^T R^-1 b_k of one step, minus the part that
-# the motion of a tracker that was set up anew explains; I_k is the non-centrality of its test. The stop that lowers
-# sum_k exp(-I_k / s) most is taken: a smooth form of the least I_k, in which well-shown directions weigh little. The
-# uncertainty of the calibration is neglected: it is a fifth of the noise if the calibration has twenty times the
-# stops.
+# Stops are chosen greedily. Direction k has the information I_k = b_k^T R^-1 b_k of one step, the non-centrality of
+# its test. The stop that lowers sum_k exp(-I_k / s) most is taken: a smooth form of the least I_k, in which well-shown
+# directions weigh little. The uncertainty of the calibration is neglected: it is a fifth of the noise if the
+# calibration has twenty times the stops.
 
 _SOFTNESS = 6.0
 """``s``: a direction with an information of 32, at which a change is found with 95 %, weighs 1/200 of one with none."""
-_KNOWN = 1e-6
-"""Prior information on a step of the tracker's motion: keeps it solvable while one stop does not determine it."""
 
 
 def choose_stops(design: Design, candidates: Mapping[str, Readings], count: int) -> NDArray[np.intp]:
@@ -74,47 +67,30 @@ def choose_stops(design: Design, candidates: Mapping[str, Readings], count: int)
     count : int
         Number of stops; all n if there are no more.
     """
-    directions, station_free = design.directions, design.belief.station_free
-    weights = np.where(design.visible, 1.0, 0.0) if np.any(design.visible) else np.ones(len(directions))
-    tracker = [k for k, one in enumerate(directions) if one.arm == TRACKER]
-    G = np.zeros((len(directions), len(directions)))
-    white = _whitened(design.belief, candidates, directions)
-    free, order = np.ones(white.shape[2], dtype=bool), []
+    weights = np.where(design.visible, 1.0, 0.0) if np.any(design.visible) else np.ones(len(design.directions))
+    gains = _information(design, candidates)
+    so_far, free, order = np.zeros(len(gains)), np.ones(gains.shape[1], dtype=bool), []
     for _ in range(min(count, len(free))):
-        gained = _beside_station(G, white, tracker) if station_free else _added(G, white)
-        scores = np.where(free, -(weights[:, None] * np.exp(-gained / _SOFTNESS)).sum(axis=0), -np.inf)
-        chosen = int(np.argmax(scores))
-        G += white[:, :, chosen] @ white[:, :, chosen].T
+        scores = -(weights[:, None] * np.exp(-(so_far[:, None] + gains) / _SOFTNESS)).sum(axis=0)
+        chosen = int(np.argmax(np.where(free, scores, -np.inf)))
+        so_far = so_far + gains[:, chosen]
         free[chosen] = False
         order.append(chosen)
     return np.array(order, dtype=np.intp)
 
 
-def _whitened(belief: CheckBelief, candidates: Mapping[str, Readings], directions: Sequence[Direction]) -> Array:
-    """Compute motions (C, d, n) of all arms at each candidate in units of the noise."""
-    conditions = conditions_now(belief, candidates)
-    found = []
-    for name, its in candidates.items():
-        arm = belief.arms[name]
+def _information(design: Design, candidates: Mapping[str, Readings]) -> Array:
+    """Compute the information (C, n) of one step of each direction at each candidate."""
+    numbered = {name: replace(its, configuration=np.arange(len(its))) for name, its in candidates.items()}
+    conditions = conditions_now(design.belief, numbered)
+    found: Array = np.zeros((len(design.directions), len(next(iter(candidates.values())))))
+    for name, its in numbered.items():
+        arm = design.belief.arms[name]
         measured = measured_vectors(arm, its, conditions[name])
-        rows = motions(belief, name, measured, directions)
-        found += [rows[:, asked].transpose(0, 2, 1) / scatter.noise for asked, scatter in arm.kinds(measured)]
-    return np.concatenate(found, axis=1)
-
-
-def _added(G: Array, white: Array) -> Array:
-    """Compute the information (C, n) of each direction if one of n stops with motions ``white`` (C, d, n) is added."""
-    return np.asarray(np.diag(G)[:, None] + np.einsum("kdn,kdn->kn", white, white))
-
-
-def _beside_station(G: Array, white: Array, tracker: Sequence[int]) -> Array:
-    """Compute ``_added`` (C, n) with an unknown tracker, from the joint information G (C, C)."""
-    rows = white[tracker]
-    own = G[np.ix_(tracker, tracker)] + _KNOWN * np.eye(len(tracker))
-    own = own + np.einsum("idn,jdn->nij", rows, rows)
-    cross = G[tracker] + np.einsum("idn,kdn->nik", rows, white)
-    lost = np.einsum("nik,nik->kn", cross, np.linalg.solve(own, cross))
-    return np.asarray(_added(G, white) - lost)
+        squares = np.sum(motions(design.belief, name, measured, design.directions) ** 2, axis=2)
+        for asked, scatter in arm.kinds(measured):
+            found[:, measured.readings.configuration[asked]] += squares[:, asked] / scatter.noise**2
+    return found
 
 
 # -- Derive the verdict of a check with its evidence, in the records of its result ------------------------------------
@@ -148,11 +124,10 @@ def _needed(critical: float, rank: int, miss: float) -> float:
 
 def concluded(design: Design, stops: StopRows, state: SequentialState, planned: int) -> CheckResult:
     """Draw the conclusion from all stops and the state of the test, which says whether something changed."""
-    here, station = with_station(design, stops)
-    moments = Moments.of(here)
+    moments = Moments.of(stops)
     test = MinPValueTest.of(moments, design.alternatives)
-    verdict, found, weak, stray = judgement(design, here, state)
-    T = _station(design, station @ found.station, found.causes)
+    verdict, found, weak, stray = judgement(design, stops, state)
+    T = next((one.motion for one in found.causes if one.alternative.kind == "tracker"), None)
     arms = design.belief.arms
     return CheckResult(
         verdict=verdict,
@@ -164,7 +139,7 @@ def concluded(design: Design, stops: StopRows, state: SequentialState, planned: 
         sure_change=-math.log(design.early_alarm),
         sure_valid=-math.log(design.early_miss),
         changes=tuple(_change(design, one) for one in found.causes),
-        arms=_checked(design, here, found.causes, verdict != "not explained" and stray is None),
+        arms=_checked(design, stops, found.causes, verdict != "not explained" and stray is None),
         station_shift_mm=None if T is None else float(np.linalg.norm(T[:3, 3])) * 1e3,
         station_turn_deg=None if T is None else math.degrees(float(np.linalg.norm(rotation_vectors(T[None, :3, :3])))),
         T_new_old=None if T is None else rows_of(T),
@@ -197,11 +172,8 @@ def _visible(design: Design) -> dict[str, dict[str, float]]:
 def judgement(
     design: Design, stops: StopRows, state: SequentialState
 ) -> tuple[CheckVerdict, Explanation, tuple[WeakChange, ...], int | None]:
-    """Return the verdict, its explanation, visible changes that may be missed, and the index of a stray point or None.
-
-    The stops are relative to the belief, with a new station already fitted.
-    """
-    nothing = Explanation((), 1.0, np.eye(4))
+    """Return the verdict, its explanation, visible changes that may be missed, and the index of a stray point."""
+    nothing = Explanation((), 1.0)
     if not state.changed:
         weak = {} if state.valid else _weak(design, Moments.of(stops))
         unseen = any(one.detected > _MOST_UNSEEN * design.directions[k].step for k, one in weak.items())
@@ -327,14 +299,6 @@ def _checked(design: Design, stops: StopRows, causes: Sequence[Cause], explained
     return found
 
 
-def _station(design: Design, station: Array, causes: Sequence[Cause]) -> Array | None:
-    moved = next((one.motion for one in causes if one.alternative.kind == "tracker"), None)
-    if not design.belief.station_free:
-        return moved
-    rough = design.belief.T_new_old
-    return station if rough is None else np.asarray(station @ rough)
-
-
 def _notes(
     design: Design, found: Explanation, weak: Sequence[WeakChange], verdict: CheckVerdict, stray: int | None
 ) -> tuple[str, ...]:
@@ -358,8 +322,8 @@ def _notes(
     if verdict == "valid" and hidden:
         noise_mm = 1e3 * max(arm.of_points.noise for arm in design.belief.arms.values())
         notes.append(
-            f"a change of 0.05 mm or 50 µrad of {hidden} of {counted(len(own), 'parameter')} of the arms would not"
-            f" be seen: it moves the SMR by less than {VISIBLE:g} times what a measurement scatters ({noise_mm:.3f} mm)"
+            f"{hidden} of {counted(len(own), 'parameter')} of the arms show a change only from more than 0.05 mm or"
+            f" 50 µrad: where it moves the SMR by {VISIBLE:g} times what a measurement scatters ({noise_mm:.3f} mm)"
         )
     return tuple(notes)
 
@@ -441,7 +405,8 @@ def design_of(belief: CheckBelief) -> Design:
     least = directions_of(belief)
     motions = calibration_motions(belief, least)
     moved, shown = visibility(belief, least, motions)
-    visible = shown >= VISIBLE / MOST_STEPS
+    located = np.array([one.kind == "tracker" and belief.station is not None for one in least])
+    visible = (shown >= VISIBLE / MOST_STEPS) & ~located  # a located station is uncertain by as much
     steps = np.where(visible, np.maximum(1.0, VISIBLE / np.maximum(shown, 1e-300)), 1.0)
     directions = tuple(replace(one, step=one.step * size) for one, size in zip(least, steps.tolist(), strict=True))
     alternatives = tuple(alternatives_of(belief, directions))
@@ -451,10 +416,7 @@ def design_of(belief: CheckBelief) -> Design:
 
 def judged(design: Design, stops: StopRows, planned: int, before: SequentialState = NOTHING_YET) -> SequentialState:
     """Evaluate the test after one more stop than ``before``."""
-    here, _ = with_station(design, stops)
-    moments, count = Moments.of(here), len(stops.stop_ends)
-    if stops.free and np.sum(stops.points) < FEWEST_POINTS:  # too few points to locate the tracker
-        return replace(NOTHING_YET, stops=count, sure=count >= planned)
+    moments, count = Moments.of(stops), len(stops.stop_ends)
     test = MinPValueTest.of(moments, design.alternatives)
     least, early_valid = test.least(moments), log_valid(moments, design.alternatives, design.visible)
     evidence = -math.log(min(max(test.bound(least) * planned, 1e-300), 1.0))
@@ -462,7 +424,7 @@ def judged(design: Design, stops: StopRows, planned: int, before: SequentialStat
     valid = not changed and early_valid >= -math.log(design.early_miss)
     if not changed and not valid and count >= planned:
         changed = test.significant(least, design.last_alarm)
-    sure = valid or count >= planned or (changed and count >= _FEWEST_STOPS and _named(design, here))
+    sure = valid or count >= planned or (changed and count >= _FEWEST_STOPS and _named(design, stops))
     squares = float(moments.white @ moments.white)
     p_value = float(scipy.special.chdtrc(moments.degrees, squares)) if moments.degrees else 1.0
     return SequentialState(count, sure, changed, valid, evidence, early_valid, p_value)

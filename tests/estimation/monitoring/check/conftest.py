@@ -11,11 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import candidate_columns
-from cellapp.estimation.monitoring.check import CheckBelief, SequentialState, choose_stops, design_of
-from cellapp.estimation.monitoring.check.belief import arm_belief, watching
+from cellapp.estimation.monitoring.check.belief import CheckBelief, SequentialState, arm_belief, watching
 from cellapp.estimation.monitoring.check.linear import StopRows
 from cellapp.estimation.monitoring.check.naming import Design
-from cellapp.estimation.monitoring.check.sequential import NOTHING_YET, judged
+from cellapp.estimation.monitoring.check.sequential import NOTHING_YET, choose_stops, design_of, judged
 from cellapp.estimation.prior.belief import Measured, Prior, posterior
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import MeasurementConditions
@@ -117,11 +116,6 @@ def with_parameter(true: Geometry, place: int, change: float) -> Geometry:
     vector = true.vector()
     vector[place] += change
     return true.with_vector(vector)
-
-
-def free(cell: SimulatedCell) -> SimulatedCell:
-    """The cell whose tracker was set up anew where it was."""
-    return replace(cell, belief=replace(cell.belief, station_free=True))
 
 
 @pytest.fixture(scope="session")

@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2, kstest
 
-from cellapp.estimation.monitoring.check import CheckBelief, SequentialTest, check_belief
-from cellapp.estimation.monitoring.check.belief import arm_belief
+from cellapp.estimation.monitoring.check.belief import CheckBelief, arm_belief, check_belief
 from cellapp.estimation.monitoring.check.linear import Moments, StopRows, directions_of, stop_rows
 from cellapp.estimation.monitoring.check.naming import Design, MinPValueTest, after, log_valid
 from cellapp.estimation.monitoring.check.records import CheckResult
+from cellapp.estimation.monitoring.check.sequential import SequentialTest
 from cellapp.estimation.prior.belief import Measured, Prior, posterior
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError, NotConverged
@@ -27,7 +27,6 @@ from tests.estimation.monitoring.check.conftest import (
     SimulatedCell,
     decided_prefix,
     first_stops,
-    free,
     moved_base,
     with_parameter,
 )
@@ -133,18 +132,16 @@ def test_remounted_smr_is_solved_for(pair: SimulatedCell) -> None:
     np.testing.assert_allclose(np.array(found.smr_offsets_F["left"]) - before, tool - true.tool, atol=5e-5)
 
 
-def test_tracker_that_was_set_up_anew_is_no_change(pair: SimulatedCell) -> None:
-    shift, turn = [0.02, -0.03, 0.01], [0.01, 0.02, -0.01]
-    moved = {name: moved_base(true, shift, turn) for name, true in pair.true.items()}
-    found, _ = checked(free(pair), moved)
+def test_a_station_that_was_located_since_is_as_uncertain_as_it_states(pair: SimulatedCell) -> None:
+    off = transform(rotation_from_vector([1e-4, -1e-4, 1e-4]), np.array([1e-4, 2e-4, -1e-4]))
+    moved = {name: true.with_T_M_B(off @ true.T_M_B()) for name, true in pair.true.items()}
+    assert checked(pair, moved)[0].verdict == "tracker moved"
+    located = replace(pair, belief=replace(pair.belief, station=np.diag([2e-4**2] * 3 + [1e-4**2] * 3)))
+    found, _ = checked(located, moved)
     assert found.verdict == "valid"
-    assert found.T_new_old is not None
-    np.testing.assert_allclose(found.T_new_old, transform(rotation_from_vector(turn), shift), atol=2e-4)
     place = parameter_names(6).index("a2")
-    changed = moved | {"left": with_parameter(moved["left"], place, 5e-5)}
-    found, _ = checked(free(pair), changed)
-    assert found.verdict == "arm changed"
-    assert found.changes[0].what == "length a of link 2"
+    found, _ = checked(located, moved | {"left": with_parameter(moved["left"], place, 1e-4)})
+    assert (found.verdict, found.changes[0].what) == ("arm changed", "length a of link 2")
 
 
 def test_two_changes_are_both_named(pair: SimulatedCell) -> None:
@@ -213,8 +210,8 @@ def test_motions_that_do_not_converge_are_an_error_and_no_verdict(
     pair: SimulatedCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changed = moved_base(pair.true["right"], [0.3, -0.2, 0.1], [1.0, -0.5, 0.5])
-    monkeypatch.setattr("cellapp.estimation.monitoring.check.naming._STEPS", 1)
-    with pytest.raises(NotConverged, match="fit of motions to the stops did not converge: the last of at most 1 steps"):
+    monkeypatch.setattr("cellapp.estimation.monitoring.check.naming._STEPS", 0)
+    with pytest.raises(NotConverged, match="fit of a motion to the stops did not converge: 0 steps were not enough"):
         checked(pair, {"right": changed})
 
 
