@@ -509,7 +509,7 @@ for command in sys.argv[1:]:
 
 
 def test_what_takes_long_to_load_is_loaded_by_no_command_that_needs_it_not(work: Path) -> None:
-    edit(work / "twin.yaml", DRAWN, "  stops: 3")
+    edit(work / "twin.yaml", DRAWN, "  stops: 8")
     done = subprocess.run(
         [sys.executable, "-c", WATCH, *LIGHT],
         cwd=work,
