@@ -10,7 +10,7 @@ import numpy as np
 
 from cellapp.cell.driving.cell_checks import same_calibration
 from cellapp.cell.profile.files import write_new_bytes
-from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, ReadProgram, Six
+from cellapp.cell.programs.records import CORRECTED, CorrectedTarget, CorrectResult, ReadProgram, Six
 from cellapp.cell.programs.script_targets import read_script, read_urp, six
 from cellapp.cell.programs.solving import (
     Workplace,
@@ -95,9 +95,8 @@ VERB = Verb("correct", CorrectRequest, chapter="programs", question="Correct a p
 
 
 _JOINTS = 6
-_MARK = "corrected by cellapp for one arm: never correct this copy again"
-_MARKS = {".script": f"# {_MARK}", ".urp": f"<!-- {_MARK} -->"}
-"""Last line of a copy. Corrected twice, targets would be off by the correction."""
+_MARKS = {".script": f"# {CORRECTED}", ".urp": f"<!-- {CORRECTED} -->"}
+"""Last line of a copy."""
 _LARGEST = 32 * 1024 * 1024
 """Most bytes of a program that are read."""
 
@@ -127,7 +126,7 @@ def correct(run: RunFile, request: CorrectRequest, outputs: Outputs = NEW_ONLY) 
     settings = run.profile.arms[name]
     _require_its_calibration(run, name, model_arm)
     read = _read(program, out, settings, None if request.tcp is None else typed_tcp(request.tcp))
-    if _MARK in read.text:
+    if CORRECTED in read.text:
         raise InputError(
             f"{program} is a corrected copy, of which no second one is made: it would be off by the correction. Correct"
             " the program that was taught"
