@@ -38,6 +38,8 @@ _MINISIGN = b"untrusted comment:"
 _SIGNATURE_SUFFIXES = (".minisig", ".asc", ".sig")
 _STREAMS = {"/dev/stdin": 0, "/dev/stdout": 1, "/dev/stderr": 2}
 _OPEN_FILE = re.compile(r"/(?:dev|proc/self)/fd/([0-9]{1,6})")
+CORRECTED = "corrected by cellapp for one arm: never correct this copy again"
+"""Mark of what holds corrected joint positions or poses; corrected twice, they would be off by the correction."""
 _TRIED = 64 * 1024
 """Bytes that a folder must take before anything is computed that goes there."""
 _numbers = count()

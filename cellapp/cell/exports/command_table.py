@@ -17,12 +17,12 @@ import numpy as np
 from cellapp.cell.exports.arm_commands import ArmCommands, first_rates
 from cellapp.cell.exports.arm_export import hashed
 from cellapp.cell.exports.export_format import CommandFormat
-from cellapp.cell.programs.records import CORRECTED
 from cellapp.cell.run.csv_text import quoted_text
 from cellapp.cell.targets.path import PathPlan
 from cellapp.cell.targets.ranges import signs_words
 from cellapp.cell.targets.records import TargetCommand
 from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import CORRECTED
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 

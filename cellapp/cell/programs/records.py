@@ -14,8 +14,6 @@ from typing import Literal
 from cellapp.estimation.uncertainty.records import CommonUncertainty
 from cellapp.ground.results import Record, Result
 
-CORRECTED = "corrected by cellapp for one arm: never correct this copy again"
-"""Mark of what holds corrected joint positions or poses; corrected twice, they would be off by the correction."""
 Six = tuple[float, float, float, float, float, float]
 TargetKind = Literal["pose", "joints"]
 

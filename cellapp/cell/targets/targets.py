@@ -25,12 +25,12 @@ from pydantic import (
 )
 
 from cellapp.cell.profile.messages import KeyPath, dotted, short
-from cellapp.cell.programs.records import CORRECTED
 from cellapp.cell.run.csv_text import is_frame, table_of_frame
 from cellapp.cell.targets.records import TargetRecord
 from cellapp.cell.targets.target_csv import read_csv, source_of_table
 from cellapp.cell.targets.target_source import TargetSource, checked, placed_error, read_yaml, refusal, sentences
 from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import CORRECTED
 from cellapp.ground.plain_data import plain_data
 from cellapp.ground.profile import CellPoint, Profile
 from cellapp.robot.kinematics.transforms import Array, apply, register, rotation_from_vector, rotations_of, zyx_angles
