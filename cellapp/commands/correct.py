@@ -208,7 +208,7 @@ def _require_its_calibration(run: RunFile, name: str, model: ArmModel) -> None:
         raise InputError(
             f"correct: arm '{name}': the controller of this run computes with another calibration"
             f" ({controller.dh_checksum or 'none'}) than the profile; nothing was written. Write it with 'cellapp"
-            f" doctor PROFILE --controllers DIR', give it as arms.{name}.factory, and calibrate the readings anew"
+            f" doctor PROFILE --controllers FOLDER', give it as arms.{name}.factory, and calibrate the readings anew"
         )
 
 
