@@ -112,8 +112,8 @@ def error_text(error: BaseException) -> str:
     """Return the sentence for a person about an error."""
     if isinstance(error, Cancelled):
         return (
-            f"{error}; what was stored is kept. Give the same command again; with --resume it continues a collection,"
-            " with --store a trial"
+            f"{error}; what was stored is kept. Give the same command again; 'cellapp collect DIR --resume' continues a"
+            " collection, the same command with --store a trial"
         )
     if isinstance(error, CellappError):
         return str(error)
