@@ -354,10 +354,10 @@ def test_no_other_room_opens_a_file_to_replace_it() -> None:
         ("calibrate.run.calibrate_run", "calibrate run"),
         ("discover.run.discover_run", "discover run"),
         ("compensate.run.compensate_run", "compensate run targets.yaml"),
-        ("push.run.push_run", "push run targets.yaml"),
+        ("push.run.push_targets", "push run targets.yaml"),
         ("check.run.check_run", "check run"),
-        ("report.run.report_run", "report run"),
-        ("correct.correct_run", "correct run a.script --out b.script --json made.json"),
+        ("report.run.read_results", "report run"),
+        ("correct.correct", "correct run a.script --out b.script --json made.json"),
     ],
 )
 def test_whether_results_can_be_stored_is_asked_before_they_are_computed(
