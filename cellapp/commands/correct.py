@@ -31,7 +31,7 @@ from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
 from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import CORRECTED, NEW_ONLY, Outputs, Writes
+from cellapp.ground.outputs import CORRECTED, NEW_ONLY, Outputs, Writes, require_suffix
 from cellapp.ground.profile import Arm
 from cellapp.ground.shell import shell_word
 from cellapp.robot.model import ArmModel
@@ -216,8 +216,7 @@ def _read(program: Path, out: Path, settings: Arm, tcp: Six | None) -> ReadProgr
     kind = program.suffix.lower()
     if kind not in ENDINGS:
         raise InputError(f"{program}: expected a program of a UR controller, .script or .urp")
-    if out.suffix.lower() != kind:
-        raise InputError(f"--out {out}: the copy is of the same kind as the program; give a name that ends in {kind}")
+    require_suffix(out, (kind,), f"correct: a copy of {program}")
     try:
         with program.open("rb") as file:
             data = file.read(_LARGEST + 1)

@@ -15,7 +15,7 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import count
@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from cellapp.ground.errors import InputError
+from cellapp.ground.shell import shell_word
 
 _HEAD = 256 * 1024
 """Bytes of an existing file that are read to see what it is."""
@@ -174,6 +175,14 @@ NEW_ONLY = Outputs()
 """Replaces nothing."""
 RENEWED = Outputs(force=True)
 """For files that cellapp itself names in a folder of its own, as a run's page, and for what a person agreed to."""
+
+
+def require_suffix(path: Path, suffixes: Sequence[str], what: str) -> None:
+    """Raise ``InputError`` for a file of ``what`` whose name ends otherwise than in one of ``suffixes``."""
+    if path.suffix.lower() not in suffixes:
+        so = f", not as {path.suffix}" if path.suffix else ""
+        name = shell_word(path.with_suffix(suffixes[0]))
+        raise InputError(f"{what} is written as {' or '.join(suffixes)}{so}: give --out {name}. Nothing was written")
 
 
 def try_folder(folder: Path) -> None:

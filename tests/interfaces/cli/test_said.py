@@ -79,10 +79,13 @@ def test_a_message_names_the_files_of_its_call(call: Any) -> None:  # noqa: F811
     [
         ("docs backlsh", "did you mean 'backlash'?"),
         ("show FOLDER log --level foo", "foo"),
+        ("correct FOLDER a.script --out b.urp --arm left", "is written as .script, not as .urp: give --out b.script"),
+        ("compensate FOLDER paths.yaml --out p.txt", "is written as .csv or .script, not as .txt: give --out p.csv"),
         ("export FOLDER --as dh --out arm.json", "is written as .yaml, not as .json: give --out arm.yaml"),
     ],
 )
 def test_what_cannot_be_is_refused_with_what_can(call: Any, folder: Path, words: str, says: str) -> None:  # noqa: F811
+    shutil.copy(PROFILES / "paths" / "twin.yaml", "paths.yaml")
     refused = call(*[str(folder) if word == "FOLDER" else word for word in words.split()])
     assert refused.code == 2
     assert says in " ".join(refused.err.split())
