@@ -16,6 +16,7 @@ from cellapp.commands.doctor.bundle import bundle, newest_run, run_log
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.commands.doctor.result import ControllerCalibration, DoctorResult
 from cellapp.commands.record import Work
+from cellapp.estimation.calibration.calibrate import planned_splits
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.device_plugins import device_plugins
@@ -102,8 +103,6 @@ def run_findings(profile: Profile, path: Path) -> Iterator[Finding]:
     """Yield what the verb ``run`` would refuse before it measures, or do otherwise, by the functions that it calls."""
     if not any(arm.driver.has_device for arm in profile.arms.values()):
         return
-    from cellapp.estimation.calibration.calibrate import planned_splits  # late: half a second
-
     try:
         named_targets(profile, path)
     except InputError as error:
