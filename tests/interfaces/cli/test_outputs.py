@@ -370,7 +370,7 @@ def test_whether_results_can_be_stored_is_asked_before_they_are_computed(
     RunFile.create(Path("run"), two_arms()).close()
     Path("targets.yaml").write_text("schema: cellapp-targets\nversion: 1\ntargets: []\n", "utf-8")
     monkeypatch.setattr(f"cellapp.commands.{module}", lambda *asked, **more: pytest.fail("it was begun"))
-    monkeypatch.setattr(outputs.tempfile, "TemporaryFile", full)
+    monkeypatch.setattr("cellapp.ground.outputs.tempfile.TemporaryFile", full)
     monkeypatch.setattr(sys, "argv", ["cellapp", *words.split()])
     with pytest.raises(SystemExit) as ended:
         cli.main()
