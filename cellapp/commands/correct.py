@@ -31,7 +31,7 @@ from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
 from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
+from cellapp.ground.outputs import CORRECTED, NEW_ONLY, Outputs, Writes, require_suffix
 from cellapp.ground.profile import Arm
 from cellapp.ground.shell import shell_word
 from cellapp.robot.model import ArmModel
@@ -95,9 +95,8 @@ VERB = Verb("correct", CorrectRequest, chapter="programs", question="Correct a p
 
 
 _JOINTS = 6
-_MARK = "corrected by cellapp for one arm: never correct this copy again"
-_MARKS = {".script": f"# {_MARK}", ".urp": f"<!-- {_MARK} -->"}
-"""Last line of a copy. Corrected twice, targets would be off by the correction."""
+_MARKS = {".script": f"# {CORRECTED}", ".urp": f"<!-- {CORRECTED} -->"}
+"""Last line of a copy."""
 _LARGEST = 32 * 1024 * 1024
 """Most bytes of a program that are read."""
 
@@ -127,7 +126,7 @@ def correct(run: RunFile, request: CorrectRequest, outputs: Outputs = NEW_ONLY) 
     settings = run.profile.arms[name]
     _require_its_calibration(run, name, model_arm)
     read = _read(program, out, settings, None if request.tcp is None else typed_tcp(request.tcp))
-    if _MARK in read.text:
+    if CORRECTED in read.text:
         raise InputError(
             f"{program} is a corrected copy, of which no second one is made: it would be off by the correction. Correct"
             " the program that was taught"
@@ -209,7 +208,7 @@ def _require_its_calibration(run: RunFile, name: str, model: ArmModel) -> None:
         raise InputError(
             f"correct: arm '{name}': the controller of this run computes with another calibration"
             f" ({controller.dh_checksum or 'none'}) than the profile; nothing was written. Write it with 'cellapp"
-            f" doctor PROFILE --controllers DIR', give it as arms.{name}.factory, and calibrate the readings anew"
+            f" doctor PROFILE --controllers FOLDER', give it as arms.{name}.factory, and calibrate the readings anew"
         )
 
 
@@ -217,8 +216,7 @@ def _read(program: Path, out: Path, settings: Arm, tcp: Six | None) -> ReadProgr
     kind = program.suffix.lower()
     if kind not in ENDINGS:
         raise InputError(f"{program}: expected a program of a UR controller, .script or .urp")
-    if out.suffix.lower() != kind:
-        raise InputError(f"--out {out}: the copy is of the same kind as the program; give a name that ends in {kind}")
+    require_suffix(out, (kind,), f"correct: a copy of {program}")
     try:
         with program.open("rb") as file:
             data = file.read(_LARGEST + 1)

@@ -11,6 +11,7 @@ from cellapp.cell.driving.records import ImportResult
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.csv_import import WhichSmr, readings_from_csv
+from cellapp.cell.run.file import note_profile
 from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.recordings import recording_states, recordings_from_csv
 from cellapp.commands.record import Asked, NewRun, ProfilePath, Request, Verb, View, Work
@@ -73,11 +74,14 @@ def run(request: ImportRequest, work: Work) -> ImportResult:
     """Make the run; ask which SMR counts where two of a stop give no rotation."""
     profile = load_profile(request.profile)
     try:
-        return import_new_run(profile, request)
+        result = import_new_run(profile, request)
     except WhichSmr as error:
         if not (smr := work.choose(str(error), error.names)):
             raise
-        return import_new_run(profile, request.model_copy(update={"smr": smr}))
+        result = import_new_run(profile, request.model_copy(update={"smr": smr}))
+    with RunFile.open(request.folder, write=True) as made:
+        note_profile(made, request.profile)
+    return result
 
 
 def import_new_run(profile: Profile, request: ImportRequest) -> ImportResult:

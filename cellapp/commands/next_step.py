@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.recordings import recordings_digest
@@ -12,7 +13,7 @@ from cellapp.commands.certificate.iso9283_judgements import unmeasured_tests
 from cellapp.commands.certificate.judgements import judge_run, other_arms_found
 from cellapp.commands.conclusions import stage_conclusions
 from cellapp.commands.run_results import RunResults, read_results
-from cellapp.commands.stages import CERTIFICATE_FILE, NextVerb, RunStages, next_command
+from cellapp.commands.stages import CERTIFICATE_FILE, NextVerb, RunStages, at_targets, next_command
 from cellapp.commands.view.words import named_errors
 from cellapp.estimation.iso9283.norm import IsoTest
 from cellapp.estimation.uncertainty.budget import measured_conditions
@@ -77,17 +78,20 @@ def arm_states(run: RunFile) -> dict[str, ArmState]:
     return states
 
 
-def missing_step(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> Step | None:
-    """Return the first step of the day that is missing or out of date; None if there is none."""
+def missing_step(
+    run: RunFile, stages: RunStages, arms: Mapping[str, ArmState], folder: Path | None = None
+) -> Step | None:
+    """Return the first step of the day that is missing or out of date, for a run in ``folder``; None without one."""
+    folder = folder or run.folder
     if run.removed_kinds():
-        return Step("Measure the cell anew:", next_command("plan", run.folder), "plan")
+        return Step("Measure the cell anew:", next_command("plan", folder), "plan")
     if not (verb := _missing_verb(run, stages, arms)):
         return None
     begun = verb == "collect" and any(arm.measured for arm in arms.values())
     words = "Repeat what is out of date:" if stages.out_of_date else "Go on with:"
     if verb == "collect":
         words = "Measure the planned stops that are left, then calibrate and discover again:"
-    return Step(words, next_command(verb, run.folder) + (" --resume" if begun else ""), verb)
+    return Step(words, next_command(verb, folder) + (" --resume" if begun else ""), verb)
 
 
 def next_step(
@@ -122,7 +126,7 @@ def open_steps(profile: Profile, results: RunResults, judgements: Sequence[Judge
     out = [one for one in judgements if one.conformity == "does not conform"]
     if driven and results.verify is not None and any(one.characteristic in AT_TARGETS for one in out):
         words = "Correct by measuring what the model leaves at targets:"
-        yield Step(words, f"cellapp push {folder} TARGETS --verify --iterate 2", "push")
+        yield Step(words, at_targets("push", Path(results.run), " --verify --iterate 2"), "push")
     elif out:
         yield Step(f"Decide what follows: outside its tolerance is {named_errors(out)}.")
     missing = [one for one in judgements if one.value is None and one.characteristic in AT_TARGETS]
@@ -132,7 +136,7 @@ def open_steps(profile: Profile, results: RunResults, judgements: Sequence[Judge
         yield _targets_step(results, missing, folder)
     near = [one for one in judgements if one.conformity == "cannot say" and one.value is not None]
     if near and not other_arms_found(results):
-        yield Step(f"Measure with a smaller uncertainty, as with the tracker nearer: {named_errors(near)}.")
+        yield Step(f"Measure with a smaller uncertainty: {named_errors(near)}.")
 
 
 def _of_stages(results: RunResults, folder: str) -> Iterator[Step]:
@@ -145,16 +149,15 @@ def _of_stages(results: RunResults, folder: str) -> Iterator[Step]:
             text = f"{words}: measure stops that decide what discovery left open:"
             yield Step(text, f"cellapp discover {folder} --propose {_PROPOSED_STOPS}", "discover")
         elif name == PATH:
-            yield Step(f"{words}: mend the path, then compute it again:", f"cellapp compensate {folder} PATHS")
+            yield Step(f"{words}: mend the path, then compute it again:", "cellapp docs paths")
         elif name == CHECK and kind == "cannot say":
             yield Step(f"{words}:", f"cellapp check {folder}", "check")
         elif name in (PUSH, VERIFY) and kind == "cannot say":
-            yield Step(f"{words}: measure with a smaller uncertainty, as with the tracker nearer.")
+            yield Step(f"{words}: measure with a smaller uncertainty.")
         elif name in (PUSH, VERIFY):
             again = {"part": "", "does not conform": " --iterate 2"}[kind]
-            yield Step(
-                f"{words}:", f"cellapp push {folder} TARGETS" + (f" --verify{again}" if name == VERIFY else ""), "push"
-            )
+            command = at_targets("push", Path(results.run), f" --verify{again}" if name == VERIFY else "")
+            yield Step(f"{words}:", command, "push")
         elif name == ISO9283 and kind == "part":
             yield Step(f"{words}:", f"cellapp iso9283 --run {folder}", "iso9283")
 
@@ -165,7 +168,7 @@ def _targets_step(results: RunResults, missing: Sequence[Judgement], folder: str
     listed = set() if verify is None else {one.arm for one in verify.targets}
     pairs = verify is not None and bool(verify.pairs)
     lacking = [one for one in missing if not (pairs if one.characteristic == "cooperative" else one.where in listed)]
-    measure = f"cellapp push {folder} TARGETS --verify"
+    measure = at_targets("push", Path(results.run), " --verify")
     if not lacking:
         return Step(f"Measure {named_errors(missing)}, which has a tolerance:", measure, "push")
     of_pairs, of_arm = "cooperative targets (partner)", "targets of {}"
@@ -182,17 +185,17 @@ def _again(run: RunFile) -> Iterator[tuple[str, Step]]:
     """Yield the beginning of each complaint and the step that mends it, in the order of the steps."""
     folder, words = shell_word(run.folder), "Repeat what is out of date:"
     verbs: dict[str, tuple[NextVerb, str]] = {
-        f"'{COMPENSATE}'": ("compensate", f"compensate {folder} TARGETS"),
-        f"'{PUSH}'": ("push", f"push {folder} TARGETS"),
-        f"'{PATH}'": ("", f"compensate {folder} PATHS"),
-        f"'{ISO9283}'": ("iso9283", f"iso9283 --run {folder}"),
-        f"'{CHECK}'": ("check", f"check {folder}"),
-        REPORT_FILE: ("report", f"report {folder}"),
-        f"'{CERTIFICATE}'": ("certificate", f"certificate {folder}"),
-        CERTIFICATE_FILE: ("certificate", f"certificate {folder}"),
+        f"'{COMPENSATE}'": ("compensate", at_targets("compensate", run.folder)),
+        f"'{PUSH}'": ("push", at_targets("push", run.folder)),
+        f"'{PATH}'": ("", "cellapp docs paths"),
+        f"'{ISO9283}'": ("iso9283", f"cellapp iso9283 --run {folder}"),
+        f"'{CHECK}'": ("check", f"cellapp check {folder}"),
+        REPORT_FILE: ("report", f"cellapp report {folder}"),
+        f"'{CERTIFICATE}'": ("certificate", f"cellapp certificate {folder}"),
+        CERTIFICATE_FILE: ("certificate", f"cellapp certificate {folder}"),
     }
     for begins, (verb, command) in verbs.items():
-        yield begins, Step(words, f"cellapp {command}", verb)
+        yield begins, Step(words, command, verb)
 
 
 def _missing_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> NextVerb:

@@ -14,13 +14,14 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from cellapp.cell.run.file import RunFile, former_arrays
+from cellapp.cell.run.file import RunFile, former_arrays, noted_profile
 from cellapp.cell.run.measured_again import replaced_counts
 from cellapp.cell.run.recordings import recordings_digest
 from cellapp.cell.run.sqlite_file import REPORT_FILE, StageRow
@@ -280,19 +281,48 @@ class RunStages:
         return next_command(self.next_verb(), folder)
 
 
+HERE = Path()
+"""A run's folder for commands in that folder, as its page gives them: the page is the same wherever it lies."""
+
+
 def next_command(verb: NextVerb, folder: Path) -> str:
-    """Return the command of the verb that comes next; empty if there is none."""
-    match verb:
-        case "":
-            return ""
-        case "push":
-            return f"cellapp push {shell_word(folder)} TARGETS --verify"
-        case "compensate":
-            return f"cellapp compensate {shell_word(folder)} TARGETS"
-        case "plan":
-            return "cellapp plan PROFILE --run NEW"
-        case _:
-            return f"cellapp {verb} {shell_word(folder)}"
+    """Return the command of the verb that comes next, of the chapter about it if a file that it needs is not known.
+
+    Empty if there is no verb.
+    """
+    run = shell_word(folder)
+    if verb in ("push", "compensate"):
+        return at_targets(verb, folder, " --verify" if verb == "push" else "")
+    if verb == "plan":
+        if (profile := _files(folder)[0]) is None:
+            return "cellapp docs planning"
+        new = next(one for k in count(2) if not (one := folder.with_name(f"{folder.resolve().name}-{k}")).exists())
+        return f"cellapp plan {shell_word(profile)} --run {shell_word(new)}"
+    return f"cellapp {verb} {run}" if verb else ""
+
+
+def at_targets(verb: str, folder: Path, options: str = "") -> str:
+    """Return the command of a verb that takes targets, with those of the profile; the chapter if it names none."""
+    targets = _files(folder)[1]
+    known = f"cellapp {verb} {shell_word(folder)} {shell_word(targets or '')}{options}"
+    return "cellapp docs targets" if targets is None else known
+
+
+def _files(folder: Path) -> tuple[Path | None, Path | None]:
+    """Return the files of the profile and of the targets that it names, None for one that is not there."""
+    if folder == HERE:
+        return None, None
+    try:
+        with RunFile.peek(folder) as run:
+            profile, named = noted_profile(run), run.profile.targets
+    except InputError:
+        return None, None
+    if profile is None or not profile.is_file():
+        return None, None
+    here = Path.cwd()
+    profile = profile.relative_to(here) if profile.is_relative_to(here) else profile
+    targets = profile.parent / named if named else profile
+    return profile, targets if named and targets.is_file() else None
 
 
 def tracker_moved(located: StoredStage | None) -> bool:

@@ -14,7 +14,8 @@ import re
 import shutil
 import stat
 import sys
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import count
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from cellapp.ground.errors import InputError
+from cellapp.ground.shell import shell_word
 
 _HEAD = 256 * 1024
 """Bytes of an existing file that are read to see what it is."""
@@ -37,6 +39,10 @@ _MINISIGN = b"untrusted comment:"
 _SIGNATURE_SUFFIXES = (".minisig", ".asc", ".sig")
 _STREAMS = {"/dev/stdin": 0, "/dev/stdout": 1, "/dev/stderr": 2}
 _OPEN_FILE = re.compile(r"/(?:dev|proc/self)/fd/([0-9]{1,6})")
+CORRECTED = "corrected by cellapp for one arm: never correct this copy again"
+"""Mark of what holds corrected joint positions or poses; corrected twice, they would be off by the correction."""
+_TRIED = 64 * 1024
+"""Bytes that a folder must take before anything is computed that goes there."""
 _numbers = count()
 
 
@@ -74,12 +80,14 @@ class Outputs:
         Raises
         ------
         InputError
-            If there is no such folder, ``path`` is a folder, or a file that may not be replaced.
+            If there is no such folder or it takes no file, ``path`` is a folder, or a file that may not be replaced.
         """
         where = f"{label}: {path}" if label else str(path)
         if _stream(path) is None and not path.absolute().parent.is_dir():
             raise InputError(f"{where}: folder not found; nothing was done")
-        self.check_file(path, label)
+        if self._place(path, label) is not None and _stream(path) is None:
+            with _sentence(where):
+                try_folder(path.absolute().parent)
 
     def check_file(self, path: Path, label: str = "") -> None:
         """As ``check``, where folders that are not there are made."""
@@ -167,6 +175,20 @@ NEW_ONLY = Outputs()
 """Replaces nothing."""
 RENEWED = Outputs(force=True)
 """For files that cellapp itself names in a folder of its own, as a run's page, and for what a person agreed to."""
+
+
+def require_suffix(path: Path, suffixes: Sequence[str], what: str) -> None:
+    """Raise ``InputError`` for a file of ``what`` whose name ends otherwise than in one of ``suffixes``."""
+    if path.suffix.lower() not in suffixes:
+        so = f", not as {path.suffix}" if path.suffix else ""
+        name = shell_word(path.with_suffix(suffixes[0]))
+        raise InputError(f"{what} is written as {' or '.join(suffixes)}{so}: give --out {name}. Nothing was written")
+
+
+def try_folder(folder: Path) -> None:
+    """Write a file without a name in a folder, before hours of work; raise ``OSError`` if that cannot be done."""
+    with tempfile.TemporaryFile(dir=folder) as file:
+        file.write(bytes(_TRIED))
 
 
 @contextlib.contextmanager

@@ -195,6 +195,11 @@ def test_the_time_is_shared_among_the_effects(planned: PlannedCell) -> None:
     counts = [one.trials for arm in found.arms.values() for one in arm.effects if one.trials]
     assert max(counts) - min(counts) <= 4
     assert sum(counts) >= 140
+    clock[0] = 0.0
+    hurried = power_by(planned, 16, TimeLimit(0.1, 0.0, lambda: clock[0]), slow)
+    assert clock[0] <= 6.0
+    limits = [one.limit for arm in hurried.arms.values() for one in arm.effects]
+    assert "not tried: the time ended before" in limits
 
 
 def test_trials_that_cannot_be_computed_are_said_and_not_asked_for_again(planned: PlannedCell) -> None:
@@ -216,6 +221,7 @@ def test_trials_that_cannot_be_computed_are_said_and_not_asked_for_again(planned
     assert len(set(asked)) == len(asked)
     effects = {name: {one.effect: one for one in arm.effects} for name, arm in found.arms.items()}
     assert effects["left"]["backlash"].trials == 0
+    assert effects["left"]["backlash"].limit == "no trial could be computed"
     assert effects["right"]["backlash"].trials == 8
     assert 0 < effects["left"]["target_slip"].trials < 8
     assert len(found.failed) == len(asked) - len(found.trials)

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.file import note_profile
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.run import compensate_run
@@ -80,10 +81,10 @@ def test_a_tolerance_of_iso_9283_that_nothing_measured_comes_next(finished_copy:
     ("change", "verb", "says"),
     [
         ("undecided", "push", "Add targets of right and cooperative targets (partner) to the list"),
-        ("stopped", "push", "TARGETS --verify"),
-        ("outside", "push", "TARGETS --verify --iterate 2"),
+        ("stopped", "push", "targets/twin.yaml --verify"),
+        ("outside", "push", "targets/twin.yaml --verify --iterate 2"),
         ("ambiguous", "discover", "discover DIR --propose 30"),
-        ("out of date", "compensate", "compensate DIR TARGETS"),
+        ("out of date", "compensate", "targets/twin.yaml"),
     ],
 )
 def test_something_comes_next_while_anything_is_undecided_failed_or_out_of_date(
@@ -91,6 +92,7 @@ def test_something_comes_next_while_anything_is_undecided_failed_or_out_of_date(
 ) -> None:
     monkeypatch.setattr("cellapp.commands.next_step._missing_tests", lambda *given: ())
     with RunFile.open(finished_copy, write=True) as run:
+        note_profile(run, PROFILES / "twin.yaml")
         results = read_results(run)
         assert results.verify is not None
         assert results.compensate is not None

@@ -130,8 +130,8 @@ def _not_the_profiles(name: str, arm: ArmProfile, now: ControllerIdentity) -> li
     has = f"another calibration ({now.dh_checksum})" if now.dh_checksum else "no calibration of its own"
     return [
         f"arm {name}: its controller has {has} than that of arms.{name}.factory"
-        f" ({arm.factory.checksum or 'without a checksum'}); write it with 'cellapp doctor PROFILE --controllers DIR',"
-        " then collect and calibrate again"
+        f" ({arm.factory.checksum or 'without a checksum'}); write it with 'cellapp doctor PROFILE --controllers"
+        " FOLDER', then collect and calibrate again"
     ]
 
 

@@ -22,6 +22,7 @@ from cellapp.cell.targets.path import PathPlan
 from cellapp.cell.targets.ranges import signs_words
 from cellapp.cell.targets.records import TargetCommand
 from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import CORRECTED
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array
 
@@ -31,6 +32,7 @@ _NOTES = (
     "moves the SMR else. uncertainty_mm is the standard uncertainty of a measured coordinate of the SMR there,",
     "within_mm what a measured error stays below with 95 % probability: both of geometry, effects, network,",
     "extrapolation, noise, and conditions that nobody stated. A refused target has no positions.",
+    CORRECTED,
 )
 _TURNED = (
     "nominal_mrad",
@@ -149,7 +151,7 @@ def urscript(commands: ArmCommands, sentences: Sequence[str]) -> str:
         held = " ".join(command.record.holds_for.splitlines())
         lines += [f"  # target {name}", *([f"  # holds for {held}"] if held else [])]
         lines += [f"  movej({vector(target)}, {rates})", "  # home", home]
-    return hashed([*sentences, *_PROGRAM_NOTES]) + "\n".join([*lines, "end", ""])
+    return hashed([*sentences, *_PROGRAM_NOTES]) + "\n".join([*lines, "end", f"# {CORRECTED}", ""])
 
 
 def driven(commands: ArmCommands) -> int:
@@ -220,4 +222,4 @@ def path_script(plans: Sequence[PathPlan], profile: Profile, sentences: Sequence
         lines += [f"  movej({vector(q)}, {rates})" for q in (plan.run_up, first)]
         lines += [f"  servoj({vector(q)}, 0, 0, {plan.trajectory.period_s:g}, {_SERVO})" for q in others]
         lines += [f"  stopj({acceleration:.3f})", "  # home", f"  movej({vector(home)}, {rates})"]
-    return hashed([*sentences, *_PATH_NOTES]) + "\n".join([*lines, "end", ""])
+    return hashed([*sentences, *_PATH_NOTES]) + "\n".join([*lines, "end", f"# {CORRECTED}", ""])

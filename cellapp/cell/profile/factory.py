@@ -28,7 +28,7 @@ def require_own_factories(
         raise InputError(
             f"{where}: not a calibration of a {arm.type.model}: its rows differ from the published ones by more than"
             f" {length:g} mm or {angle:g} mrad, {FACTORY_SOURCE}; it fits {fitting_types(deltas, 1.0, types())}."
-            " Give the calibration.conf of this arm's controller ('cellapp doctor PROFILE --controllers DIR' writes"
+            " Give the calibration.conf of this arm's controller ('cellapp doctor PROFILE --controllers FOLDER' writes"
             " it), or the arm's own type"
         )
 

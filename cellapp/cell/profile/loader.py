@@ -303,7 +303,7 @@ def _read_controller(folders: Sequence[Path], name: str, place: Place, arm_type:
         raise PlacedError(
             place,
             f"file not found: {short(str(folders[0] / name), 200)}; give the calibration.conf of the controller,"
-            " relative to the profile's file: 'cellapp doctor PROFILE --controllers DIR' writes one",
+            " relative to the profile's file: 'cellapp doctor PROFILE --controllers FOLDER' writes one",
         )
     if path.suffix.lower() in (".yaml", ".yml"):
         return _described(path, arm_type)

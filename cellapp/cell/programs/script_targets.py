@@ -518,7 +518,7 @@ class _XmlReader:
                 expected = "not on the published table"
             reason = (
                 f"it was taught on a controller with a calibration of its own, {expected} that this correction is for;"
-                " 'cellapp doctor PROFILE --controllers DIR' writes that of the controller"
+                " 'cellapp doctor PROFILE --controllers FOLDER' writes that of the controller"
             )
         if reason:
             self.left.append(LeftMotion(waypoint.line, command, reason))

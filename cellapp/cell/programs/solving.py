@@ -597,14 +597,19 @@ def _common_words(one: CommonUncertainty) -> str:
     return f"sigma common to all targets {tcp}: {one.sentence}; {against}"
 
 
+_MOST_NAMED = 10
+"""Most lines that a sentence names."""
+
+
 def refusal(result: CorrectResult) -> str:
     """Return why nothing was written; empty if something was."""
     if result.out is not None:
         return ""
-    lines = ", ".join(dict.fromkeys(str(line) for line, _, _ in result.refused))
+    lines = [*dict.fromkeys(str(line) for line, _, _ in result.refused)]
+    more = f" and {len(lines) - _MOST_NAMED} more" if len(lines) > _MOST_NAMED else ""
     return (
-        f"{result.program}: nothing was written: targets in line {lines} have no correction."
-        " --partly writes the others and leaves these as they are"
+        f"{result.program}: nothing was written: targets in line {', '.join(lines[:_MOST_NAMED])}{more} have no"
+        " correction. --partly writes the others and leaves these as they are"
     )
 
 

@@ -62,6 +62,7 @@ from cellapp.estimation.readings.readings import Reading, Readings, readings_fro
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
+from cellapp.ground.outputs import try_folder
 from cellapp.ground.profile import Profile
 from cellapp.ground.removed import removed_readings
 from cellapp.robot.plugins import program_of
@@ -286,6 +287,7 @@ class RunFile:
                     check_integrity(path, connection)
                     profile = read_profile(path, connection)
                 if write:
+                    try_folder(folder)  # results stand beside the run file, and so does its journal
                     connection.close()
                     connection = connect(path, "rw")
                     connection.execute("PRAGMA synchronous=FULL")

@@ -30,6 +30,7 @@ from cellapp.cell.targets.records import TargetRecord
 from cellapp.cell.targets.target_csv import read_csv, source_of_table
 from cellapp.cell.targets.target_source import TargetSource, checked, placed_error, read_yaml, refusal, sentences
 from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import CORRECTED
 from cellapp.ground.plain_data import plain_data
 from cellapp.ground.profile import CellPoint, Profile
 from cellapp.robot.kinematics.transforms import Array, apply, register, rotation_from_vector, rotations_of, zyx_angles
@@ -317,6 +318,10 @@ class TargetProblem:
     text: str
 
 
+_HEAD = 64 * 1024
+"""Bytes of a file in which a mark of compensated commands stands."""
+
+
 def load_targets(path: Path, profile: Profile) -> tuple[Target, ...]:
     """Read a target list: CSV if the file name ends so, else YAML, whose ``targets`` may name a CSV file.
 
@@ -433,6 +438,9 @@ def _collector_paused() -> Iterator[None]:
 
 
 def _source(path: Path, joints: Mapping[str, int]) -> TargetSource:
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        if CORRECTED.encode() in file.read(_HEAD):
+            raise InputError(f"{path}: compensated commands, no targets: they are corrected. Give the target list")
     if path.suffix.lower() == ".csv":
         return read_csv(path, joints)
     source = read_yaml(path)

@@ -27,7 +27,7 @@ from cellapp.estimation.uncertainty.common import divided
 from cellapp.estimation.uncertainty.records import CommonUncertainty
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.outputs import NEW_ONLY, Outputs, require_suffix
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Progress, ignore
 from cellapp.ground.results import COMPENSATE, PATH
@@ -130,8 +130,8 @@ def compensate_paths(
         If the run is not calibrated, or ``out`` cannot be written.
     Cancelled
     """
-    if out is not None and out.suffix not in (".csv", ".script"):
-        raise InputError(f"compensate: --out {out}: expected a file .csv, or .script for URScript")
+    if out is not None:
+        require_suffix(out, (".csv", ".script"), "compensate: a path")
     stages, plans = read_stages(run), list[PathPlan]()
     used = stage_in_force(run, stages)
     model = model_of(run, used)

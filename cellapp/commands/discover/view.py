@@ -218,8 +218,8 @@ def proposal_lines(proposal: Proposal) -> list[str]:
     if proposal.written and proposal.first_configuration is not None:
         first = proposal.first_configuration + 1
         words.append(
-            f"the plan now has stops {first} to {first + proposal.count - 1} too; measure them with"
-            " 'cellapp collect DIR --resume', then calibrate and discover again"
+            f"the plan now has stops {first} to {first + proposal.count - 1} too: collect with --resume, then calibrate"
+            " and discover again"
         )
     for line in words:
         lines += textwrap.wrap(line, _WIDTH, subsequent_indent="  ")

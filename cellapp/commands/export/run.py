@@ -26,7 +26,7 @@ from cellapp.commands.stages import RunStages, StoredStage, read_stages
 from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.outputs import NEW_ONLY, Outputs, require_suffix
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, VERIFY
 from cellapp.ground.shell import shell_word
@@ -145,10 +145,7 @@ def export(run: RunFile, request: ExportRequest, outputs: Outputs = NEW_ONLY) ->
     form, stages, out = format_named(request.form), read_stages(run), request.out
     others = {".json", *(one.suffix for one in all_formats().values())} - {form.suffix}
     if out.suffix.lower() in others:
-        raise InputError(
-            f"export: '{form.name}' is written as {form.suffix}, not as {out.suffix}: give --out"
-            f" {out.with_suffix(form.suffix)}. Nothing was written"
-        )
+        require_suffix(out, (form.suffix,), f"export: '{form.name}'")
     if isinstance(form, CommandFormat):
         return export_commands(run, stages, form, out, request, outputs)
     if isinstance(form, CellFormat):

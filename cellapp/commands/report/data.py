@@ -16,7 +16,7 @@ from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.next_step import arm_states, missing_step
 from cellapp.commands.run_results import RunResults, read_results
-from cellapp.commands.stages import RunStages, read_stages
+from cellapp.commands.stages import HERE, RunStages, read_stages
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
@@ -131,7 +131,7 @@ def read_report_data(run: RunFile) -> ReportData:
     if calibrated is None or stages.in_force is None or stages.in_force.model is None:
         raise InputError(f"{run.path}: the calibrated model is missing; run 'cellapp calibrate' first")
     discovered = None if results.held.discover is None else _stored_model(run, stages, DISCOVER)
-    measured, missing = run.arms(), missing_step(run, stages, arm_states(run))
+    measured, missing = run.arms(), missing_step(run, stages, arm_states(run), HERE)
     return ReportData(
         profile=run.profile,
         results=results,

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from cellapp.cell.run import RunFile
+from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.commands.record import Work
 from cellapp.commands.report.request import ReportRequest
 from cellapp.commands.report.result import ReportResult, shown_by
 from cellapp.commands.run_results import read_results
+from cellapp.ground.outputs import RENEWED
 
 
 def run(request: ReportRequest, work: Work) -> ReportResult:
     """Write the page. Raises ``InputError`` if the run is not calibrated yet."""
     with RunFile.open(request.folder) as opened:
+        RENEWED.check(request.folder / REPORT_FILE)
         return shown_by(ReportResult, read_results(opened), page=str(work.write_page(opened)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import date
 
 from cellapp.cell.run import RunFile
@@ -14,6 +14,7 @@ from cellapp.commands.next_step import Step, open_steps
 from cellapp.commands.report.before_after import BeforeAfterFigure, before_after_figure
 from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.run_results import read_results
+from cellapp.commands.stages import HERE
 from cellapp.commands.view.charts import mm
 from cellapp.commands.view.table import Table
 from cellapp.commands.view.words import (
@@ -29,7 +30,6 @@ from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryRes
 from cellapp.estimation.uncertainty.records import Conformity, Judgement, overall
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER
-from cellapp.ground.shell import shell_word
 from cellapp.ground.times import day_of
 
 # -- Errors against their tolerances, as shown on the page's first screen ---------------------------------------------
@@ -165,12 +165,9 @@ def _effect_words(effect: AcceptedEffect) -> str:
 
 def _steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> Iterator[Step]:
     if data.next_step:
-        command = data.next_step.replace(data.results.run, "DIR")  # the page's readers may not have that folder
-        yield Step(_next_words(data), command)
-    for one in open_steps(data.profile, data.results, judgements):
-        if one.verb != "push" or "--verify" not in data.next_step:
-            folder = shell_word(data.results.run)
-            yield replace(one, text=one.text.replace(folder, "DIR"), command=one.command.replace(folder, "DIR"))
+        yield Step(_next_words(data), data.next_step)
+    here = data.results.model_copy(update={"run": str(HERE)})  # the page is the same wherever it lies
+    yield from (one for one in open_steps(data.profile, here, judgements) if one.command != data.next_step)
     for name, arm in ({} if data.discover is None else data.discover.arms).items():
         yield from _effect_steps(name, arm)
     due = data.profile.traceability.tracker.due
@@ -178,7 +175,7 @@ def _steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> It
         yield Step(f"Have the tracker calibrated: it was due on {due}.")
     driven = any(arm.driver.has_device for arm in data.profile.arms.values())
     if driven and data.results.check is None and CHECK not in data.out_of_date:
-        yield Step("After each collision, repair or move, and at regular intervals:", "cellapp check DIR")
+        yield Step("After each collision, repair or move, and at regular intervals:", f"cellapp check {HERE}")
 
 
 def _next_words(data: ReportData) -> str:

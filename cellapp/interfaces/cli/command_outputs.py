@@ -17,8 +17,9 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import typer
 
-from cellapp.ground.errors import InputError
+from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
+from cellapp.ground.shell import filled
 from cellapp.interfaces.cli.requests import REMEDY
 
 _FORCE = "force"
@@ -30,12 +31,18 @@ class CommandOutputs:
     """Output files of one command call: ``outputs`` writes them, ``files`` are those it names, by option.
 
     ``later`` are base paths from which file names are derived; they are checked at writing. ``stores`` are appended to.
+    ``named`` are its own run, profile and list of targets, by the words for them in commands that messages quote.
     """
 
     outputs: Outputs = NEW_ONLY
     files: dict[str, Path] = field(default_factory=dict)
     later: dict[str, Path] = field(default_factory=dict)
     stores: dict[str, Path] = field(default_factory=dict)
+    named: dict[str, Path] = field(default_factory=dict)
+
+    def filled(self, text: str) -> str:
+        """Put the files of this call into the commands that a message quotes."""
+        return filled(text, self.named)
 
     def check(self) -> None:
         """Check all files before anything is done. Raises ``InputError`` for one that may not be written."""
@@ -51,6 +58,8 @@ class CommandOutputs:
             named[place] = option
 
 
+_NAMED = {"DIR": "folder", "PROFILE": "profile", "TARGETS": "targets"}
+"""Words for files in quoted commands, and the fields of requests that hold them."""
 _ADDED_TO = (Writes.STORE, Writes.OWN_FOLDER)
 _NOTHING_CALLED = CommandOutputs()
 _current: ContextVar[CommandOutputs] = ContextVar("command_outputs", default=_NOTHING_CALLED)
@@ -123,9 +132,9 @@ def _outputs_of(
         if values[name] is not None and str(values[name]) != "-":
             named[how][options[name]] = Path(values[name])
     inputs = [path for name, value in values.items() if name not in written for path in _paths(value)]
-    return CommandOutputs(
-        Outputs(force, tuple(inputs), REMEDY), named[Writes.FILE], named[Writes.FILES], named[Writes.STORE]
-    )
+    own = {word: values[name] for word, name in _NAMED.items() if isinstance(values.get(name), Path)}
+    allowed = Outputs(force, tuple(inputs), REMEDY)
+    return CommandOutputs(allowed, named[Writes.FILE], named[Writes.FILES], named[Writes.STORE], own)
 
 
 def _paths(value: object) -> Iterator[Path]:
@@ -144,6 +153,9 @@ def _called(outputs: CommandOutputs) -> Iterator[None]:
     token = _current.set(outputs)
     try:
         yield
+    except CellappError as error:
+        error.args = tuple(outputs.filled(one) if isinstance(one, str) else one for one in error.args)
+        raise
     finally:
         _current.reset(token)
 

@@ -45,6 +45,7 @@ class Job:
     def __init__(self, json_file: str | None) -> None:
         called = current_outputs()
         called.check()
+        self._filled = called.filled
         self.outputs = called.outputs
         self.control = JobControl()
         self._json_file = json_file
@@ -96,13 +97,13 @@ class Job:
         """Print lines on standard output, or on standard error if standard output carries the JSON."""
         self._stop_bars()
         for line in lines:
-            print(line, file=sys.stderr if self._json_file == "-" else sys.stdout, flush=True)
+            print(self._filled(line), file=sys.stderr if self._json_file == "-" else sys.stdout, flush=True)
 
     def warn(self, *lines: str) -> None:
         """Print lines that a person must see on standard error, whatever standard output is used for."""
         self._stop_bars()
         for line in lines:
-            print(line, file=sys.stderr, flush=True)
+            print(self._filled(line), file=sys.stderr, flush=True)
 
     def show(self, tables: Sequence[Table]) -> None:
         """Print tables on the same stream as ``say``."""
@@ -182,7 +183,7 @@ class Job:
 
         A separate thread writes it: a terminal that blocks output must not delay the reaction to the next signal.
         """
-        self._messages.put(text)
+        self._messages.put(self._filled(text))
 
     def _print_messages(self) -> None:
         while (text := self._messages.get()) is not None:

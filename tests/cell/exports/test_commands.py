@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import dropwhile
 from pathlib import Path
 
@@ -33,7 +34,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY
 from cellapp.robot.model import CellModel
 from tests.twin import PROFILES
-from tests.verbs import export_as_run, push_run
+from tests.verbs import correct_run, export_as_run, push_run
 
 COMMAND_FORMATS = formats_of(CommandFormat)
 
@@ -154,6 +155,21 @@ def test_the_program_brings_the_model_to_the_targets(
     left = Path(result.commands["left"].file).read_text("utf-8")
     assert "# target far away: left out: out of reach" in left
     assert all("a=" in line and "v=0.209" in line for line in left.splitlines() if "movej" in line)
+
+
+@pytest.mark.parametrize(("form", "suffix"), [("urscript", ".script"), ("commands", ".csv")])
+def test_what_was_compensated_is_not_corrected_again(
+    finished_copy: Path, tmp_path: Path, form: str, suffix: str
+) -> None:
+    """Corrected twice, it would be off by the correction."""
+    with RunFile.open(finished_copy, write=True) as run:
+        compensate_run(run, load_targets(PROFILES / "targets" / "twin.yaml", run.profile)[:3])
+        exported = export_as_run(run, form, tmp_path / f"to{suffix}").commands
+        assert exported is not None
+        written = [Path(one.file) for one in exported.values()]
+        again = partial(correct_run, run, written[0], tmp_path / "again.script", "left")
+        with pytest.raises(InputError, match=r"corrected copy|they are corrected"):
+            again() if form == "urscript" else load_targets(written[0], run.profile)
 
 
 def test_what_verification_drove_last_is_written(finished_copy: Path, tmp_path: Path) -> None:

@@ -211,7 +211,7 @@ def test_nothing_is_written_where_a_target_cannot_be_corrected(cell: Cell, tmp_p
     [
         ("old.script", "new.script", None, "say whose program it is: --arm left or --arm right"),
         ("old.script", "new.script", "third", "no calibrated arm 'third'"),
-        ("old.script", "new.urp", "left", "ends in .script"),
+        ("old.script", "new.urp", "left", "written as .script"),
         ("old.txt", "new.txt", "left", "expected a program of a UR controller"),
         ("gone.script", "new.script", "left", "cannot be read"),
         ("empty.script", "new.script", "left", "no motion with a target found"),

@@ -216,7 +216,7 @@ def test_the_command(tied: Tied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         proposal = json.loads(out.read_text("utf-8"))["proposal"]
         assert proposal["count"] == 3
         assert "3 proposed stops" in done.output
-        assert "collect DIR --resume" in " ".join(done.output.split())
+        assert "collect with --resume" in " ".join(done.output.split())
     finally:
         append_proposed_stops(run, tied[2].stops)
 

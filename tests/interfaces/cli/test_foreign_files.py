@@ -178,6 +178,10 @@ CASES = {
         table(["joints", "tracker"], [list(map(str, both)) for both in zip(Q.tolist(), P.tolist())], quote='"'),
         ("joints 6 = q6", "tracker z = z_m"),
     ),
+    "angles of an unknown order": Case(
+        table([*J, *XYZ, "rx", "ry", "rz"], DEG, MM, 0.1 + 0 * MM), ("rx, ry, rz: not used as an orientation",),
+        check=lambda its: its.quaternion_M is None,
+    ),
     "inches": Case(table([*J, "X [in]", "Y [in]", "Z (inch)"], DEG, MM / 25.4), ("points in inches",)),
     "axes of Yaskawa": Case(table([*"SLURBT", *XYZ], DEG, MM), ("S = q1, L = q2, U = q3, R = q4, B = q5, T = q6",)),
     "robot beside tracker": Case(

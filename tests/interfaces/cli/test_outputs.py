@@ -346,3 +346,33 @@ def test_no_other_room_opens_a_file_to_replace_it() -> None:
             found.add(path.relative_to(ROOT).as_posix())
     assert found == own
     assert outputs.__doc__ is not None
+
+
+@pytest.mark.parametrize(
+    ("module", "words"),
+    [
+        ("calibrate.run.calibrate_run", "calibrate run"),
+        ("discover.run.discover_run", "discover run"),
+        ("compensate.run.compensate_run", "compensate run targets.yaml"),
+        ("push.run.push_targets", "push run targets.yaml"),
+        ("check.run.check_run", "check run"),
+        ("report.run.read_results", "report run"),
+        ("correct.correct", "correct run a.script --out b.script --json made.json"),
+    ],
+)
+def test_whether_results_can_be_stored_is_asked_before_they_are_computed(
+    module: str, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    def full(**_: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.chdir(tmp_path)
+    RunFile.create(Path("run"), two_arms()).close()
+    Path("targets.yaml").write_text("schema: cellapp-targets\nversion: 1\ntargets: []\n", "utf-8")
+    monkeypatch.setattr(f"cellapp.commands.{module}", lambda *asked, **more: pytest.fail("it was begun"))
+    monkeypatch.setattr("cellapp.ground.outputs.tempfile.TemporaryFile", full)
+    monkeypatch.setattr(sys, "argv", ["cellapp", *words.split()])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    assert "Read-only file system" in capsys.readouterr().err

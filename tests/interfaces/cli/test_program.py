@@ -265,7 +265,7 @@ def test_a_run_of_removed_readings_opens_for_show_and_export_and_calibrate_says_
     old_rows(path, columns, rows)
     with RunFile.open(path.parent, write=True) as run:
         state = run_overview(run)
-        assert (state.arms["left"].measured, state.next_step) == (3, "cellapp plan PROFILE --run NEW")
+        assert (state.arms["left"].measured, state.next_step) == (3, "cellapp docs planning")
         assert state.complaints[0].startswith(f"arm 'left': readings of {what} were removed in ")
         exported = export(run, ExportRequest(folder=run.folder, csv=tmp_path / "out.csv"))
         assert exported.readings == {"left": 3, "right": 1}

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import cellapp
+import drivers
+from cellapp.ground.shell import filled
+from tests.handbook.workspace import not_understood
 from tests.interfaces.cli.test_cli import call, exit_code, one_sentence  # noqa: F401 - a fixture
 from tests.twin import PROFILES
 
@@ -32,15 +38,54 @@ def test_printed_commands_run_in_folders_with_blanks(call: Any, folder: Path) ->
         assert str(folder) in shlex.split(command.replace("\\$", "$")), command
 
 
+def quoted(node: ast.AST) -> Iterator[str]:
+    """The commands that a text of the program quotes; what it puts in is one word, in quotes as of a file."""
+    text = getattr(node, "value", None)
+    if isinstance(node, ast.JoinedStr):
+        text = "".join(str(one.value) if isinstance(one, ast.Constant) else '"my cell/x"' for one in node.values)
+    if isinstance(text, str):
+        yield from re.findall(r"'cellapp ([a-z][^']*)'", text)
+
+
+def test_every_command_that_is_printed_can_be_typed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """In a folder with a blank; words for the files of a call, as DIR, give way to these."""
+    monkeypatch.chdir(tmp_path)
+    run = Path("my cell")
+    files = {"DIR": run, "PROFILE": run / "profiles" / "a.yaml", "TARGETS": run / "targets.csv"}
+    found = dict[str, str]()
+    for path in [*Path(cellapp.__file__).parent.rglob("*.py"), *Path(drivers.__file__).parent.rglob("*.py")]:
+        tree = ast.parse(path.read_text("utf-8"))
+        docstrings = {id(one.value) for one in ast.walk(tree) if isinstance(one, ast.Expr)}
+        for node in ast.walk(tree):
+            if id(node) not in docstrings:
+                found |= {command: f"{path.name}:{getattr(node, 'lineno', 0)}" for command in quoted(node)}
+    assert len(found) > 60
+    for command, place in found.items():
+        typed = filled(f"'cellapp {command}'", files).strip("'")
+        assert not {"DIR", "PROFILE", "TARGETS"} & {*shlex.split(typed)}, place
+        assert not_understood(typed, whole=False) == "", f"{place}: {typed}"
+
+
+def test_a_message_names_the_files_of_its_call(call: Any) -> None:  # noqa: F811
+    call("init", "my cell", "--twin")
+    profile = Path("my cell/profiles/twin.yaml")
+    text = profile.read_text("utf-8").replace("type: arms/ur10.yaml", "type: arms/ur10.yaml\n    factory: none.conf", 1)
+    profile.write_text(text, "utf-8")
+    one_sentence(call("doctor", profile), f"'cellapp doctor \"{profile}\" --controllers FOLDER'")
+
+
 @pytest.mark.parametrize(
     ("words", "says"),
     [
         ("docs backlsh", "did you mean 'backlash'?"),
         ("show FOLDER log --level foo", "foo"),
+        ("correct FOLDER a.script --out b.urp --arm left", "is written as .script, not as .urp: give --out b.script"),
+        ("compensate FOLDER paths.yaml --out p.txt", "is written as .csv or .script, not as .txt: give --out p.csv"),
         ("export FOLDER --as dh --out arm.json", "is written as .yaml, not as .json: give --out arm.yaml"),
     ],
 )
 def test_what_cannot_be_is_refused_with_what_can(call: Any, folder: Path, words: str, says: str) -> None:  # noqa: F811
+    shutil.copy(PROFILES / "paths" / "twin.yaml", "paths.yaml")
     refused = call(*[str(folder) if word == "FOLDER" else word for word in words.split()])
     assert refused.code == 2
     assert says in " ".join(refused.err.split())

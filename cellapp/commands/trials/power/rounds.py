@@ -45,7 +45,7 @@ from cellapp.estimation.discovery.records import AcceptedEffect, SmallestSize
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
-from cellapp.ground.executors import TimeLimit, Work, gather
+from cellapp.ground.executors import TimeLimit, Work, gather, local_cores
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant as PlantSection
 from cellapp.ground.results import Record
@@ -285,7 +285,7 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: Ti
         if not reason
     ]
     failed: list[str] = []
-    allowed = len(tried)  # the first trial of each shows its duration
+    allowed = work.jobs or local_cores()  # the first trials show their duration
     while asked := _round(tried, trials)[:allowed]:
         began_s = limit.now()
         job, begun = f"power, {limit.words()}", any(one.trials for one in tried)
@@ -393,7 +393,9 @@ class _Tried:
             trials=len(self.trials),
             named=len(named),
             with_others=sum(len(set(trial.accepted)) > 1 for trial in named),
-            limit=_limit(self.trials, 0.5 * middle if shown else 0.25 * largest),
+            limit=_limit(self.trials, 0.5 * middle if shown else 0.25 * largest)
+            if self.trials
+            else ("no trial could be computed" if self.failed else "not tried: the time ended before"),
         )
 
 
