@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.distance import pdist
 
 from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
 from cellapp.commands.certificate.iso9283_judgements import TEST_OF, judge_characteristics
@@ -277,6 +276,8 @@ def _held_out(results: StageResults, arm: str, error: Literal["position_mm", "di
 
 def _distance_errors_mm(targets: Sequence[MeasuredTarget]) -> list[float]:
     """Return the errors [mm] of the distances between measured positions, for all pairs of targets."""
+    from scipy.spatial.distance import pdist  # late: verbs start without scipy
+
     points = [(one.measured_M, one.wanted_M) for one in targets if one.measured_M and one.wanted_M]
     if len(points) < 2:
         return []

@@ -19,7 +19,7 @@ with matrices of rank three (Woodbury), O(p) for each. From time to time both ar
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -423,16 +423,20 @@ def choose_blocks(
     rng: np.random.Generator,
     effort: Effort = Effort(),
     cancel: CancelToken | None = None,
+    told: Callable[[int], object] = int,
 ) -> Rows:
-    """Choose ``count`` candidates by greedy selection and exchange; return their indices, all if there are no more."""
+    """Choose ``count`` candidates by greedy selection and exchange; return their indices, all if there are no more.
+
+    ``told`` is called with how many were chosen so far, then with ``count`` more for those whose exchange was tried.
+    """
     cancel = cancel or CancelToken()
     if count >= len(candidates):
         return np.arange(len(candidates))
     random = candidates.prior + candidates.mean_information * count
-    chosen = _greedy(candidates, count, criterion.weights(inverse_psd(random)), rng, effort, cancel)
+    chosen = _greedy(candidates, count, criterion.weights(inverse_psd(random)), rng, effort, cancel, told)
     best = criterion.value(candidates.covariance(chosen))
     for _ in range(min(effort.passes, -(-effort.exchanges // max(count, 1)))):
-        exchanged = _exchanged(candidates, chosen, criterion, effort, cancel)
+        exchanged = _exchanged(candidates, chosen, criterion, effort, cancel, told)
         value = criterion.value(candidates.covariance(exchanged))
         if value >= best:  # only the linear criterion improved
             break
@@ -480,7 +484,13 @@ def _best(candidates: Candidates, information: Array, W: Array, among: Rows, num
 
 
 def _greedy(
-    candidates: Candidates, count: int, W: Array, rng: np.random.Generator, effort: Effort, cancel: CancelToken
+    candidates: Candidates,
+    count: int,
+    W: Array,
+    rng: np.random.Generator,
+    effort: Effort,
+    cancel: CancelToken,
+    told: Callable[[int], object],
 ) -> Rows:
     """Choose stop by stop the largest gain in a subset."""
     free = np.ones(len(candidates), dtype=bool)
@@ -493,11 +503,19 @@ def _greedy(
         come = _best(candidates, information, W, subset, number, _followed(effort, number))
         free[come] = False
         before += len(come)
+        told(before)
         information = information + information_of(candidates.rows[come])
     return np.flatnonzero(~free)
 
 
-def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, effort: Effort, cancel: CancelToken) -> Rows:
+def _exchanged(
+    candidates: Candidates,
+    chosen: Rows,
+    criterion: Criterion,
+    effort: Effort,
+    cancel: CancelToken,
+    told: Callable[[int], object],
+) -> Rows:
     """Exchange each chosen stop, that of least information first, for the best other candidate or itself."""
     information = candidates.information(chosen)
     W = criterion.weights(inverse_psd(information))
@@ -509,6 +527,7 @@ def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, effor
     promising = np.sort(design.promising(candidates.rows, effort.promising + len(chosen)))
     for first in range(0, len(queue), effort.batch):
         cancel.check()
+        told(len(chosen) + first)
         leaving = queue[first : first + effort.batch]
         coming = promising[free[promising]]
         coming = coming[design.largest(candidates.rows[coming], _followed(effort, effort.batch))]

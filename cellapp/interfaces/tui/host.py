@@ -17,10 +17,9 @@ from textual.message import Message
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.jobs import Job, JobRunner
 from cellapp.interfaces.tui.run_state import RunState, run_state
-from cellapp.interfaces.tui.workspace import Step, Workspace
+from cellapp.interfaces.tui.workspace import Step, Workspace, last_run
 
 if TYPE_CHECKING:
-    from cellapp.commands.runs.result import RunSummary
     from cellapp.ground.progress import CellLive
     from cellapp.ground.results import Result
 
@@ -49,12 +48,12 @@ class WorkspaceLoaded(Message):
         self.workspace = workspace
 
 
-class ResumeOffered(Message):
-    """An interrupted run of collecting was found."""
+class LastRunRead(Message):
+    """What is known of the last run, in words."""
 
-    def __init__(self, run: RunSummary) -> None:
+    def __init__(self, words: str) -> None:
         super().__init__()
-        self.run = run
+        self.words = words
 
 
 class ShowsResults(Protocol):
@@ -75,8 +74,10 @@ class Host(App[None]):
         The screen that started the current job; it gets the result, whichever screen is shown then.
     code : int
         Exit code of the last job.
+    last_run : Path or None
+        The run that was changed last when the application began.
     waits : str
-        An interrupted run that can be resumed, in words; empty if none was found.
+        That run in words; empty if there is none.
     reading : str
         Sentence that the first profile, or the result of the last job, is being read; empty when it is read.
     """
@@ -90,7 +91,8 @@ class Host(App[None]):
         self.presses = StopPresses(self.jobs)
         self.asked_by: ShowsResults | None = None
         self.code = 0
-        self.waits = self.reading = ""
+        self.last_run = last_run(logs)
+        self.waits, self.reading = "" if self.last_run is None else str(self.last_run), ""
         self._state: tuple[tuple[object, ...], RunState] | None = None
 
     @property

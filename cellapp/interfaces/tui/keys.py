@@ -34,6 +34,8 @@ KEYS: Mapping[str, Key] = {
     "abort": Key("x", "x", "end the job; Ctrl-X does so over a dialog, too"),
     "next": Key("n", "n", "do the step that comes next: show its screen; there, begin it"),
     "go": Key("b", "b", "begin the work of the screen"),
+    "last": Key("a", "a", "go on with the last run: open it"),
+    "runs": Key("8", "8", "all runs: open one, its report"),
     "day": Key("f5", "F5", "the whole day in a new run; asks first"),
     "open": Key("o", "o", "open a profile, a list, a table, a log or a page"),
     "plots": Key("g", "g", "show the plots; again: the next one"),
@@ -92,11 +94,18 @@ WAYS: Mapping[str, tuple[Step, str]] = {
     "certificate": ("accept", "export"),
     "report": ("accept", "go"),
     "export": ("calibrate", "export"),
-    "runs": ("runs", "again"),
 }
 """Verb -> the screen and the meaning of the key that does it; other verbs are in the palette."""
-_EVERYWHERE: Mapping[str, str] = {"run": "day", "docs": "handbook"}
+_EVERYWHERE: Mapping[str, str] = {"run": "day", "docs": "handbook", "runs": "runs"}
 """Verb -> the meaning of the key that does it on every screen; these verbs are not in the palette."""
+_PARTS: Mapping[str, Step] = {
+    "verify": "targets",
+    "path": "targets",
+    "run": "plan",
+    "compare": "plan",
+    "forecast": "plan",
+}
+"""Name of a stage, or of a part of a day -> its step; planning ends with comparing designs."""
 _VARIANTS = "|".join(re.escape(word) for word in ISO9283.variants)
 """Words after the only verb that has some."""
 _COMMAND = re.compile(
@@ -119,6 +128,19 @@ def key_table(bindings: Sequence[BindingType]) -> str:
             more = one.tooltip or next((key.meaning for key in KEYS.values() if key.keys == one.key), "")
             rows.append(f"| {one.key_display or one.key.title()} | {one.description}{f': {more}' if more else ''} |")
     return "\n".join(rows)
+
+
+def step_of(name: str) -> Step | None:
+    """Return the step that a verb, a stage or a part of a day belongs to; None if none."""
+    return WAYS[name][0] if name in WAYS else _PARTS.get(name)
+
+
+def way_of(command: str) -> tuple[Step, str] | None:
+    """Return the screen and the meaning of the key that do a command; None for words, or if no key does."""
+    if not command.startswith("cellapp "):
+        return None
+    verb = command.split()[1]
+    return WAYS.get("discover --propose" if verb == "discover" and "--propose" in command else verb)
 
 
 def way_to(verb: str) -> str:

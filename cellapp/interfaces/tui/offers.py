@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import records
-from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
@@ -18,7 +16,6 @@ from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.workspace import Workspace, new_folder
 
 if TYPE_CHECKING:
-    from cellapp.commands.runs.result import RunSummary
     from cellapp.ground.results import Result, StageName
 
 BEGIN = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
@@ -159,23 +156,6 @@ def offer_to_quit(app: Host, leave: Callable[[bool], None], unsaved: Sequence[st
         text += f"'{app.record.name}' is in progress. {brake} and quit?"
     question = QuitQuestion("Quit?", text, (Answer("stay", stay, "n"), quits))
     app.push_screen(question, lambda answer: leave(answer == "leave"))
-
-
-def offer_to_resume(app: Host, run: RunSummary) -> None:
-    """Offer to open an interrupted run of collecting, or one in which another process works now."""
-    folder, title = Path(run.run), "Go on with the last run?"
-    text = f"{folder} was interrupted with {counted(run.stops_left, 'stop')} left. Open it? Nothing moves yet."
-    if run.in_use:
-        title = "Open the run of the job that runs now?"
-        text = f"Another process works in {folder}. Open it? Its job goes on; Escape here stops its arms."
-
-    def open_it(answer: str | None) -> None:
-        if answer == "open":
-            app.open_run(folder, app.workspace.profile_path)
-            app.action_show("collect")
-
-    answers = (Answer("open", "Open", "o", "success"), Answer("later", "Later", "l"))
-    app.push_screen(Choice(title, text, answers), open_it)
 
 
 def offer_at_rest(app: Host, arm: str) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from cellapp.ground.asking import who_uses
+from cellapp.ground.asking import JOB_FILE, who_uses
 from cellapp.ground.errors import CellappError, InputError
 
 if TYPE_CHECKING:
@@ -23,29 +23,8 @@ if TYPE_CHECKING:
     from cellapp.ground.profile import CellKind, Profile
     from cellapp.ground.results import StageName
 
-Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "accept", "runs"]
-STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "accept", "runs")
-
-_STEP_OF_VERB: Mapping[str, Step] = {
-    "plan": "plan",
-    "collect": "collect",
-    "calibrate": "calibrate",
-    "discover": "discover",
-    "locate": "targets",
-    "compensate": "targets",
-    "push": "targets",
-    "verify": "targets",
-    "path": "targets",
-    "iso9283": "accept",
-    "check": "accept",
-    "certificate": "accept",
-    "report": "accept",
-}
-
-
-def step_of(verb: str) -> Step | None:
-    """Return the step that a verb or a stage belongs to; None if none."""
-    return _STEP_OF_VERB.get(verb)
+Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "accept"]
+STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "accept")
 
 
 @dataclass(frozen=True)
@@ -111,21 +90,19 @@ class Workspace:
         """Arms that the run counts as moving, arm -> why they were not seen at rest."""
         return {} if self.overview is None else {n: a.reason for n, a in self.overview.not_seen_at_rest.items()}
 
-    @property
-    def next_step(self) -> Step:
-        """The step that comes next."""
-        if self.profile is None:
-            return "cell"
-        if self.overview is None:
-            return "plan"
-        return _STEP_OF_VERB.get(self.overview.next_verb, "runs")
-
 
 def holds_run(folder: Path | None) -> bool:
     """Return whether a folder contains a run file."""
     from cellapp.cell.run.sqlite_file import FILE_NAME
 
     return folder is not None and (folder / FILE_NAME).is_file()
+
+
+def last_run(logs: Path) -> Path | None:
+    """Return the run below a folder that was changed last, before all one with a job; quickly, without reading any."""
+    files = logs.glob("*/run.sqlite")
+    found = [((file.parent / JOB_FILE).exists(), file.stat().st_mtime, file.parent) for file in files]
+    return max(found, default=(False, 0.0, None))[2]
 
 
 def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:

@@ -236,7 +236,7 @@ def _why_not(text: str, folder: Path) -> str:
         return "Type the name of a folder, for instance logs/monday."
     try:
         if folder.is_dir() and any(folder.iterdir()):
-            return f"{folder} exists and is not empty: type another name, or open that run on the screen Runs (8)."
+            return f"{folder} exists and is not empty: type another name, or open that run (key 8)."
         if folder.exists() and not folder.is_dir():
             return f"{folder} is a file: type the name of a folder."
     except OSError as error:

@@ -15,7 +15,7 @@ from textual.widgets import Static
 
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
-from cellapp.interfaces.tui.keys import KEYS, WAYS
+from cellapp.interfaces.tui.keys import KEYS, way_of
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.widgets.arm_panel import JobPanel, LiveStrip
 from cellapp.interfaces.tui.widgets.controls import KeyLine
@@ -32,10 +32,6 @@ if TYPE_CHECKING:
 _LEAST = (60, 16)
 """Columns and lines of the smallest terminal in which tables and plots are readable."""
 _TOO_SMALL = "Make the terminal larger, at least 80x24. Jobs go on; STOP and all keys work."
-
-
-READING_RUNS = "reading the folder of runs ..."
-"""Placeholder for data of the runs."""
 
 
 class DayScreen(Screen[None]):
@@ -92,6 +88,7 @@ class DayScreen(Screen[None]):
         yield Static(_TOO_SMALL, classes="too-small", markup=False)
         with Vertical(classes="body"):
             yield from self.body()
+        yield Static("", classes="next-words", markup=False)
         yield Static("", classes="message", markup=False)
         yield KeyLine()
 
@@ -111,6 +108,9 @@ class DayScreen(Screen[None]):
             panel.show(record)
         if state != self._state:
             self.query_one(StepLine).show(state.marks, self.STEP)
+            line = self.query_one(".next-words", Static)
+            line.display = state.job is None
+            line.update(state.next_words)
             self.show_state(state)
             self._state = state  # only now: if a widget was missing above, the next call draws it
 
@@ -133,13 +133,19 @@ class DayScreen(Screen[None]):
         if self.cell_app.start_job(job):
             self.cell_app.asked_by = self
 
-    def begin_next(self, verb: str) -> None:
-        """Begin the next verb, which belongs to this step; empty: the step's own work."""
-        _, meaning = WAYS.get(verb, (self.STEP, "go"))
-        for binding in type(self).BINDINGS:
+    def begin_next(self, command: str) -> bool:
+        """Begin the next command, as its key on this screen does; return False if none does it now."""
+        step, meaning = way_of(command) or ("", "")
+        for binding in type(self).BINDINGS if step == self.STEP else ():
             if isinstance(binding, Binding) and binding.key == KEYS[meaning].keys:
-                self.call_next(self.run_action, binding.action)
-                return
+                possible = bool(self.check_action(binding.action, ()))
+                if possible:
+                    self.call_next(self.run_action, binding.action)
+                return possible
+        return False
+
+    def show_runs(self) -> None:
+        """List all runs; only the screen Cell does."""
 
     def leave_field(self) -> None:
         """Leave a text field: the next key is a command."""
