@@ -44,7 +44,7 @@ def offer_again(
         f"The run has a result that holds ({mark.words}). Nothing it rests on has changed since; what is stored stays."
     )
     answers = (Answer("no", "Not now", "n"), Answer("begin", "Do it again", "b", "warning"))
-    screen.app.push_screen(Choice(title, text, answers), lambda answer: begin() if answer == "begin" else None)
+    screen.ask(Choice(title, text, answers), begin)
 
 
 def offer_whole_day(app: Host) -> None:
@@ -117,24 +117,19 @@ def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:
     app.push_screen(VerbQuestion(verb, text, BEGIN, given, simulated=simulated), begin)
 
 
-def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str, begun: Callable[[], None] = lambda: None) -> None:
-    """Ask for the request of a verb that measures with the model in force, then run it; ``begun`` is called before."""
+def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str) -> bool:
+    """Ask for the request of a verb that measures with the model in force, then run it; return whether it is asked."""
     from cellapp.commands.compensate.target_list import stale_model  # numerics, which the start must not wait for
 
     if (calibrated := screen.calibrated_run()) is None:
-        return
+        return False
     folder, results, _ = calibrated
-
-    def begin(request: Request | None) -> None:
-        if request is not None:
-            begun()
-            screen.start(work.verb_job(verb, request))
-
     text = f"{words} {arms_words(screen.workspace)}."
     if stale := stale_model(results):
         text += f"\nThe model is not up to date: {stale}."
     simulated = screen.workspace.kind == "simulated"
-    screen.app.push_screen(VerbQuestion(verb, text, BEGIN, {"folder": folder}, simulated=simulated), begin)
+    screen.ask_verb(VerbQuestion(verb, text, BEGIN, {"folder": folder}, simulated=simulated))
+    return True
 
 
 class QuitQuestion(Choice):

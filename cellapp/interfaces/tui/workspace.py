@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -98,10 +99,16 @@ def holds_run(folder: Path | None) -> bool:
     return folder is not None and (folder / FILE_NAME).is_file()
 
 
+_SQLITE = b"SQLite format 3"
+
+
 def last_run(logs: Path) -> Path | None:
     """Return the run below a folder that was changed last, before all one with a job; quickly, without reading any."""
-    files = logs.glob("*/run.sqlite")
-    found = [((file.parent / JOB_FILE).exists(), file.stat().st_mtime, file.parent) for file in files]
+    found = []
+    for file in logs.glob("*/run.sqlite"):
+        with suppress(OSError), file.open("rb") as opened:
+            if opened.read(len(_SQLITE)) == _SQLITE:
+                found.append(((file.parent / JOB_FILE).exists(), file.stat().st_mtime, file.parent))
     return max(found, default=(False, 0.0, None))[2]
 
 

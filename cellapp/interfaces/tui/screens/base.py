@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, cast
 
@@ -13,6 +14,8 @@ from textual.geometry import Size
 from textual.screen import Screen
 from textual.widgets import Static
 
+from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import KEYS, way_of
@@ -20,9 +23,11 @@ from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.widgets.arm_panel import JobPanel, LiveStrip
 from cellapp.interfaces.tui.widgets.controls import KeyLine
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
+from cellapp.interfaces.tui.work import verb_job
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
+    from cellapp.commands.record import Request
     from cellapp.commands.report.result import RunResults
     from cellapp.estimation.calibration.records import CalibrateResult
     from cellapp.ground.results import Result
@@ -132,6 +137,19 @@ class DayScreen(Screen[None]):
         """Start a job; if it cannot start, a sentence says why."""
         if self.cell_app.start_job(job):
             self.cell_app.asked_by = self
+
+    def ask(self, question: Choice, begin: Callable[[], None]) -> None:
+        """Ask, and begin unless the answer is no."""
+        self.app.push_screen(question, lambda answer: begin() if answer not in (None, "no") else None)
+
+    def ask_verb(self, question: VerbQuestion) -> None:
+        """Ask for the request of a verb, then run it."""
+
+        def begin(request: Request | None) -> None:
+            if request is not None:
+                self.start(verb_job(question.verb, request))
+
+        self.app.push_screen(question, begin)
 
     def begin_next(self, command: str) -> bool:
         """Begin the next command, as its key on this screen does; return False if none does it now."""

@@ -30,8 +30,6 @@ from cellapp.commands.calibrate.charts_accuracy import (
 )
 from cellapp.commands.calibrate.view import calibration_tables, merged_sentences, parameter_tables, tracker_sentences
 from cellapp.commands.export.request import STAGES, VERB
-from cellapp.commands.export.request import VERB as EXPORT
-from cellapp.commands.record import Request
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.charts import Chart
 from cellapp.estimation.calibration.records import CalibrateResult
@@ -44,8 +42,8 @@ from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.offers import WRITE, offer_again
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.charts_view import PartsView
-from cellapp.interfaces.tui.widgets.tables import TablesView, show_next_tab
+from cellapp.interfaces.tui.widgets.parts_view import PartsView
+from cellapp.interfaces.tui.widgets.tables import show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 
@@ -151,11 +149,11 @@ tables; chapter *exports*.
     def body(self) -> ComposeResult:
         with TabbedContent(id="calibration"):
             with TabPane("Stages", id="stages"):
-                yield TablesView(id="stage-tables")
+                yield PartsView(id="stage-tables")
             with TabPane("Errors", id="errors"):
                 yield PartsView(id="error-charts")
             with TabPane("Parameters", id="parameters"):
-                yield TablesView(id="parameter-tables")
+                yield PartsView(id="parameter-tables")
 
     # -- keys ----------------------------------------------------------------------------------------------------------
 
@@ -198,18 +196,9 @@ tables; chapter *exports*.
 
     def action_export(self) -> None:
         """Ask for format and file, then write the calibrated arms."""
-        folder, results = self.open_folder(), self.workspace.results
-        if folder is None:
-            return
-        if results is None or results.calibrate is None:
-            self.say(self.state.not_calibrated, "warning")
-            return
-
-        def write(request: Request | None) -> None:
-            if request is not None:
-                self.start(work.verb_job(EXPORT, request))
-
-        self.app.push_screen(ExportArms(folder, tuple(results.calibrate.arms), WRITE), write)
+        if (calibrated := self.calibrated_run()) is not None:
+            folder, _, calibration = calibrated
+            self.ask_verb(ExportArms(folder, tuple(calibration.arms), WRITE))
 
     def show_result(self, result: Result) -> None:
         """Show what was exported, and what the files do not contain."""
@@ -232,10 +221,7 @@ tables; chapter *exports*.
             return
         self._drawn = workspace
         result = self._result
-        tables, parameters = (
-            self.query_one("#stage-tables", TablesView),
-            self.query_one("#parameter-tables", TablesView),
-        )
+        tables, parameters = self.query_one("#stage-tables", PartsView), self.query_one("#parameter-tables", PartsView)
         if result is None or workspace.results is None:
             tables.show([])
             parameters.show([])
@@ -244,13 +230,13 @@ tables; chapter *exports*.
             return
         reason = workspace.results.out_of_date.get(CALIBRATE)
         outdated = [] if reason is None else [f"! out of date: {reason}; {SHOWN['go']} calibrates again"]
-        tables.show(calibration_tables(result), outdated, (*tracker_sentences(result), *result.notes))
-        parameters.show(parameter_tables(result), outdated, merged_sentences(result))
+        tables.show((*calibration_tables(result), *tracker_sentences(result), *result.notes), outdated)
+        parameters.show((*parameter_tables(result), *merged_sentences(result)), outdated)
         self._read(workspace)
 
     def show_state(self, state: RunState) -> None:
         """Say why there is no calibration."""
-        for view in self.query(TablesView):
+        for view in self.query(PartsView):
             view.say_empty(state.nothing(self.STEP, ""))
 
     @in_thread(thread=True, exclusive=True)
@@ -271,4 +257,4 @@ tables; chapter *exports*.
                 charts.append(stage_chart(name, shown.arms[name]))
                 charts.append(error_histogram_chart(name, arm.errors_mm, shown.arms[name].tracker_mm))
             charts.append(pair_histogram_chart(shown))
-        self.query_one("#error-charts", PartsView).show_parts(charts)
+        self.query_one("#error-charts", PartsView).show(charts)

@@ -19,7 +19,6 @@ from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.ground.starters import offered_profiles
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.cell_views import (
@@ -281,11 +280,6 @@ class CellScreen(DayScreen):
                 self._runs.action_read()
         self._draw_doctor()
         self._draw_detail()
-
-    def show_job(self, record: JobRecord) -> None:
-        """Mark measured stops on the maps."""
-        for drawn in self.query(CellMap):
-            drawn.follow(record if self.state.collecting else None)
 
     def _show_profile(self, profile: Profile | None, problem: str) -> None:
         changed = profile is None or self._profile is None or profile != self._profile

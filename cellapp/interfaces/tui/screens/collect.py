@@ -50,11 +50,11 @@ from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import since_words
-from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel, residual_line
+from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.log_pane import LogPane, as_text
+from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
-from cellapp.interfaces.tui.widgets.tables import WrappedTables
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 Look = Literal["idle", "running", "waiting", "halted", "done"]
@@ -200,10 +200,6 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
     CollectScreen.unheard #arms, CollectScreen.unheard TrackerPanel { display: none; }
     CollectScreen #suspicions { height: auto; max-height: 3; color: $text-warning; text-style: bold; display: none; }
     CollectScreen #suspicions.any { display: block; }
-    CollectScreen #residual-line { height: 1; padding: 0; display: none; }
-    CollectScreen.measured #residual-line { display: block; }
-    CollectScreen.measured.-wide #residual-line, CollectScreen.measured.plots #residual-line,
-    CollectScreen.measured.-tall #residual-line { display: none; }
     CollectScreen #plots { layout: horizontal; height: 5fr; display: none; }
     CollectScreen #log, CollectScreen #stops, CollectScreen #collected { height: 4fr; display: none; }
     CollectScreen.-low.-narrow #plots ChartPlot, CollectScreen.-low.-medium #plots ChartPlot { display: none; }
@@ -242,14 +238,13 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
         yield Horizontal(id="arms")
         yield TrackerPanel()
         yield ProgressBars()
-        yield Static("", id="residual-line", markup=False)
         yield Static("", id="suspicions", markup=False)
         with Container(id="plots"):
             for name in _PLOTS:
                 yield ChartPlot(id=name, classes="empty" if name == "sweep" else None)
         yield LogPane(id="log")
         yield CollectedStops(id="stops")
-        yield WrappedTables(id="collected")
+        yield PartsView(id="collected")
 
     def on_mount(self) -> None:
         """Set the tooltips, and focus the log."""
@@ -311,12 +306,7 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
             return
         moves = arms_words(self.workspace) + (", after one more question" if kind == "real" else "")
         text = f"Measure {what}. In {folder}; {moves}. Escape stops at any time; what is measured is kept."
-
-        def begin(answer: str | None) -> None:
-            if answer == "begin":
-                self.start(job)
-
-        self.app.push_screen(Choice(title, text, BEGIN), begin)
+        self.ask(Choice(title, text, BEGIN), lambda: self.start(job))
 
     # -- views ---------------------------------------------------------------------------------------------------------
 
@@ -329,7 +319,7 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
             self.query_one(f"#{name}").set_class(number == self._plot, "chosen")
         self.update_classes({one: one == view for one in _VIEWS})
         log, stops = self.query_one(LogPane).view, self.query_one(CollectedStops).table
-        self.set_focus({"log": log, "stops": stops, "collected": self.query_one(WrappedTables)}.get(view))
+        self.set_focus({"log": log, "stops": stops, "collected": self.query_one(PartsView)}.get(view))
 
     def action_next_tab(self) -> None:
         """Switch from the log to the plots, to the list of stops, and to the tables of stored data."""
@@ -415,7 +405,7 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
         if workspace is not self._tabled:
             self._tabled = workspace
             state = workspace.collection
-            self.query_one(WrappedTables).show([] if state is None else collection_tables(state))
+            self.query_one(PartsView).show([] if state is None else collection_tables(state))
             self.query_one(CollectedStops).show(state)
         if workspace.folder != self._opened and not self.cell_app.jobs.running:
             self._opened = workspace.folder
@@ -425,7 +415,7 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
 
     def show_state(self, state: RunState) -> None:
         """Say what is collected, if no table does."""
-        self.query_one(WrappedTables).say_empty(state.not_collected)
+        self.query_one(PartsView).say_empty(state.not_collected)
         self.query_one(CollectedStops).say_empty(state.not_collected)
 
     def show_job(self, record: JobRecord) -> None:
@@ -443,11 +433,7 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
         told = running or "collect" in record.progress  # the result of another finished job is on its own screen
         self.query_one(ProgressBars).parts = parts_of(record) if told else ()
         self._draw_suspicions(record)
-        line = residual_line(record.stops, self.query_one("#residual-line").size.width or self.size.width - 2)
-        self.query_one("#residual-line", Static).update(line)
-        unheard = record.state is None and not record.arms
-        # at once: each change restyles the whole screen
-        self.update_classes({"measured": bool(line), "unheard": unheard})
+        self.set_class(record.state is None and not record.arms, "unheard")
         self._draw_plots(record)
 
     def _begin_to_watch(self, job: Job, record: JobRecord) -> None:

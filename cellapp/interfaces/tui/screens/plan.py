@@ -5,7 +5,6 @@ Keys of the screen Plan that change a plan: freeze, add, design again, write and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -20,28 +19,25 @@ from textual.widgets import DataTable, Static, TabbedContent, TabPane
 from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.plan.request import VERB as PLAN
-from cellapp.commands.record import Request
 from cellapp.ground.counting import counted
 from cellapp.ground.outputs import RENEWED
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, SaveAs
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice
 from cellapp.interfaces.tui.dialogs.verb_question import NewRunQuestion, VerbQuestion
-from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.cell_views import CellMap
-from cellapp.interfaces.tui.widgets.charts_view import ChartsView
+from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.stops_table import StopsTable
-from cellapp.interfaces.tui.widgets.tables import WrappedTables, explain_tabs, show_next_of, show_next_tab
+from cellapp.interfaces.tui.widgets.tables import explain_tabs, show_next_of, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
     from cellapp.commands.plan.result import StopsResult
-    from cellapp.commands.view.charts import Chart
-    from cellapp.commands.view.table import Table
+    from cellapp.commands.view.parts import Parts
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
 
@@ -73,34 +69,22 @@ class PlanEdits(DayScreen):
 
     def action_add(self) -> None:
         """Ask how many stops to append."""
-        folder = self.planned_folder()
-        if folder is None:
-            return
-
-        def begin(request: Request | None) -> None:
-            if request is not None:
-                self.start(verbs.verb_job(PLAN, request))
-
-        text = "They tell most beside those that are planned or measured already. Nothing moves."
-        proposed = {"add": _FURTHER}
-        self.app.push_screen(VerbQuestion(PLAN, text, _TAKE, {"folder": folder}, proposed=proposed), begin)
+        if folder := self.planned_folder():
+            text = "They tell most beside those that are planned or measured already. Nothing moves."
+            self.ask_verb(VerbQuestion(PLAN, text, _TAKE, {"folder": folder}, proposed={"add": _FURTHER}))
 
     def action_replan(self) -> None:
         """Ask, then design the unmeasured stops again."""
         folder = self.planned_folder()
         if folder is None:
             return
-
-        def begin(answer: str | None) -> None:
-            if answer == "replan":
-                self.start(verbs.job_of(PLAN, folder=folder, replan=True))
-
         text = (
             "Stops that are measured, proposed by discovery or frozen stay, as far as they could be reached; all others"
             " of this run are replaced. Nothing moves."
         )
         answers = (Answer("no", "Leave the plan", "l"), Answer("replan", "Design again", "d", "warning"))
-        self.app.push_screen(Choice("Design the rest again?", text, answers), begin)
+        job = verbs.job_of(PLAN, folder=folder, replan=True)
+        self.ask(Choice("Design the rest again?", text, answers), lambda: self.start(job))
 
     def action_write(self) -> None:
         """Ask where to write the plan."""
@@ -178,13 +162,11 @@ _NO_FORECAST = f"Not foreseen yet: {SHOWN['forecast']} computes time, expected e
 
 
 class Drawn(Message):
-    """The design was drawn in a thread: charts, tables and sentences; ``of`` are the stops that they describe."""
+    """The design was drawn in a thread; ``of`` are the stops that the parts describe."""
 
-    def __init__(
-        self, of: StopsResult, charts: Sequence[Chart], tables: Sequence[Table], sentences: Sequence[str]
-    ) -> None:
+    def __init__(self, of: StopsResult, parts: Parts) -> None:
         super().__init__()
-        self.of, self.charts, self.tables, self.sentences = of, charts, tables, sentences
+        self.of, self.parts = of, parts
 
 
 class PlanScreen(PlanEdits):
@@ -234,15 +216,15 @@ class PlanScreen(PlanEdits):
                 yield Static("", id="plan-time", markup=False)
                 with TabbedContent(id="plan-tabs", initial="tab-constraints"):
                     with TabPane("Limits", id="tab-constraints"):
-                        yield WrappedTables(id="constraints")
+                        yield PartsView(id="constraints")
                     with TabPane("Design", id="tab-design"):
-                        yield ChartsView("", id="plan-design")
+                        yield PartsView(id="plan-design")
                     with TabPane("Stops", id="tab-stops"):
                         yield StopsTable(id="stops")
                     with TabPane("Forecast", id="tab-forecast"):
-                        yield WrappedTables(_NO_FORECAST, id="forecast")
+                        yield PartsView(_NO_FORECAST, id="forecast")
                     with TabPane("Check", id="tab-check"):
-                        yield WrappedTables(_NO_CHECK, id="refusals")
+                        yield PartsView(_NO_CHECK, id="refusals")
                     with TabPane("Above", id="tab-above"):
                         yield CellMap("above", id="plan-above")
                     with TabPane("Tracker", id="tab-tracker"):
@@ -308,7 +290,7 @@ class PlanScreen(PlanEdits):
         tabs = self.query_one("#plan-tabs", TabbedContent)
         show_next_tab(tabs)
         if tabs.active_pane is not None:
-            for content in tabs.active_pane.query("StopsTable, ChartsView, WrappedTables"):
+            for content in tabs.active_pane.query("StopsTable, PartsView"):
                 content.focus()
 
     # -- drawing -------------------------------------------------------------------------------------------------------
@@ -353,16 +335,11 @@ class PlanScreen(PlanEdits):
         """Say how much is planned and measured, or what to do."""
         self.query_one("#plan-state", Static).update(_state_words(state, self.workspace))
 
-    def show_job(self, record: JobRecord) -> None:
-        """Mark measured stops on the maps."""
-        for drawn in self.query(CellMap):
-            drawn.follow(record if self.state.collecting else None)
-
     def _draw_constraints(self) -> None:
         from cellapp.commands.doctor.view import profile_tables
 
         tables = [] if self._profile is None else profile_tables(self._profile)
-        self.query_one("#constraints", WrappedTables).show(tables[1:])
+        self.query_one("#constraints", PartsView).show(tables[1:])
 
     def _draw_maps(self, workspace: Workspace) -> None:
         stops = () if workspace.stops is None else workspace.stops.stops
@@ -385,16 +362,15 @@ class PlanScreen(PlanEdits):
 
         profile, stops, ways, design = workspace.profile, workspace.stops, workspace.ways, workspace.design
         if profile is not None and ways is not None and stops is not None and stops.stops:
-            charts = design_charts_of(profile, stops.stops, ways, design)
-            tables = tuple(design_tables_of(design))
             sentences = (*load_sentences(stops.loads), *sweep_sentences(stops.sweeps))
-            self.post_message(Drawn(stops, charts, tables, sentences))
+            charts = design_charts_of(profile, stops.stops, ways, design)
+            self.post_message(Drawn(stops, (*sentences, *charts, *design_tables_of(design))))
 
     @on(Drawn)
-    async def show_drawn(self, event: Drawn) -> None:
+    def show_drawn(self, event: Drawn) -> None:
         """Show the design, unless another run was opened meanwhile."""
         if event.of is self._stops:
-            await self.query_one("#plan-design", ChartsView).show(event.charts, event.tables, event.sentences)
+            self.query_one("#plan-design", PartsView).show(event.parts)
 
     def _draw_results(self) -> None:
         """Draw check and forecast, or which keys start them."""
@@ -402,13 +378,13 @@ class PlanScreen(PlanEdits):
         self._draw_constraints()
         self._draw_check(has_plan=has_plan)
         words = _NO_FORECAST if has_plan else ""
-        shown = self.query_one("#forecast", WrappedTables)
+        shown = self.query_one("#forecast", PartsView)
         if (forecast := self._forecast) is None:
             shown.show(())
         else:
             from cellapp.commands.plan.check_view import forecast_sentences, forecast_tables, time_sentence
 
-            shown.show(forecast_tables(forecast), forecast_sentences(forecast))
+            shown.show((*forecast_sentences(forecast), *forecast_tables(forecast)))
             words = " ".join([time_sentence(forecast.time), *forecast.notes])
         line = self.query_one("#plan-time", Static)
         line.update(words)
@@ -425,7 +401,7 @@ class PlanScreen(PlanEdits):
             line.update(_check_lines(check)[0])
             line.set_classes("safe" if check.is_safe else "unsafe")
         listed = self._file_check or check
-        self.query_one("#refusals", WrappedTables).show((), () if listed is None else _check_lines(listed))
+        self.query_one("#refusals", PartsView).show(() if listed is None else _check_lines(listed))
 
     @on(DataTable.RowHighlighted)
     @on(TabbedContent.TabActivated)

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
 from rich.text import Text
 from textual import on
@@ -43,7 +43,6 @@ from cellapp.commands.correct import VERB as CORRECT
 from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.push.request import VERB as PUSH
-from cellapp.commands.record import Request
 from cellapp.commands.report.result import RunResults
 from cellapp.commands.view.parts import Part
 from cellapp.ground.counting import counted
@@ -59,7 +58,7 @@ from cellapp.interfaces.tui.keys import SHOWN, bind
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, WRITE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.charts_view import PartsView
+from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.tables import TextTable, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
@@ -170,111 +169,6 @@ def _unfit(targets: Sequence[Target], profile: Profile) -> str:
         return ""
     index, problem = first
     return f"Target '{targets[index].name}'{problem.text}. Enter edits it."
-
-
-# -- The jobs of the screen Targets, with the questions before each ---------------------------------------------------
-
-
-def begin_compensate(screen: DayScreen, targets: Sequence[Target]) -> None:
-    """Compute commands for a list."""
-    if (folder := _ready(screen, targets)) is not None:
-        screen.start(work.job_of(COMPENSATE, folder=folder, targets=tuple(targets)))
-
-
-def ask_push(screen: DayScreen, targets: Sequence[Target]) -> None:
-    """Ask, then drive to the targets."""
-    if (given := _pushed(screen, targets, verify=False)) is None:
-        return
-
-    def begin(answer: str | None) -> None:
-        if answer == "begin":
-            screen.start(work.job_of(PUSH, **given))
-
-    stale = _stale(screen)
-    text = _push_words(screen, targets, "", stale)
-    screen.app.push_screen(Choice("Push?", text, USE_STALE if stale else BEGIN), begin)
-
-
-def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
-    """Ask, also how often each target is corrected; then drive to the targets and measure."""
-    if (given := _pushed(screen, targets, verify=True)) is None:
-        return
-
-    def begin(request: Request | None) -> None:
-        if request is not None:
-            screen.start(work.verb_job(PUSH, request))
-
-    stale = _stale(screen)
-    measured = " with the nominal and the compensated command, measured by the tracker"
-    text = _push_words(screen, targets, measured, stale)
-    screen.app.push_screen(VerbQuestion(PUSH, text, USE_STALE if stale else BEGIN, given), begin)
-
-
-def ask_locate(screen: DayScreen) -> None:
-    """Ask how, then measure the pose of the tracker after it was moved."""
-    ask_of_calibrated(screen, LOCATE, LOCATE.summary)
-
-
-def ask_correct(screen: DayScreen) -> None:
-    """Ask for a program and the file of its corrected copy."""
-    if (calibrated := screen.calibrated_run()) is None:
-        return
-    folder, _, calibration = calibrated
-    arms = tuple(calibration.arms)
-
-    def write(request: Request | None) -> None:
-        if request is not None:
-            screen.start(work.verb_job(CORRECT, request))
-
-    def ask(program: Path | None) -> None:
-        if program is not None:
-            given = {"folder": folder, "program": program}
-            proposed = {
-                "out": program.with_stem(f"{program.stem}-corrected"),
-                "arm": arms[0] if len(arms) == 1 else None,
-            }
-            text = f"{program.name}; nothing moves."
-            dialog = VerbQuestion(CORRECT, text, WRITE, given, proposed=proposed, choices={"arm": arms})
-            screen.app.push_screen(dialog, write)
-
-    title = f"A program of a UR controller ({', '.join(ENDINGS)})"
-    screen.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in ENDINGS), ask)
-
-
-# -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _ready(screen: DayScreen, targets: Sequence[Target]) -> Path | None:
-    """Return the run's folder if commands can be computed for a list; else say why not and return None."""
-    if reason := why_not(screen.workspace, screen.state, targets):
-        screen.say(reason, "warning")
-        return None
-    return screen.workspace.folder
-
-
-def _pushed(screen: DayScreen, targets: Sequence[Target], *, verify: bool) -> dict[str, Any] | None:
-    """Return the request values of a push except those of the question; None with a sentence if it cannot be pushed."""
-    if (folder := _ready(screen, targets)) is None:
-        return None
-    stale = bool(_stale(screen))
-    return {"folder": folder, "targets": tuple(targets), "verify": verify, "out_of_date": stale}
-
-
-def _stale(screen: DayScreen) -> str:
-    results = screen.workspace.results
-    return "" if results is None else stale_model(results)
-
-
-def _push_words(screen: DayScreen, targets: Sequence[Target], measured: str, stale: str) -> str:
-    """Return where a push drives to, and what a person must know."""
-    counts = Counter(arm for target in targets for arm in target.arms)
-    where = " and ".join(f"arm {arm} to {n}" for arm, n in counts.items())
-    pairs = any(target.partner is not None for target in targets)
-    others = "the other arm waits at home, except at cooperative targets" if pairs else "the other arm waits at home"
-    text = f"Drive {where} targets{measured}; {others}; {arms_words(screen.workspace)}."
-    if stale:
-        text += f"\nThe model is not up to date: {stale}. Better calibrate or discover again first."
-    return text
 
 
 _NO_TARGET = f"No target: {SHOWN['open']} opens a list, {SHOWN['add']} adds a target."
@@ -508,25 +402,64 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
 
     # -- the jobs ------------------------------------------------------------------------------------------------------
 
+    def _ready(self) -> Path | None:
+        """Return the run's folder if commands can be computed for the list; else say why not and return None."""
+        if reason := why_not(self.workspace, self.state, self._edits.targets):
+            self.say(reason, "warning")
+            return None
+        return self.workspace.folder
+
     def action_compensate(self) -> None:
         """Compute commands for the shown list."""
-        begin_compensate(self, self._edits.targets)
+        if (folder := self._ready()) is not None:
+            self.start(work.job_of(COMPENSATE, folder=folder, targets=self._edits.targets))
 
     def action_push(self) -> None:
         """Ask, then drive to the targets."""
-        ask_push(self, self._edits.targets)
+        if (folder := self._ready()) is not None:
+            stale, text = self._push_words("")
+            given = {"folder": folder, "targets": self._edits.targets, "verify": False, "out_of_date": stale}
+            answers = USE_STALE if stale else BEGIN
+            self.ask(Choice("Push?", text, answers), lambda: self.start(work.job_of(PUSH, **given)))
 
     def action_verify(self) -> None:
-        """Ask, then drive to the targets and measure."""
-        ask_verify(self, self._edits.targets)
+        """Ask, also how often each target is corrected; then drive to the targets and measure."""
+        if (folder := self._ready()) is not None:
+            stale, text = self._push_words(" with the nominal and the compensated command, measured by the tracker")
+            given = {"folder": folder, "targets": self._edits.targets, "verify": True, "out_of_date": stale}
+            self.ask_verb(VerbQuestion(PUSH, text, USE_STALE if stale else BEGIN, given))
+
+    def _push_words(self, measured: str) -> tuple[bool, str]:
+        """Return whether the model is out of date, and where a push drives to, with what a person must know."""
+        targets, results = self._edits.targets, self.workspace.results
+        counts = Counter(arm for target in targets for arm in target.arms)
+        where = " and ".join(f"arm {arm} to {n}" for arm, n in counts.items())
+        pairs = ", except at cooperative targets" if any(target.partner is not None for target in targets) else ""
+        text = f"Drive {where} targets{measured}; the other arm waits at home{pairs}; {arms_words(self.workspace)}."
+        if stale := "" if results is None else stale_model(results):
+            text += f"\nThe model is not up to date: {stale}. Better calibrate or discover again first."
+        return bool(stale), text
 
     def action_locate(self) -> None:
         """Ask, then measure the pose of the tracker after it was moved."""
-        ask_locate(self)
+        ask_of_calibrated(self, LOCATE, LOCATE.summary)
 
     def action_correct(self) -> None:
         """Ask for a program and the file of its corrected copy."""
-        ask_correct(self)
+        if (calibrated := self.calibrated_run()) is None:
+            return
+        folder, _, calibration = calibrated
+        arms = tuple(calibration.arms)
+
+        def ask(program: Path | None) -> None:
+            if program is not None:
+                out = program.with_stem(f"{program.stem}-corrected")
+                proposed = {"out": out, "arm": arms[0] if len(arms) == 1 else None}
+                given, text = {"folder": folder, "program": program}, f"{program.name}; nothing moves."
+                self.ask_verb(VerbQuestion(CORRECT, text, WRITE, given, proposed=proposed, choices={"arm": arms}))
+
+        title = f"A program of a UR controller ({', '.join(ENDINGS)})"
+        self.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in ENDINGS), ask)
 
     def show_result(self, result: Result) -> None:
         """Show the tracker's pose, or the targets of a corrected program, and why some were not corrected."""
@@ -631,7 +564,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
             target, results = self._edits.targets[self._index], self._results
             known = [] if results is None else target_parts(results, target_state(target, results))
             parts = [target_words(target, results), *known]
-        self.query_one("#details", PartsView).show_parts(parts)
+        self.query_one("#details", PartsView).show(parts)
 
     def _shown_rows(self) -> list[int]:
         """Return the indices of the shown targets."""
@@ -650,7 +583,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
         if results is not None and (compensate := results.compensate) is not None:
             words = (*compensate_summary(compensate), *unknown_lines(compensate.targets), *compensate.notes)
             parts += [*words, *stored_tables(compensate)]
-        self.query_one("#target-results", PartsView).show_parts(parts)
+        self.query_one("#target-results", PartsView).show(parts)
 
 
 def _fitting(widths: Sequence[int], room: int) -> int:

@@ -20,11 +20,6 @@ if TYPE_CHECKING:
     from cellapp.commands.plan.result import PlannedStop
     from cellapp.commands.view.charts import Chart
     from cellapp.ground.profile import Profile
-    from cellapp.interfaces.tui.job_record import JobRecord
-
-
-_FOLLOWS_S = 2.0
-"""Interval of redrawing while a job collects: each map is made from scratch."""
 
 
 class CellMap(ChartPlot):
@@ -43,39 +38,18 @@ class CellMap(ChartPlot):
         self._number = 0
         self._profile: Profile | None = None
         self._stops: Sequence[PlannedStop] = ()
-        self._record: JobRecord | None = None
-        self._measured: frozenset[int] = frozenset()
-        self._waits = False
 
     def show_cell(self, profile: Profile | None, stops: Sequence[PlannedStop] = ()) -> None:
         """Draw the cell of a profile with its planned stops; blank without a profile."""
         self._profile, self._stops = profile, stops
         self._draw_cell()
 
-    def follow(self, record: JobRecord | None) -> None:
-        """Mark the stops measured so far by a collecting job, every few seconds; None if no job collects."""
-        self._record = record
-        reports = () if record is None else record.stops.values()
-        measured = frozenset(report.stop for arm in reports for report in arm)
-        if not self._waits and measured != self._measured:
-            self._measured, self._waits = measured, True
-            self._draw_cell()
-            self.set_timer(_FOLLOWS_S, self._follow_again)
-
-    def _follow_again(self) -> None:
-        self._waits = False
-        self.follow(self._record)  # by now there may be no record, or another one
-
     def _draw_cell(self) -> None:
         self._number += 1
         if self._profile is None:
             self.chart = None
             return
-        new = self._measured
-        stops = [
-            stop.model_copy(update={"measured": stop.measured or stop.configuration in new}) for stop in self._stops
-        ]
-        self._make(self._number, self._profile, stops)
+        self._make(self._number, self._profile, self._stops)
 
     @work(thread=True)
     def _make(self, number: int, profile: Profile, stops: Sequence[PlannedStop]) -> None:
