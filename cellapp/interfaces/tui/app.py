@@ -38,6 +38,7 @@ from textual.screen import ModalScreen, Screen
 from textual.theme import Theme
 from textual.widgets import Input, Static
 
+from cellapp.commands.docs.keys import KEYS, SHOWN
 from cellapp.commands.registry import ALL
 from cellapp.interfaces.tui import terminal
 from cellapp.interfaces.tui import work as jobs_of_verbs
@@ -46,7 +47,7 @@ from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.endings import ENDED, LEFT, UNEXPECTED, Leaving, ending_of, left_behind
 from cellapp.interfaces.tui.host import Host, LastRunRead, LeaveAsked, Severity, StopGiven, WorkspaceLoaded
 from cellapp.interfaces.tui.jobs import JobEnded, MotionAsked
-from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind, key_table, with_keys
+from cellapp.interfaces.tui.keys import bind, key_table, with_keys
 from cellapp.interfaces.tui.live_run import LOOK_EVERY_S, Detached, JobsOfOthers
 from cellapp.interfaces.tui.offers import (
     QuitQuestion,
@@ -452,9 +453,13 @@ class CellApp(JobKeys):
 
     def action_explain(self) -> None:
         """Explain the current screen, with all its keys."""
+        from cellapp.commands.docs.handbook import sections
+
         screen = self.day_screen
+        title = next(entry.title for entry in SCREENS if entry.step == screen.STEP)
+        said = next(one.terminal_text for one in sections("terminal") if one.heading == f"Screen {title}")
         keys = f"{key_table(screen.BINDINGS)}\n\n## Keys of every screen\n\n{key_table(self.BINDINGS)}"
-        self.push_screen(Reading(f"{screen.HELP.format_map(SHOWN)}\n## Keys of this screen\n\n{keys}\n"))
+        self.push_screen(Reading(f"{said}\n## Keys of this screen\n\n{keys}\n"))
 
     def action_handbook(self) -> None:
         """Open the handbook."""

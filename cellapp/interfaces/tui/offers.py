@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import records
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
-from cellapp.interfaces.tui.keys import SHOWN
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.workspace import Workspace, new_folder
 

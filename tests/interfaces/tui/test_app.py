@@ -16,6 +16,7 @@ from textual.dom import DOMNode
 from textual.screen import ModalScreen
 from textual.widgets import Input, Tree
 
+from cellapp.commands.docs.keys import KEYS
 from cellapp.commands.stages import NextVerb, next_command
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
@@ -23,7 +24,7 @@ from cellapp.interfaces.tui.dialogs.program import possible_commands
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.endings import ERROR_LOG
 from cellapp.interfaces.tui.jobs import Job
-from cellapp.interfaces.tui.keys import KEYS, WAYS
+from cellapp.interfaces.tui.keys import WAYS
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.controls import Entry, key_lines

@@ -21,6 +21,7 @@ from textual.worker import get_current_worker
 from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
 from cellapp.commands.check.request import VERB as CHECK_VERB
 from cellapp.commands.compensate.target_list import stale_model
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
 from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.report.result import RunResults
@@ -29,7 +30,7 @@ from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, StageName
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
-from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
+from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -88,24 +89,6 @@ class AcceptScreen(DayScreen):
 
     AUTO_FOCUS = "#verdict-tables"
     STEP: ClassVar[Step] = "accept"
-    HELP: ClassVar[str] = """\
-# Accept
-
-Is the cell good, by which norm, is it still good, who says so. The first lines hold the verdict against the tolerances
-of the profile, and in red whatever is out of date.
-
-- *Verdict*: each judged error with its uncertainty and its tolerance, and what comes next.
-- *Check*: **{check}** drives to about 20 stops that tell most, compares them with the calibration and ends as soon as
-  it is sure: still valid, tracker or base moved, or what changed on the arm. It changes no model.
-- *ISO 9283*: **{measure}** asks for tests, cycles and speed, drives and measures, commanded by the nominal model, the
-  calibrated one, or both.
-- *Certificate*: **{export}** writes the certificate, all that it rests on, and the sums of these files. What nobody
-  gave stands there as not given; the profile's section *traceability* takes it.
-- **{go}** writes the report: the page.
-
-The check and the tests ask first, and real arms ask again with the first path. The handbook's chapters *check*,
-*iso9283* and *certificate* explain the figures.
-"""
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "report", "Report", "write the page"),
         bind("check", "check", "Check", "does the calibration still hold? THE ARMS MOVE"),

@@ -14,11 +14,12 @@ from textual.geometry import Size
 from textual.screen import Screen
 from textual.widgets import Static
 
+from cellapp.commands.docs.keys import KEYS
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
-from cellapp.interfaces.tui.keys import KEYS, way_of
+from cellapp.interfaces.tui.keys import way_of
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.widgets.arm_panel import JobPanel, LiveStrip
 from cellapp.interfaces.tui.widgets.controls import KeyLine
@@ -49,8 +50,6 @@ class DayScreen(Screen[None]):
     STEP: ClassVar[Step]
     SHOWS_JOB: ClassVar[bool] = True
     """Whether the panel of the live job is above the body; a screen that shows the whole job has none."""
-    HELP: ClassVar[str] = ""
-    """Markdown for the key ``?``: what the screen shows and what one can do here."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -29,6 +29,7 @@ from cellapp.commands.calibrate.charts_accuracy import (
     stage_chart,
 )
 from cellapp.commands.calibrate.view import calibration_tables, merged_sentences, parameter_tables, tracker_sentences
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.export.request import STAGES, VERB
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.charts import Chart
@@ -38,7 +39,7 @@ from cellapp.ground.results import CALIBRATE, Result
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
-from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.offers import WRITE, offer_again
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -116,22 +117,6 @@ class CalibrateScreen(DayScreen):
     """Errors by stage, residuals, parameters; calibrate again."""
 
     STEP: ClassVar[Step] = "calibrate"
-    HELP: ClassVar[str] = """\
-# Calibrate
-
-**{go}** identifies the geometry of both arms, trains the residual network and evaluates every stage at stops that were
-held out. Nothing moves.
-
-- *Stages*: held-out errors of the nominal model, of the identified geometry, with the network, with named effects.
-- *Errors*: how many held-out stops have which error, by stage.
-- *Parameters*: what was identified, with standard errors.
-
-**{import}** calibrates with an earlier run of the same arms as prior: base and tool are found anew, the arms are
-believed as far as they were certain then. What has changed on them since stands below the errors. The handbook's
-chapter *signature* describes it. **{add}** calibrates with a network from all readings and recordings instead of 1200
-readings; chapter *motion*. **{export}** writes the calibrated arms for other programs: UR controllers, ROS, URDF,
-tables; chapter *exports*.
-"""
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "begin", "Calibrate", "identify and evaluate; nothing moves"),
         bind("import", "begin_with_prior", "With prior", "calibrate with an earlier run as prior", show=False),

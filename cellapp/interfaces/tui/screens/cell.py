@@ -14,12 +14,13 @@ from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical
 from textual.widgets import DataTable, OptionList, Static, TabbedContent, TabPane
 
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.ground.starters import offered_profiles
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.cell_views import (
     CellMap,
@@ -44,27 +45,11 @@ _OLD = timedelta(minutes=10)
 _PLACED = re.compile(r"(.+?):(\d+): (.*)")
 """A problem of a profile: file, line, and what is wrong there."""
 
-HELP = """\
-# Cell
-
-Which cell is calibrated, what the profile says of it, what its devices say, and what would be refused.
-
-- Choose a profile in the list (Enter while a run is open), or open one by its path.
-- The doctor asks every device and makes every check; nothing moves. The line above the tables is its verdict; failed
-  checks come first, and the sentence below the table is that of the selected row, in full.
-- *Runs* ({runs}) lists every run of the folder, newest first: Enter opens the one under the cursor (▸), and changes
-  nothing in it; its report opens in a browser. {last} opens the last one. Whether a result still holds is judged there
-  by the number of readings; opening the run compares the readings themselves.
-- *Profile* is the profile in words, or what is wrong with it, line by line; your editor opens it, and it is checked
-  again when you come back. *Map* shows where bases and tracker stand.
-"""
-
 
 class CellScreen(DayScreen):
     """Choose a profile, read its content, see its devices, ask the doctor."""
 
     STEP: ClassVar[Step] = "cell"
-    HELP: ClassVar[str] = HELP
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "doctor", "Doctor", "check devices and placement; nothing moves"),
         bind("open", "open", "Open profile", "open a profile by its path"),

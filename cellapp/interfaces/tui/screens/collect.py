@@ -33,6 +33,7 @@ from cellapp.commands.collect.charts import (
 )
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.collect.view import collection_tables
+from cellapp.commands.docs.keys import KEYS, SHOWN
 from cellapp.commands.show.overview import run_log
 from cellapp.commands.view.charts import Chart
 from cellapp.ground.control import Request
@@ -44,7 +45,7 @@ from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.job_record import LEVELS, ArmRecord, JobRecord, LogRow, level_of
 from cellapp.interfaces.tui.jobs import Job
-from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind
+from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.offers import BEGIN, arms_words
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState, holds_for_drift
@@ -156,24 +157,6 @@ class CollectScreen(DayScreen):
 
     STEP: ClassVar[Step] = "collect"
     SHOWS_JOB: ClassVar[bool] = False
-    HELP: ClassVar[str] = """\
-# Collect
-
-The arms visit the planned stops, and the tracker measures both at each. The large line says in which state the job is
-and what you can do now. **{go}** begins, or goes on with what is left; real arms ask before they move.
-
-**Escape** or a click on STOP brakes all arms, always. **{pause}** pauses after the present stop, **{resume}** resumes,
-**{abort}** ends the job. **{drift}** accepts a drift of the references that you understand, and resumes.
-
-- Each arm: joint positions, joint temperatures, distance of the newest point from the model, standard error so far.
-- **{tab}** goes from the log to the plots, the stops and the tables of what is stored; **{plots}** shows the plots.
-- Stops one by one: **{sort}** sorts by the next column, **{filter}** shows only suspicious ones. The plot marks the
-  residual of the row under the cursor; **{before}** and **{after}** go to another stop, there and in the plots.
-- **{mark}** marks a stop, **{again}** measures the marked ones again, all arms, as they were planned. What was measured
-  before is kept and not used; a calibration is out of date then.
-
-Log: **{search}** shows only lines with a text; **End** follows the newest line.
-"""
     VERTICAL_BREAKPOINTS = [(0, "-low"), (34, "-tall")]  # noqa: RUF012 - as Textual declares it
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "begin", "Begin", "measure the stops that are left: THE ARMS MOVE"),

@@ -16,12 +16,13 @@ from cellapp.commands.discover.charts import candidates_chart, gap_chart, pictur
 from cellapp.commands.discover.tables import discovery_tables
 from cellapp.commands.discover.view import explanation_text, proposal_lines
 from cellapp.commands.discover.words import verdict_lines, verdict_sentence
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.counting import counted
 from cellapp.ground.results import DISCOVER
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
+from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.offers import BEGIN, arms_words, offer_again
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -40,21 +41,6 @@ class DiscoverScreen(DayScreen):
     """Search for missing effects; see what was found and what to do about it."""
 
     STEP: ClassVar[Step] = "discover"
-    HELP: ClassVar[str] = """\
-# Discover
-
-**{go}** searches for physical effects that the calibrated model lacks, names them, adds them to the model, and shows
-how the error at held-out stops shrinks. Nothing moves.
-
-- *Gap*: the error after each step of the search, down to the tracker's noise, and the verdict.
-- *Names*: what was accepted, with its probability, its evidence and its size at each joint.
-- *Pictures*: each effect as these data show it.
-- *Check*: the cause of each effect, how large it usually is, what to check on the machine, what would settle it.
-- *Proposed stops*: **{add}** plans further stops that best settle what is open; **{measure}** measures them. Real arms
-  ask before they move.
-
-The handbook explains each effect.
-"""
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "begin", "Discover", "search for missing effects; nothing moves"),
         bind("add", "propose", "Propose stops", "plan further stops that settle what is open; nothing moves"),

@@ -16,6 +16,7 @@ from textual.containers import Horizontal, Vertical
 from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.plan.request import VERB as PLAN
@@ -25,7 +26,7 @@ from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, SaveAs
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice
 from cellapp.interfaces.tui.dialogs.verb_question import NewRunQuestion, VerbQuestion
-from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.cell_views import CellMap
@@ -141,21 +142,6 @@ class PlanEdits(DayScreen):
         self.app.push_screen(Choice("This plan is safe", f"{file} holds at every stop and way.", answers), answered)
 
 
-HELP = """\
-# Plan
-
-Which stops the arms will visit, before anything moves.
-
-- A new plan makes a new run of the profile; you may change the proposed folder.
-- The check runs the safety gate again over every stop and every way of the open run's plan.
-- The forecast foresees what the plan gives: time, joint ranges used, expected standard errors, and for each effect
-  whether the plan can show it and from which size on.
-- *Limits* is what the profile demands, *Design* what the stops tell beside random ones; *Stops* lists them, *Above* and
-  *Tracker* show them with obstacles and what these hide. The sentence below the stops is that of the selected one.
-
-Sizes and errors *alone* are for the tracker's noise alone; *with scatter* adds 0.1 mm, what gravity and backlash leave
-in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload let more effects be seen.
-"""
 _PLOTS = ("tab-design", "tab-above", "tab-tracker")
 _NO_CHECK = f"{SHOWN['check']} checks the plan again."
 _NO_FORECAST = f"Not foreseen yet: {SHOWN['forecast']} computes time, expected errors and visible effects."
@@ -173,7 +159,6 @@ class PlanScreen(PlanEdits):
     """Plan a run, look at its plan, check it, forecast its results."""
 
     STEP: ClassVar[Step] = "plan"
-    HELP: ClassVar[str] = HELP
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "plan", "New plan", "make a new run with a plan"),
         bind("check", "check", "Check", "run the safety gate over all stops and ways again; nothing moves"),

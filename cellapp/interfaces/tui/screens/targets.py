@@ -40,6 +40,7 @@ from cellapp.commands.compensate.view import target_parts
 from cellapp.commands.compensate.words import compensate_summary, unknown_lines, verify_summary
 from cellapp.commands.correct import ENDINGS, correct_table
 from cellapp.commands.correct import VERB as CORRECT
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.push.request import VERB as PUSH
@@ -54,7 +55,7 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, SaveAs
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.target_form import TargetForm
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
-from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, WRITE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -199,28 +200,6 @@ class TargetsScreen(DayScreen):
 
     AUTO_FOCUS = "#grid"
     STEP: ClassVar[Step] = "targets"
-    HELP: ClassVar[str] = """\
-# Targets
-
-Points to which the calibrated arms are sent. The list that the profile names is opened by itself. An edited list is
-used as it is shown, saved or not.
-
-- *List*: **Enter** edits a target. **{filter}** shows only what needs attention: refused, out of tolerance, undecided.
-- **{go}** computes the joint positions by the calibrated model; nothing moves. **{measure}** drives with the nominal
-  and with the compensated command and measures both; its question takes how often each target is then corrected by
-  measuring it. **{push}** drives without measuring. Each asks first; real arms ask again, with the first path.
-- **{locate}** locates the tracker after it was moved: a few measured points, and the calibration holds again.
-- **{export}** corrects a program of a UR controller (`.script`, `.urp`): its copy leads a plain controller to the true
-  poses. `cellapp compensate DIR PATHS` computes joint paths of lines and arcs.
-- *tol.* is how far the SMR may be from the target. *state* says whether that is met: predicted from the uncertainty of
-  the model (in, out, cannot say), or measured; or why the target is refused. *95 %* is the bound that a measured error
-  keeps with that probability.
-- *Target*: all about the target under the cursor: where it is, what its uncertainty is made of, which conditions nobody
-  stated, what was predicted and what was measured.
-- *Results*: charts of what was measured; errors, joint positions, uncertainties.
-
-The handbook's chapter *targets* explains frames, conditions and verdicts.
-"""
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "compensate", "Compensate", "compute commands; nothing moves"),
         bind("push", "push", "Push", "drive to the targets: THE ARMS MOVE"),

@@ -15,10 +15,11 @@ from textual.widgets import DataTable, Static
 
 from cellapp.cell.driving.records import CollectedStop, CollectionResult
 from cellapp.commands.collect.view import residual_range_words, stops_table
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.view.table import Cell, Table, markdown
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
-from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.widgets.tables import TextTable
 
 _NAMES = ("stop", "arm")

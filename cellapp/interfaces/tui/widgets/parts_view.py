@@ -12,12 +12,13 @@ from textual.geometry import Size
 from textual.widget import Widget
 from textual.widgets import Static
 
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Facts, Part, Parts, Section, printed
 from cellapp.commands.view.table import Table, markdown
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
-from cellapp.interfaces.tui.keys import SHOWN, bind, table_with_keys, with_keys
+from cellapp.interfaces.tui.keys import bind, table_with_keys, with_keys
 from cellapp.interfaces.tui.plots import ChartPlot
 
 LEAST_COLUMNS = 56

@@ -23,6 +23,7 @@ from textual.message import Message
 from textual.widgets import DataTable, Input, Static
 from textual.worker import get_current_worker
 
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.runs.result import RunsResult
 from cellapp.commands.runs.view import contains, run_cells, run_columns, run_lines, runs_sentences
@@ -30,7 +31,7 @@ from cellapp.ground.errors import CellappError
 from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.endings import REPORT_FILE
 from cellapp.interfaces.tui.host import Host, ShowsResults
-from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
+from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.widgets.tables import TextTable
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from rich.text import Text
 from textual.widgets import DataTable, TabbedContent, TabPane, Tabs
 
-from cellapp.interfaces.tui.keys import SHOWN
+from cellapp.commands.docs.keys import SHOWN
 
 
 class TextTable(DataTable[Text]):
