@@ -67,6 +67,13 @@ LINK = re.compile(r"!?\[[^\]]+\]\((?!https?:)([^)\s#]+)")
 MOST_BYTES = 150_000
 
 
+@pytest.mark.parametrize("name", CHAPTERS)
+def test_files_that_are_named_are_there(name: str) -> None:
+    prose = re.sub(r"^```.*?^```", "", chapter_text(name), flags=re.S | re.M)
+    named = set(re.findall(r"`([\w/]+/\w+\.py)`", prose))
+    assert not [one for one in named if not list(ROOT.glob(f"[cdt]*/**/{one}"))]
+
+
 @pytest.mark.parametrize("name", ["README", *CHAPTERS])
 def test_keys_in_prose_are_filled_from_the_table(name: str) -> None:
     text = README.read_text("utf-8") if name == "README" else chapter_text(name)
