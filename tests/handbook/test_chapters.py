@@ -71,7 +71,7 @@ MOST_BYTES = 150_000
 def test_files_that_are_named_are_there(name: str) -> None:
     prose = re.sub(r"^```.*?^```", "", chapter_text(name), flags=re.S | re.M)
     named = set(re.findall(r"`([\w/]+/\w+\.py)`", prose))
-    assert not [one for one in named if not list(ROOT.glob(f"[cdt]*/**/{one}"))]
+    assert not [one for one in named if not (ROOT / one).exists() and not list(ROOT.glob(f"[cdt]*/**/{one}"))]
 
 
 @pytest.mark.parametrize("name", ["README", *CHAPTERS])
