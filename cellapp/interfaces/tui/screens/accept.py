@@ -96,16 +96,6 @@ class AcceptScreen(DayScreen):
         bind("export", "certificate", "Certificate", "write the certificate; nothing moves"),
         bind("tab", "next_tab", "Next tab"),
     ]
-    DEFAULT_CSS = """
-    AcceptScreen #decision { height: auto; max-height: 3; text-style: bold; padding-left: 1; }
-    AcceptScreen #decision.conforms { color: $text-success; }
-    AcceptScreen #decision.does-not-conform { color: $text-error; }
-    AcceptScreen #decision.cannot-say { color: $text-warning; }
-    AcceptScreen #outdated { height: auto; max-height: 5; padding-left: 1; background: $error; color: white; }
-    AcceptScreen #outdated { text-style: bold; }
-    AcceptScreen PartsView { overflow-x: auto; }
-    AcceptScreen PartsView .table { min-width: 110; }
-    """
 
     def __init__(self) -> None:
         super().__init__()

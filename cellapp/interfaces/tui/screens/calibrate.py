@@ -59,10 +59,6 @@ class ExportArms(VerbQuestion):
     answers : sequence of Answer
     """
 
-    DEFAULT_CSS = """
-    ExportArms #formats { height: auto; }
-    """
-
     def __init__(self, folder: Path, arms: Sequence[str], answers: Sequence[Answer]) -> None:
         choices = {"arm": arms, "stage": STAGES}
         super().__init__(VERB, "Several arms get a file each.", answers, {"folder": folder}, choices=choices)

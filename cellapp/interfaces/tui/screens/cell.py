@@ -59,21 +59,6 @@ class CellScreen(DayScreen):
         bind("tab", "next_tab", "Next tab", "show the next of the tabs"),
         bind("add", "write", "New profile", "write a profile that explains its keys, and edit it"),
     ]
-    DEFAULT_CSS = """
-    #profiles { width: 22; height: 1fr; }
-    CellScreen.-wide #profiles { width: 32; }
-    #cell-verdict { height: auto; max-height: 3; }
-    #cell-verdict.old { color: $text-warning; }
-    #cell-verdict.failed { color: $text-error; }
-    #cell-verdict.ready { color: $text-success; }
-    #cell-detail { height: auto; max-height: 5; background: $panel; padding: 0 1; }
-    #cell-tabs { height: 1fr; }
-    #cell-tabs DataTable { height: 1fr; scrollbar-size-horizontal: 0; }
-    #cell-side-map { display: none; width: 1fr; }
-    CellScreen.-wide #cell-side-map { display: block; }
-    CellScreen.-wide #cell-middle { width: 2fr; }
-    CellScreen.-runs #profiles, CellScreen.-runs #cell-side-map, CellScreen.-runs #cell-detail { display: none; }
-    """
 
     def __init__(self) -> None:
         super().__init__()

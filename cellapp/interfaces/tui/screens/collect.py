@@ -41,7 +41,6 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError
 from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui import work as jobs
-from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.job_record import LEVELS, ArmRecord, JobRecord, LogRow, level_of
 from cellapp.interfaces.tui.jobs import Job
@@ -53,6 +52,7 @@ from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import since_words
 from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
+from cellapp.interfaces.tui.widgets.copied import Copied, Copy
 from cellapp.interfaces.tui.widgets.log_pane import LogPane, as_text
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
@@ -152,7 +152,7 @@ class StoredLog(Message):
         self.folder, self.rows, self.problem = folder, rows, problem
 
 
-class CollectScreen(DayScreen):
+class CollectScreen(Copied, DayScreen):
     """Drive and measure; watch it; resume it."""
 
     STEP: ClassVar[Step] = "collect"
@@ -172,37 +172,6 @@ class CollectScreen(DayScreen):
         bind("before", "step(-1)", "Stop before", "go to the stop before", show=False),
         *(bind(level, f"least('{level}')", f"Log: {level}", KEYS[level].meaning, show=False) for level in LEVELS),
     ]
-    DEFAULT_CSS = """
-    CollectScreen #state { height: auto; max-height: 4; padding: 0 1; background: $panel; }
-    CollectScreen.-tall #state { padding: 1 1; max-height: 6; }
-    CollectScreen.-low #suspicions { max-height: 1; text-wrap: nowrap; text-overflow: ellipsis; }
-    CollectScreen #state.running { background: $success-muted; color: $foreground; }
-    CollectScreen #state.waiting { background: $warning-muted; color: $foreground; }
-    CollectScreen #state.halted { background: $error; color: white; text-style: bold; }
-    CollectScreen #arms { height: auto; }
-    CollectScreen.unheard #arms, CollectScreen.unheard TrackerPanel { display: none; }
-    CollectScreen #suspicions { height: auto; max-height: 3; color: $text-warning; text-style: bold; display: none; }
-    CollectScreen #suspicions.any { display: block; }
-    CollectScreen #plots { layout: horizontal; height: 5fr; display: none; }
-    CollectScreen #log, CollectScreen #stops, CollectScreen #collected { height: 4fr; display: none; }
-    CollectScreen.-low.-narrow #plots ChartPlot, CollectScreen.-low.-medium #plots ChartPlot { display: none; }
-    CollectScreen.-low #plots ChartPlot.chosen { display: block; }
-    CollectScreen.-tall #plots { display: block; }
-    CollectScreen #plots ChartPlot { padding-right: 1; }
-    CollectScreen.-wide #plots {
-        layout: vertical; dock: right; width: 45%; height: 100%; display: block; padding-left: 1;
-    }
-    CollectScreen.-wide #plots ChartPlot { display: block; }
-    CollectScreen.-wide #plots ChartPlot.empty, CollectScreen.-tall #plots ChartPlot.empty { display: none; }
-    CollectScreen.-tall.unplotted #plots ChartPlot.chosen { display: block; }
-    CollectScreen.log #log, CollectScreen.collected #collected, CollectScreen.plots #plots { display: block; }
-    CollectScreen.stops #stops { display: block; }
-    CollectScreen.-wide.plots #plots { width: 65%; }
-    CollectScreen.-wide.plots #log { display: block; }
-    CollectScreen #plots #sweep.empty { display: none; }
-    CollectScreen.unplotted #plots { display: none; }
-    CollectScreen.unplotted.plots #plots { display: block; }
-    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -326,22 +295,10 @@ class CollectScreen(DayScreen):
         """Show a level of the log and the more important ones."""
         self.query_one(LogPane).show_from(level_of(level))
 
-    def action_save(self) -> None:
-        """Save the shown lines of the log."""
+    def as_copy(self) -> Copy:
+        """Return the shown lines of the log."""
         rows = self.query_one(LogPane).shown
-        proposed = (self.workspace.folder or Path()) / "log.txt"
-
-        def saved(path: Path | None) -> None:
-            if path is not None:
-                self.notify(f"{counted(len(rows), 'line')} saved as {path}")
-
-        self.app.push_screen(SaveAs(f"{counted(len(rows), 'line')} of the log", as_text(rows), proposed), saved)
-
-    def action_copy(self) -> None:
-        """Copy the shown lines of the log."""
-        rows = self.query_one(LogPane).shown
-        self.app.copy_to_clipboard(as_text(rows))
-        self.notify(f"{counted(len(rows), 'line')} copied")
+        return Copy(counted(len(rows), "line"), as_text(rows), (self.workspace.folder or Path()) / "log.txt")
 
     # -- the stored log ------------------------------------------------------------------------------------------------
 

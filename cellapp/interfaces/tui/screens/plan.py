@@ -172,17 +172,6 @@ class PlanScreen(PlanEdits):
         bind("plots", "plots", "Plots", "the design as charts; again: the maps", show=False),
         bind("tab", "next_tab", "Next tab", "show the next of the tabs"),
     ]
-    DEFAULT_CSS = """
-    #plan-state, #plan-time, #plan-safety { height: auto; max-height: 3; }
-    #plan-safety.safe { color: $text-success; }
-    #plan-safety.unsafe { color: $text-error; }
-    #plan-tabs { height: 1fr; }
-    #plan-tabs StopsTable { height: 1fr; scrollbar-size-horizontal: 0; }
-    #plan-detail { height: auto; max-height: 4; background: $panel; padding: 0 1; }
-    #plan-side { display: none; width: 1fr; }
-    PlanScreen.-wide #plan-side { display: block; }
-    PlanScreen.-wide #plan-middle { width: 2fr; }
-    """
 
     def __init__(self) -> None:
         super().__init__()

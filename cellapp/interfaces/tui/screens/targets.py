@@ -216,12 +216,6 @@ class TargetsScreen(DayScreen):
         bind("plots", "plots", "Plots", "show what was measured", show=False),
         bind("tab", "next_tab", "Next tab"),
     ]
-    DEFAULT_CSS = """
-    TargetsScreen #list { padding: 0; }
-    TargetsScreen #about-list { height: auto; }
-    TargetsScreen TargetGrid { height: 1fr; }
-    TargetsScreen #about-target { height: auto; max-height: 4; }
-    """
 
     def __init__(self) -> None:
         super().__init__()

@@ -76,21 +76,15 @@ class FindingsTable(TextTable):
     def on_mount(self) -> None:
         """Create the columns."""
         self.cursor_type = "row"
-        self._texts: list[str] = []
         self.add_columns("status", "what", "found")
 
     def show(self, result: DoctorResult | None) -> None:
         """Draw the findings; None: nothing yet."""
         self.clear()
         findings = sorted(() if result is None else result.findings, key=lambda finding: _ORDER[finding.status])
-        self._texts = [f"{finding.subject}: {finding.text}" for finding in findings]
+        self.texts = [f"{finding.subject}: {finding.text}" for finding in findings]
         for finding in findings:
             self.add_row(_mark(finding.status), Text(finding.subject), Text(finding.text))
-
-    @property
-    def selected_text(self) -> str:
-        """The whole sentence of the row under the cursor."""
-        return self._texts[self.cursor_row] if self.cursor_row < len(self._texts) else ""
 
 
 def age_words(seconds: float) -> str:

@@ -17,9 +17,9 @@ from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Facts, Part, Parts, Section, printed
 from cellapp.commands.view.table import Table, markdown
 from cellapp.ground.counting import counted
-from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
 from cellapp.interfaces.tui.keys import bind, table_with_keys, with_keys
 from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.widgets.copied import Copied, Copy
 
 LEAST_COLUMNS = 56
 """Width of a chart: two fit side by side into a terminal of 120 columns."""
@@ -38,7 +38,7 @@ class ScrolledPlot(ChartPlot):
         return bars + _WORDS if bars else _ROWS
 
 
-class PartsView(VerticalScroll):
+class PartsView(Copied, VerticalScroll):
     """Parts of a view in reading order, charts side by side where there is room.
 
     Parameters
@@ -97,26 +97,11 @@ class PartsView(VerticalScroll):
         if self._late is not None:
             self._put(self._late)
 
-    @property
-    def _tables(self) -> list[Table]:
-        return [one for one in self._lines if isinstance(one, Table)]
-
-    @property
-    def _text(self) -> str:
-        return markdown(self._tables, [one for one in self._lines if isinstance(one, str)])
-
-    def action_copy(self) -> None:
-        """Copy all tables to the clipboard."""
-        self.app.copy_to_clipboard(self._text)
-        self.notify(f"{counted(len(self._tables), 'table')} copied")
-
-    def action_save(self) -> None:
-        """Save all tables in a file."""
-        self.app.push_screen(SaveAs("tables", self._text, Path("tables.md")), self._say_saved)
-
-    def _say_saved(self, path: Path | None) -> None:
-        if path is not None:
-            self.notify(f"saved as {path}")
+    def as_copy(self) -> Copy:
+        """Return all tables and sentences as Markdown."""
+        tables = [one for one in self._lines if isinstance(one, Table)]
+        text = markdown(tables, [one for one in self._lines if isinstance(one, str)])
+        return Copy(counted(len(tables), "table"), text, Path("tables.md"))
 
 
 def widgets_of(parts: Parts) -> Iterator[Widget]:

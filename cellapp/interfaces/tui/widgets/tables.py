@@ -19,6 +19,14 @@ class TextTable(DataTable[Text]):
     headings.
     """
 
+    texts: Sequence[str] = ()
+    """A sentence for each row; empty where none is said."""
+
+    @property
+    def selected_text(self) -> str:
+        """The sentence of the row under the cursor."""
+        return self.texts[self.cursor_row] if self.cursor_row < len(self.texts) else ""
+
     def on_mount(self) -> None:
         """Measure rows that were added before, without waiting for a message of the layout."""
         self.check_idle()
