@@ -34,7 +34,7 @@ from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.parts_view import PartsView
+from cellapp.interfaces.tui.widgets.parts_view import PartsView, words_first
 from cellapp.interfaces.tui.widgets.tables import show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
@@ -253,7 +253,7 @@ class AcceptScreen(DayScreen):
 
     def _draw_stage(self, stage: StageName, again: str, parts: Parts) -> None:
         """Draw a result, below a mark if it is out of date."""
-        self.query_one(f"#{stage}-tables", PartsView).show(parts, self._outdated(stage, again))
+        self.query_one(f"#{stage}-tables", PartsView).show(words_first(parts), self._outdated(stage, again))
 
     def _outdated(self, stage: StageName, again: str) -> list[str]:
         """Return the mark of a result that is out of date; empty if it is valid."""

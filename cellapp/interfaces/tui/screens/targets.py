@@ -59,7 +59,7 @@ from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, WRITE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.parts_view import PartsView
+from cellapp.interfaces.tui.widgets.parts_view import PartsView, words_first
 from cellapp.interfaces.tui.widgets.tables import TextTable, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
@@ -537,7 +537,7 @@ class TargetsScreen(DayScreen):
             target, results = self._edits.targets[self._index], self._results
             known = [] if results is None else target_parts(results, target_state(target, results))
             parts = [target_words(target, results), *known]
-        self.query_one("#details", PartsView).show(parts)
+        self.query_one("#details", PartsView).show(words_first(parts))
 
     def _shown_rows(self) -> list[int]:
         """Return the indices of the shown targets."""
@@ -556,7 +556,7 @@ class TargetsScreen(DayScreen):
         if results is not None and (compensate := results.compensate) is not None:
             words = (*compensate_summary(compensate), *unknown_lines(compensate.targets), *compensate.notes)
             parts += [*words, *stored_tables(compensate)]
-        self.query_one("#target-results", PartsView).show(parts)
+        self.query_one("#target-results", PartsView).show(words_first(parts))
 
 
 def _fitting(widths: Sequence[int], room: int) -> int:

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 from rich.text import Text
-from textual import on, work
-from textual.message import Message
+from textual import work
+from textual.worker import get_current_worker
 
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.widgets.tables import TextTable
@@ -18,51 +18,31 @@ from cellapp.interfaces.tui.widgets.tables import TextTable
 if TYPE_CHECKING:
     from cellapp.commands.doctor.result import DoctorResult
     from cellapp.commands.plan.result import PlannedStop
-    from cellapp.commands.view.charts import Chart
     from cellapp.ground.profile import Profile
 
 
 class CellMap(ChartPlot):
     """Bases, tracker and stops, seen from above or from the tracker."""
 
-    class Made(Message):
-        """The chart for the request with this number was made."""
-
-        def __init__(self, number: int, chart: Chart) -> None:
-            super().__init__()
-            self.number, self.chart = number, chart
-
     def __init__(self, view: Literal["above", "tracker"], *, id: str) -> None:
         super().__init__(id=id)
         self._view: Literal["above", "tracker"] = view
-        self._number = 0
-        self._profile: Profile | None = None
-        self._stops: Sequence[PlannedStop] = ()
 
     def show_cell(self, profile: Profile | None, stops: Sequence[PlannedStop] = ()) -> None:
         """Draw the cell of a profile with its planned stops; blank without a profile."""
-        self._profile, self._stops = profile, stops
-        self._draw_cell()
-
-    def _draw_cell(self) -> None:
-        self._number += 1
-        if self._profile is None:
+        if profile is None:
+            self.workers.cancel_node(self)
             self.chart = None
-            return
-        self._make(self._number, self._profile, self._stops)
+        else:
+            self._make(profile, stops)
 
-    @work(thread=True)
-    def _make(self, number: int, profile: Profile, stops: Sequence[PlannedStop]) -> None:
+    @work(thread=True, exclusive=True)
+    def _make(self, profile: Profile, stops: Sequence[PlannedStop]) -> None:
         from cellapp.commands.plan.charts_obstacles import cell_map_chart
 
-        self.post_message(self.Made(number, cell_map_chart(profile, stops, self._view)))
-
-    @on(Made)
-    def take_chart(self, event: Made) -> None:
-        """Draw the chart, unless another one was requested meanwhile."""
-        event.stop()
-        if event.number == self._number:
-            self.chart = event.chart
+        made = cell_map_chart(profile, stops, self._view)
+        if not get_current_worker().is_cancelled:  # else another one is being made
+            self.call_later(setattr, self, "chart", made)
 
 
 _ORDER = {"failed": 0, "warning": 1, "ok": 2}

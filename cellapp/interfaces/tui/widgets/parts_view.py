@@ -104,6 +104,11 @@ class PartsView(Copied, VerticalScroll):
         return Copy(counted(len(tables), "table"), text, Path("tables.md"))
 
 
+def words_first(parts: Parts) -> list[Part]:
+    """Return parts with the sentences first: on a small screen a table would hide them."""
+    return sorted(parts, key=lambda part: not isinstance(part, str | Facts))
+
+
 def widgets_of(parts: Parts) -> Iterator[Widget]:
     """Yield the widgets of parts in reading order on a screen; all charts of a section where its first one is."""
     from cellapp.interfaces.render.terminal import rich_table  # late: tables are shown after the start
@@ -119,6 +124,6 @@ def widgets_of(parts: Parts) -> Iterator[Widget]:
             yield Static("\n".join(map(str, printed((part,)))), markup=False)
         elif isinstance(part, Section):
             yield Static(part.title, classes="title table", markup=False)
-            yield from widgets_of((*filter(None, (part.outdated, part.message, part.about)), *part.parts))
+            yield from widgets_of((*filter(None, (part.outdated, part.message, part.about)), *words_first(part.parts)))
         else:
             yield Static(with_keys(part), markup=False)
