@@ -10,11 +10,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from textual import on
 from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.message import Message
 from textual.widgets import Static, TabbedContent, TabPane
 from textual.worker import get_current_worker
 
@@ -74,14 +72,6 @@ _NO_CERTIFICATE = f"No certificate was written yet. {SHOWN['export']} writes it.
 _READING = "reading the run ..."
 _NOMINAL = "Tests by ISO 9283 with nominal commands need no calibration."
 _UNREADABLE = "The run cannot be judged; the message line says what is wrong with it."
-
-
-class VerdictRead(Message):
-    """The run of a workspace was judged; None if it cannot be read."""
-
-    def __init__(self, workspace: Workspace, verdict: RunVerdict | None) -> None:
-        super().__init__()
-        self.workspace, self.verdict = workspace, verdict
 
 
 class AcceptScreen(DayScreen):
@@ -215,15 +205,14 @@ class AcceptScreen(DayScreen):
     @in_thread(thread=True, exclusive=True, group="verdict")
     def _judge(self, workspace: Workspace) -> None:
         assert workspace.folder is not None
-        read = VerdictRead(workspace, verdict(workspace.folder))
+        read = verdict(workspace.folder)
         if not get_current_worker().is_cancelled:  # else another run is being read
-            self.post_message(read)
+            self.call_later(self._show_verdict, workspace, read)
 
-    @on(VerdictRead)
-    def show_verdict(self, event: VerdictRead) -> None:
+    def _show_verdict(self, workspace: Workspace, verdict: RunVerdict | None) -> None:
         """Draw the judgements, unless another workspace was opened meanwhile."""
-        if event.workspace is self._drawn:
-            self._draw_verdict(event.verdict, _UNREADABLE)
+        if workspace is self._drawn:
+            self._draw_verdict(verdict, _UNREADABLE)
 
     def _draw_verdict(self, verdict: RunVerdict | None, why_not: str) -> None:
         from cellapp.commands.report.summary import verdict_sentences, verdict_tables

@@ -14,7 +14,6 @@ from textual import on
 from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.message import Message
 from textual.widget import Widget
 from textual.widgets import Input, OptionList, TabbedContent, TabPane
 from textual.widgets.option_list import Option
@@ -99,14 +98,6 @@ class ExportArms(VerbQuestion):
             self.query_one("#out").focus()
         else:
             super().action_answer(value)
-
-
-class DataRead(Message):
-    """The readings and models of a workspace's run were read; None if there is nothing to draw."""
-
-    def __init__(self, workspace: Workspace, data: ReportData | None) -> None:
-        super().__init__()
-        self.workspace, self.data = workspace, data
 
 
 class CalibrateScreen(DayScreen):
@@ -222,12 +213,12 @@ class CalibrateScreen(DayScreen):
 
     @in_thread(thread=True, exclusive=True)
     def _read(self, workspace: Workspace) -> None:
-        self.post_message(DataRead(workspace, work.report_data(workspace.folder)))
+        self.call_later(self._take, workspace, work.report_data(workspace.folder))
 
-    def on_data_read(self, event: DataRead) -> None:
+    def _take(self, workspace: Workspace, data: ReportData | None) -> None:
         """Draw the plots of the data, unless another workspace was opened meanwhile."""
-        if event.workspace is self._drawn:
-            self._data = event.data
+        if workspace is self._drawn:
+            self._data = data
             self._draw_plots()
 
     def _draw_plots(self) -> None:

@@ -18,7 +18,6 @@ from textual.binding import BindingType
 from textual.containers import Container, Horizontal
 from textual.content import Content
 from textual.events import Resize
-from textual.message import Message
 from textual.widgets import Static
 
 from cellapp.cell.run import RunFile
@@ -142,14 +141,6 @@ _TALL = 50
 """Smallest number of lines of a terminal with one line for each part of a day."""
 _PLOTTING_S = 0.2
 """Interval between the drawings of two plots: a stop takes seconds, and a plot on a large screen about 10 ms."""
-
-
-class StoredLog(Message):
-    """The log stored in a run was read; else a sentence why not."""
-
-    def __init__(self, folder: Path, rows: Sequence[LogRow], problem: str = "") -> None:
-        super().__init__()
-        self.folder, self.rows, self.problem = folder, rows, problem
 
 
 class CollectScreen(Copied, DayScreen):
@@ -318,23 +309,22 @@ class CollectScreen(Copied, DayScreen):
             with RunFile.open(folder) as run:
                 lines = run_log(run).lines
         except CellappError as error:
-            self.post_message(StoredLog(folder, (), str(error)))
+            self.call_later(self._show_stored, folder, (), str(error))
             return
         rows = [
             LogRow(datetime.fromisoformat(line.written).astimezone(), level_of(line.level), line.text) for line in lines
         ]
-        self.post_message(StoredLog(folder, rows))
+        self.call_later(self._show_stored, folder, rows)
 
-    @on(StoredLog)
-    def show_stored(self, event: StoredLog) -> None:
+    def _show_stored(self, folder: Path, rows: Sequence[LogRow], problem: str = "") -> None:
         """Draw the log stored in a run, if it is still wanted."""
         pane = self.query_one(LogPane)
-        if event.folder != self.workspace.folder or self.cell_app.jobs.running:
+        if folder != self.workspace.folder or self.cell_app.jobs.running:
             return
-        if event.problem:
-            self.say(event.problem, "warning")
-        elif event.rows:
-            pane.show(f"Log stored in {event.folder.name}", event.rows)
+        if problem:
+            self.say(problem, "warning")
+        elif rows:
+            pane.show(f"Log stored in {folder.name}", rows)
         else:
             pane.show_session(self.cell_app.record)
 

@@ -13,7 +13,6 @@ from textual import on, work
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical
-from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
 from cellapp.commands.docs.keys import SHOWN
@@ -145,14 +144,6 @@ class PlanEdits(DayScreen):
 _PLOTS = ("tab-design", "tab-above", "tab-tracker")
 _NO_CHECK = f"{SHOWN['check']} checks the plan again."
 _NO_FORECAST = f"Not foreseen yet: {SHOWN['forecast']} computes time, expected errors and visible effects."
-
-
-class Drawn(Message):
-    """The design was drawn in a thread; ``of`` are the stops that the parts describe."""
-
-    def __init__(self, of: StopsResult, parts: Parts) -> None:
-        super().__init__()
-        self.of, self.parts = of, parts
 
 
 class PlanScreen(PlanEdits):
@@ -338,13 +329,12 @@ class PlanScreen(PlanEdits):
         if profile is not None and ways is not None and stops is not None and stops.stops:
             sentences = (*load_sentences(stops.loads), *sweep_sentences(stops.sweeps))
             charts = design_charts_of(profile, stops.stops, ways, design)
-            self.post_message(Drawn(stops, (*sentences, *charts, *design_tables_of(design))))
+            self.call_later(self._show_design, stops, (*sentences, *charts, *design_tables_of(design)))
 
-    @on(Drawn)
-    def show_drawn(self, event: Drawn) -> None:
+    def _show_design(self, of: StopsResult, parts: Parts) -> None:
         """Show the design, unless another run was opened meanwhile."""
-        if event.of is self._stops:
-            self.query_one("#plan-design", PartsView).show(event.parts)
+        if of is self._stops:
+            self.query_one("#plan-design", PartsView).show(parts)
 
     def _draw_results(self) -> None:
         """Draw check and forecast, or which keys start them."""

@@ -18,7 +18,6 @@ from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.events import Resize
-from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane, Tabs
 from textual.worker import get_current_worker
 
@@ -181,14 +180,6 @@ _BESIDE = 6
 LIST_SUFFIXES = (".yaml", ".yml", ".csv")
 
 
-class ListRead(Message):
-    """A list was read; else why it cannot be read."""
-
-    def __init__(self, path: Path, targets: tuple[Target, ...], problem: str = "") -> None:
-        super().__init__()
-        self.path, self.targets, self.problem = path, targets, problem
-
-
 class TargetGrid(TextTable):
     """The list, one row for each target."""
 
@@ -280,19 +271,18 @@ class TargetsScreen(DayScreen):
     @in_thread(thread=True, exclusive=True, group="list of targets")
     def _read(self, path: Path, profile: Profile) -> None:
         try:
-            read = ListRead(path, load_targets(path, profile))
+            read, problem = load_targets(path, profile), ""
         except InputError as error:
-            read = ListRead(path, (), str(error))
+            read, problem = (), str(error)
         if not get_current_worker().is_cancelled:  # else another list is being read
-            self.post_message(read)
+            self.call_later(self._show_read, path, read, problem)
 
-    @on(ListRead)
-    def show_list(self, event: ListRead) -> None:
+    def _show_read(self, path: Path, targets: tuple[Target, ...], problem: str) -> None:
         """Draw the list that was read; an invalid one leaves the current list."""
-        if event.problem:
-            self.say(f"{event.problem}. {SHOWN['open']} opens another list.", "error")
+        if problem:
+            self.say(f"{problem}. {SHOWN['open']} opens another list.", "error")
             return
-        self._edits = TargetEdits(event.path, event.targets, event.targets)
+        self._edits = TargetEdits(path, targets, targets)
         self._draw_list()
 
     @on(DataTable.RowSelected, "#grid")

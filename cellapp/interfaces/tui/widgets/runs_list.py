@@ -19,7 +19,6 @@ from textual import on, work
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Vertical, VerticalScroll
-from textual.message import Message
 from textual.widgets import DataTable, Input, Static
 from textual.worker import get_current_worker
 
@@ -67,22 +66,6 @@ _MARKS = "marks"
 _BEGAN = 1
 """Column by which the list is sorted initially."""
 _READING = "reading the folder of runs ..."
-
-
-class RunsListed(Message):
-    """The folder was read; else a sentence why not."""
-
-    def __init__(self, found: RunsResult | str) -> None:
-        super().__init__()
-        self.found = found
-
-
-class PageOpened(Message):
-    """A report was opened in a browser; else the sentence says where it is."""
-
-    def __init__(self, sentence: str) -> None:
-        super().__init__()
-        self.sentence = sentence
 
 
 class RunsList(Vertical):
@@ -159,15 +142,14 @@ class RunsList(Vertical):
         except CellappError as error:
             found = str(error)
         if not get_current_worker().is_cancelled:  # else a later reading is in progress
-            self.post_message(RunsListed(found))
+            self.call_later(self._show_list, found)
 
-    @on(RunsListed)
-    def show_list(self, event: RunsListed) -> None:
+    def _show_list(self, found: RunsResult | str) -> None:
         """Draw the list."""
-        if isinstance(event.found, str):
-            self._host.say(event.found, "error")
+        if isinstance(found, str):
+            self._host.say(found, "error")
             return
-        self._found, self._columns = event.found, run_columns(event.found.folder)
+        self._found, self._columns = found, run_columns(found.folder)
         self._draw()
 
     # -- drawing -------------------------------------------------------------------------------------------------------
@@ -275,13 +257,12 @@ class RunsList(Vertical):
     @work(thread=True, group="report in a browser")
     def open_page(self, page: Path) -> None:
         """Open a page in a browser."""
-        self.post_message(PageOpened(open_page(page)))
+        self.call_later(self._say_opened, open_page(page))
 
-    @on(PageOpened)
-    def say_opened(self, event: PageOpened) -> None:
+    def _say_opened(self, sentence: str) -> None:
         """Show the sentence twice: the message line may get news of the job that wrote the page."""
-        self._host.say(event.sentence)
-        self.notify(event.sentence)
+        self._host.say(sentence)
+        self.notify(sentence)
 
     def _with_run(self, act: Callable[[RunSummary], None]) -> None:
         """Call ``act`` with the run under the cursor if it can be read."""
