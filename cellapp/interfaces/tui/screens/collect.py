@@ -143,7 +143,7 @@ _PLOTTING_S = 0.2
 """Interval between the drawings of two plots: a stop takes seconds, and a plot on a large screen about 10 ms."""
 
 
-class CollectScreen(Copied, DayScreen):
+class CollectScreen(DayScreen, Copied):
     """Drive and measure; watch it; resume it."""
 
     STEP: ClassVar[Step] = "collect"

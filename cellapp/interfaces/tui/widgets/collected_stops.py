@@ -26,7 +26,7 @@ _NAMES = ("stop", "arm")
 """Columns that are sorted in ascending order; the others in descending order."""
 
 
-class CollectedStops(Copied, Vertical):
+class CollectedStops(Vertical, Copied):
     """Stops of a run as read from its file; the normal range of residuals is stated above them."""
 
     BINDINGS: ClassVar[list[BindingType]] = [

@@ -38,7 +38,7 @@ class ScrolledPlot(ChartPlot):
         return bars + _WORDS if bars else _ROWS
 
 
-class PartsView(Copied, VerticalScroll):
+class PartsView(VerticalScroll, Copied):
     """Parts of a view in reading order, charts side by side where there is room.
 
     Parameters
