@@ -16,7 +16,7 @@ from textual.dom import DOMNode
 from textual.screen import ModalScreen
 from textual.widgets import Input, Tree
 
-from cellapp.commands.docs.keys import KEYS
+from cellapp.commands.docs.keys import KEYS, filled_keys
 from cellapp.commands.stages import NextVerb, next_command
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
@@ -139,6 +139,7 @@ def test_a_key_has_one_meaning_and_a_meaning_one_key() -> None:
     used = [name for key in KEYS.values() for name in key.keys.split(",")]
     assert len(used) == len(set(used))
     assert len({key.shown for key in KEYS.values()}) == len(KEYS)
+    assert [filled_keys(f"{{key:{entry.step}}}") for entry in SCREENS] == [f"**{entry.key}**" for entry in SCREENS]
 
 
 @pytest.mark.parametrize("of", [CellApp, *screens()])

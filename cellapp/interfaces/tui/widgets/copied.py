@@ -20,7 +20,7 @@ class Copy:
 
 
 class Copied(Widget):
-    """A widget with a text to copy to the clipboard and to save in a file. It is the last base: styles are of the first."""
+    """A widget with a text to copy to the clipboard and to save in a file. Not the first base, whose styles it has."""
 
     def as_copy(self) -> Copy:
         """Return what is shown now."""
