@@ -61,7 +61,7 @@ from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import driver_that_stops
 from cellapp.interfaces.tui.widgets.arm_panel import LiveStrip
 from cellapp.interfaces.tui.widgets.header import StepTab
-from cellapp.interfaces.tui.workspace import Step, holds_run, load_workspace
+from cellapp.interfaces.tui.workspace import Step, holds_run, last_run, load_workspace
 
 _RESUMES = f"{SHOWN['pause']} or {SHOWN['resume']}"
 _RESUME_WHEN_CLEAR = f"{SHOWN['resume']}: resume when the cell is clear"
@@ -323,6 +323,8 @@ class CellApp(JobKeys):
     def on_mount(self) -> None:
         """Show the first screen of the day, and start the timers."""
         self.register_theme(HIGH_CONTRAST)
+        self.last_run = last_run(self.logs)
+        self.waits = "" if self.last_run is None else str(self.last_run)
         self.push_screen(self._screen_of("cell"))
         self.call_after_refresh(self._welcome)
         self.set_interval(_DRAWING_S, self._draw_events)

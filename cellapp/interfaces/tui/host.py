@@ -17,7 +17,7 @@ from textual.message import Message
 from cellapp.interfaces.tui.job_record import JobRecord
 from cellapp.interfaces.tui.jobs import Job, JobRunner
 from cellapp.interfaces.tui.run_state import RunState, run_state
-from cellapp.interfaces.tui.workspace import Step, Workspace, last_run
+from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.ground.progress import CellLive
@@ -91,8 +91,8 @@ class Host(App[None]):
         self.presses = StopPresses(self.jobs)
         self.asked_by: ShowsResults | None = None
         self.code = 0
-        self.last_run = last_run(logs)
-        self.waits, self.reading = "" if self.last_run is None else str(self.last_run), ""
+        self.last_run: Path | None = None
+        self.waits = self.reading = ""
         self._state: tuple[tuple[object, ...], RunState] | None = None
 
     @property
