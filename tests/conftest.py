@@ -26,10 +26,10 @@ from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.commands.push.run import push_run
 from tests.made_once import made_once
 from tests.scheduling import PROCESSES, FromBothEnds, leave_the_processor, waiting_last
 from tests.twin import PROFILES, finished_twin
+from tests.verbs import push_run
 
 ROOT = Path(__file__).parent
 FEW_TARGETS = 2

@@ -88,8 +88,8 @@ def test_an_update_of_rank_three_against_fresh_products() -> None:
     design.track(candidates.rows)
 
     def update() -> None:
-        design.remove(candidates.rows[0])
-        design.add(candidates.rows[0])
+        design.change(candidates.rows[0], -1.0)
+        design.change(candidates.rows[0])
 
     updates, products = best_of(
         20, update, lambda: BlockDesign(candidates.information(chosen), weights).track(candidates.rows)

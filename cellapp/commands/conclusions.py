@@ -9,7 +9,7 @@ from typing import Literal
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.certificate.judgements import judge_run
-from cellapp.commands.run_results import StageResults
+from cellapp.commands.run_results import RunResults
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.estimation.monitoring.check.records import CheckResult
@@ -45,7 +45,7 @@ def worst(found: Iterator[Conclusion] | list[Conclusion]) -> Conclusion | None:
     return min(found, key=lambda one: WORST_FIRST.index(one.kind), default=None)
 
 
-def stage_conclusions(results: StageResults) -> dict[StageName, Conclusion]:
+def stage_conclusions(results: RunResults) -> dict[StageName, Conclusion]:
     """Return the conclusion of each stored stage; for a stage that no longer holds it is always "out of date"."""
     found: dict[StageName, Conclusion] = dict(_concluded(results))
     for name, reason in results.out_of_date.items():
@@ -53,7 +53,7 @@ def stage_conclusions(results: StageResults) -> dict[StageName, Conclusion]:
     return found
 
 
-def conformity(run: RunFile, results: StageResults) -> Conformity | None:
+def conformity(run: RunFile, results: RunResults) -> Conformity | None:
     """Return the verdict on the tolerances of a run's profile; None if the profile has none or nothing is judged."""
     if not run.profile.tolerances.any_given:
         return None
@@ -64,7 +64,7 @@ def conformity(run: RunFile, results: StageResults) -> Conformity | None:
     return overall(judge_run(run.profile, results, None if results.calibrate is None else measured))
 
 
-def _concluded(results: StageResults) -> Iterator[tuple[StageName, Conclusion]]:
+def _concluded(results: RunResults) -> Iterator[tuple[StageName, Conclusion]]:
     if results.calibrate is not None:
         yield CALIBRATE, Conclusion("done", "calibrated")
     if results.discover is not None:

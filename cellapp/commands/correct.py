@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +10,7 @@ import numpy as np
 
 from cellapp.cell.driving.cell_checks import same_calibration
 from cellapp.cell.profile.files import write_new_bytes
-from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, LeftLine, ReadProgram, Six
+from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, ReadProgram, Six
 from cellapp.cell.programs.script_targets import read_script, read_urp, six
 from cellapp.cell.programs.solving import (
     Workplace,
@@ -30,10 +29,11 @@ from cellapp.cell.run.samples import known_readings
 from cellapp.commands.record import Asked, Request, RunFolder, Verb, View, Work
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
 from cellapp.ground.profile import Arm
+from cellapp.ground.shell import shell_word
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import controller_rows, nominal_arm, published_rows
 
@@ -87,10 +87,7 @@ class CorrectRequest(Request):
     ] = False
     insignificant: Annotated[
         bool,
-        Asked(
-            "Correct targets whose correction is not significant too.",
-            label="correct what is not significant too",
-        ),
+        Asked("Correct targets whose correction is not significant too.", label="correct what is not significant too"),
     ] = False
 
 
@@ -108,67 +105,28 @@ _LARGEST = 32 * 1024 * 1024
 def run(request: CorrectRequest, work: Work) -> CorrectResult:
     """Write the corrected copy."""
     with RunFile.open(request.folder) as opened:
-        return correct_run(
-            opened,
-            request.program,
-            request.out,
-            request.arm,
-            tcp=None if request.tcp is None else typed_tcp(request.tcp),
-            partly=request.partly,
-            extrapolate=request.extrapolate,
-            insignificant=request.insignificant,
-            outputs=work.outputs,
-        )
+        return correct(opened, request, work.outputs)
 
 
-def correct_run(
-    run: RunFile,
-    program: Path,
-    out: Path,
-    arm: str | None = None,
-    *,
-    tcp: Six | None = None,
-    partly: bool = False,
-    extrapolate: bool = False,
-    insignificant: bool = False,
-    outputs: Outputs = NEW_ONLY,
-) -> CorrectResult:
+def correct(run: RunFile, request: CorrectRequest, outputs: Outputs = NEW_ONLY) -> CorrectResult:
     """Write a copy of a program with targets that a plain controller truly reaches.
 
     Nothing is written if a target cannot be corrected: the result lists such targets, and its ``out`` is None.
-
-    Parameters
-    ----------
-    run : RunFile
-        A calibrated run.
-    program, out : Path
-        Files ``.script`` or ``.urp``, both of the same kind.
-    arm : str or None
-        The arm; needed if the run has several.
-    tcp : six numbers or None
-        x, y, z [m] and rotation vector [rad] of the TCP in the flange frame, if the program sets none.
-    partly : bool
-        Write the copy even if some targets stay uncorrected.
-    extrapolate : bool
-        Also correct targets outside the joint ranges of the readings.
-    insignificant : bool
-        Also correct targets whose correction is not significant against their own uncertainty.
-    outputs : Outputs
-        Which files may be replaced; none by default.
 
     Raises
     ------
     InputError
         If the program cannot be read, the run is not calibrated or has no such arm, or the copy cannot be written.
     """
+    program, out = request.program, request.out
     stages = read_stages(run)
     require_own_factory(run, "correct")
     model = model_of(run, stage_in_force(run, stages))
-    name = _arm(run, list(model.arms), arm)
+    name = _arm(run, list(model.arms), request.arm)
     model_arm = model.arms[name]
     settings = run.profile.arms[name]
     _require_its_calibration(run, name, model_arm)
-    read = _read(program, out, settings, tcp)
+    read = _read(program, out, settings, None if request.tcp is None else typed_tcp(request.tcp))
     if _MARK in read.text:
         raise InputError(
             f"{program} is a corrected copy, of which no second one is made: it would be off by the correction. Correct"
@@ -179,15 +137,15 @@ def correct_run(
     limits = np.array(settings.joint_limits)
     home = None if settings.home is None else np.array(settings.home)
     q = known_readings(run, name).q
-    place = Workplace(model_arm, limits, home, q, run.profile.seed, read.payload_kg, extrapolate)
-    corrected, common = judged(place, read.targets, solve_targets(place, read.targets), every=insignificant)
+    place = Workplace(model_arm, limits, home, q, run.profile.seed, read.payload_kg, request.extrapolate)
+    corrected, common = judged(place, read.targets, solve_targets(place, read.targets), every=request.insignificant)
     stale = stages.stale_arms()
     result = CorrectResult(
         program=str(program),
         out=str(out),
         arm=name,
         targets=tuple(corrected),
-        left=tuple(map(LeftLine.like, read.left)),
+        left=tuple(read.left),
         assumptions=tuple(assumptions(place, settings, read, corrected)),
         notes=(
             *([f"the model was used although {stale}"] if stale else []),
@@ -198,7 +156,7 @@ def correct_run(
         ),
         common=tuple(common),
     )
-    if result.refused and not partly:
+    if result.refused and not request.partly:
         return result.model_copy(update={"out": None})
     written = rewritten(read.text, read.targets, corrected).rstrip("\n")
     write_new_bytes({out: read.encode(f"{written}\n{_MARKS[out.suffix.lower()]}\n")}, outputs)
@@ -225,8 +183,8 @@ def typed_tcp(text: str) -> Six:
 
 
 def _no_sigma(run: RunFile) -> str:
-    command = shlex.join(["cellapp", "discover", str(run.folder)])
-    return f"sigma is not stated: only a discovery estimates the uncertainty of the model; '{command}' makes one"
+    command = f"'cellapp discover {shell_word(run.folder)}'"
+    return f"sigma is not stated: only a discovery estimates the uncertainty of the model; {command} makes one"
 
 
 def _arm(run: RunFile, arms: Sequence[str], asked: str | None) -> str:
@@ -283,13 +241,8 @@ def correct_table(result: CorrectResult) -> Table:
 
     Below the motion stands the configuration nearest to its solution.
     """
-    columns = (
-        Column("line"),
-        Column("motion"),
-        Column("target (m, rad)"),
-        number_column("moves", ".3f", "mm"),
-        number_column("turns", ".3f", "mrad"),
-        number_column("sigma", ".3f", "mm"),
+    columns = columns_of(
+        "line", "motion", "target (m, rad)", ("moves", ".3f", "mm"), ("turns", ".3f", "mrad"), ("sigma", ".3f", "mm")
     )
     rows = tuple(row for target in result.targets for row in _rows(target))
     return Table(f"Targets of {result.program}", columns, rows)

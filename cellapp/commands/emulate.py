@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -19,13 +18,7 @@ from cellapp.ground.progress import CancelToken
 from cellapp.ground.results import Record, Result
 from drivers.arms.settings import EmulatedController
 from drivers.emulators.tracker_bridge import TrackerBridgeEmulator
-from drivers.emulators.ur_controller import (
-    REAL_TIME,
-    Addresses,
-    ControllerConfig,
-    Personality,
-    UrControllerServer,
-)
+from drivers.emulators.ur_controller import REAL_TIME, Addresses, ControllerConfig, Personality, UrControllerServer
 from drivers.emulators.ur_controller.personality import STANDARD_PORTS
 from drivers.plant import Plant
 from drivers.plant.factory import factory_calibration
@@ -143,7 +136,7 @@ def _serve_tracker(
     )
     bridge = TrackerBridgeEmulator(
         plant,
-        clock=threading.Condition(server.cell.lock),
+        cell=server.cell,
         imperfections=own,
         host=tracker.host,
         port=tracker.port,

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Self
 
@@ -21,6 +18,7 @@ from cellapp.commands.view.recordings import recording_tables
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
+from cellapp.ground.shell import shell_word
 
 
 class ImportRequest(Request):
@@ -34,8 +32,7 @@ class ImportRequest(Request):
     csv: Annotated[Path | None, Asked("Readings; 'cellapp docs files' has the columns.", "CSV", argument=True)] = None
     folder: NewRun
     in_order: Annotated[
-        bool,
-        Asked("Rows stand in the order of measurement (with time_s: by time); derive missing approach and step."),
+        bool, Asked("Rows stand in the order of measurement (with time_s: by time); derive missing approach and step.")
     ] = False
     reference_nests: Annotated[
         Path | None, Asked("Nests on the floor that tie tracker stations: station, nest, x_m, y_m, z_m.", "FILE")
@@ -74,56 +71,36 @@ VERB = Verb("import", ImportRequest, chapter="readings")
 
 def run(request: ImportRequest, work: Work) -> ImportResult:
     """Make the run; ask which SMR counts where two of a stop give no rotation."""
-    make = partial(
-        import_new_run,
-        load_profile(request.profile),
-        request.csv,
-        request.folder,
-        in_order=request.in_order,
-        recordings=(request.joints, request.points),
-        arm=request.arm,
-        columns=request.column,
-        reference_nests=request.reference_nests,
-    )
+    profile = load_profile(request.profile)
     try:
-        return make(smr=request.smr)
+        return import_new_run(profile, request)
     except WhichSmr as error:
         if not (smr := work.choose(str(error), error.names)):
             raise
-        return make(smr=smr)
+        return import_new_run(profile, request.model_copy(update={"smr": smr}))
 
 
-def import_new_run(
-    profile: Profile,
-    csv: Path | None,
-    folder: Path,
-    *,
-    in_order: bool = False,
-    recordings: tuple[Sequence[Path], Sequence[Path]] = ((), ()),
-    arm: str | None = None,
-    columns: Sequence[str] = (),
-    reference_nests: Path | None = None,
-    smr: str | None = None,
-) -> ImportResult:
-    """Make a new run from readings in a CSV file, recordings of motion, or both.
-
-    ``recordings`` are files of joints and of points, pair by pair, ``arm`` their arm if they do not state one, and
-    ``columns`` those that count where two may be meant.
-    ``reference_nests`` is a file of nests that tie tracker stations together; ``smr`` is as in ``readings_of_table``.
+def import_new_run(profile: Profile, request: ImportRequest) -> ImportResult:
+    """Make a new run from readings in a CSV file, recordings of motion, or both; nothing is left of a bad one.
 
     Raises
     ------
     InputError
-        As ``readings_from_csv`` and ``recordings_from_csv``, and if an arm of the profile has no data; no run is made.
+        If files, profile and options do not go together, or the folder holds a run.
     """
     recorded, fills = frozenset[str](), []
-    if any(recordings):
-        recorded, fill = recordings_from_csv(profile, *recordings, arm, columns)
+    if request.joints:
+        recorded, fill = recordings_from_csv(profile, request.joints, request.points, request.arm, request.column)
         fills.append(fill)
-    if csv is not None:
+    if request.csv is not None:
         fills.append(
             readings_from_csv(
-                profile, csv, in_order=in_order, recorded=recorded, reference_nests=reference_nests, smr=smr
+                profile,
+                request.csv,
+                in_order=request.in_order,
+                recorded=recorded,
+                reference_nests=request.reference_nests,
+                smr=request.smr,
             )
         )
     elif missing := [name for name in profile.arms if name not in recorded]:
@@ -136,9 +113,9 @@ def import_new_run(
         for fill in fills:
             fill(run)
 
-    with RunFile.create(folder, profile, fill_all) as run:
+    with RunFile.create(request.folder, profile, fill_all) as run:
         return ImportResult(
-            run=str(folder),
+            run=str(request.folder),
             readings={name: len(run.readings(name)) for name in run.arms()},
             recordings=recording_states(run),
             in_order=read_in_order(run),
@@ -149,5 +126,5 @@ def import_new_run(
 def view(result: ImportResult, request: Request | None = None) -> View:
     """Show the number of readings and the recordings of each arm, and notes."""
     counts = (f"arm {name}: {counted(count, 'reading')}" for name, count in result.readings.items())
-    onward = f"next: {shlex.join(['cellapp', 'calibrate', result.run])}"
+    onward = f"next: cellapp calibrate {shell_word(result.run)}"
     return View((*counts, *recording_tables(result.recordings), *result.notes, onward), held="; ".join(result.notes))

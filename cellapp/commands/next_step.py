@@ -11,7 +11,7 @@ from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.commands.certificate.iso9283_judgements import unmeasured_tests
 from cellapp.commands.certificate.judgements import judge_run, other_arms_found
 from cellapp.commands.conclusions import stage_conclusions
-from cellapp.commands.run_results import StageResults, read_stage_results
+from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import CERTIFICATE_FILE, NextVerb, RunStages, next_command
 from cellapp.commands.view.words import named_errors
 from cellapp.estimation.iso9283.norm import IsoTest
@@ -95,7 +95,7 @@ def next_step(
     stages: RunStages,
     arms: Mapping[str, ArmState],
     complaints: Sequence[str] = (),
-    results: StageResults | None = None,
+    results: RunResults | None = None,
 ) -> Step:
     """Return what comes next; it is empty only if nothing is missing, out of date, undecided or failed.
 
@@ -103,7 +103,7 @@ def next_step(
     """
     if missing := missing_step(run, stages, arms):
         return missing
-    results = results or read_stage_results(run, stages)
+    results = results or read_results(run, stages)
     readings = {name: run.readings(name) for name in run.profile.arms if arms[name].measured}
     left = list(open_steps(run.profile, results, judge_run(run.profile, results, measured_conditions(readings))))
     tests = (one for one in left if one.verb == ISO9283 and one.command)
@@ -111,13 +111,13 @@ def next_step(
     return next((one for found in (tests, again, left) for one in found), Step(""))
 
 
-def open_steps(profile: Profile, results: StageResults, judgements: Sequence[Judgement]) -> Iterator[Step]:
+def open_steps(profile: Profile, results: RunResults, judgements: Sequence[Judgement]) -> Iterator[Step]:
     """Yield what settles each result that is not decided, not measured, or outside a tolerance."""
     folder = shell_word(results.run)
     driven = [name for name, arm in profile.arms.items() if arm.driver.has_device]
     if driven:
         for test in _missing_tests(profile, results, driven)[:1]:
-            yield Step("Measure by ISO 9283 what has a tolerance:", f"cellapp iso9283 {test} --run {folder}", ISO9283)
+            yield Step("Measure by ISO 9283 what has a tolerance:", f"cellapp iso9283 {test} --run {folder}", "iso9283")
     yield from _of_stages(results, folder)
     out = [one for one in judgements if one.conformity == "does not conform"]
     if driven and results.verify is not None and any(one.characteristic in AT_TARGETS for one in out):
@@ -135,7 +135,7 @@ def open_steps(profile: Profile, results: StageResults, judgements: Sequence[Jud
         yield Step(f"Measure with a smaller uncertainty, as with the tracker nearer: {named_errors(near)}.")
 
 
-def _of_stages(results: StageResults, folder: str) -> Iterator[Step]:
+def _of_stages(results: RunResults, folder: str) -> Iterator[Step]:
     """Yield what settles stages that stopped, failed or decided nothing; those out of date are repeated instead."""
     for name, one in stage_conclusions(results).items():
         kind, words = one.kind, f"{one.words[:1].upper()}{one.words[1:]}"
@@ -143,23 +143,23 @@ def _of_stages(results: StageResults, folder: str) -> Iterator[Step]:
             continue
         if name == DISCOVER:
             text = f"{words}: measure stops that decide what discovery left open:"
-            yield Step(text, f"cellapp discover {folder} --propose {_PROPOSED_STOPS}", DISCOVER)
+            yield Step(text, f"cellapp discover {folder} --propose {_PROPOSED_STOPS}", "discover")
         elif name == PATH:
             yield Step(f"{words}: mend the path, then compute it again:", f"cellapp compensate {folder} PATHS")
         elif name == CHECK and kind == "cannot say":
-            yield Step(f"{words}:", f"cellapp check {folder}", CHECK)
+            yield Step(f"{words}:", f"cellapp check {folder}", "check")
         elif name in (PUSH, VERIFY) and kind == "cannot say":
             yield Step(f"{words}: measure with a smaller uncertainty, as with the tracker nearer.")
         elif name in (PUSH, VERIFY):
             again = {"part": "", "does not conform": " --iterate 2"}[kind]
             yield Step(
-                f"{words}:", f"cellapp push {folder} TARGETS" + (f" --verify{again}" if name == VERIFY else ""), PUSH
+                f"{words}:", f"cellapp push {folder} TARGETS" + (f" --verify{again}" if name == VERIFY else ""), "push"
             )
         elif name == ISO9283 and kind == "part":
-            yield Step(f"{words}:", f"cellapp iso9283 --run {folder}", ISO9283)
+            yield Step(f"{words}:", f"cellapp iso9283 --run {folder}", "iso9283")
 
 
-def _targets_step(results: StageResults, missing: Sequence[Judgement], folder: str) -> Step:
+def _targets_step(results: RunResults, missing: Sequence[Judgement], folder: str) -> Step:
     """Return how targets that have a tolerance come to be measured: what a list lacks, no repetition measures."""
     verify = results.verify
     listed = set() if verify is None else {one.arm for one in verify.targets}
@@ -167,7 +167,7 @@ def _targets_step(results: StageResults, missing: Sequence[Judgement], folder: s
     lacking = [one for one in missing if not (pairs if one.characteristic == "cooperative" else one.where in listed)]
     measure = f"cellapp push {folder} TARGETS --verify"
     if not lacking:
-        return Step(f"Measure {named_errors(missing)}, which has a tolerance:", measure, PUSH)
+        return Step(f"Measure {named_errors(missing)}, which has a tolerance:", measure, "push")
     of_pairs, of_arm = "cooperative targets (partner)", "targets of {}"
     what = dict.fromkeys(
         of_pairs if one.characteristic == "cooperative" else of_arm.format(one.where) for one in lacking
@@ -175,7 +175,7 @@ def _targets_step(results: StageResults, missing: Sequence[Judgement], folder: s
     text = (
         f"Add {' and '.join(what)} to the list, which have a tolerance and are not in it; then measure them: {measure}"
     )
-    return Step(text, verb=PUSH)
+    return Step(text, verb="push")
 
 
 def _again(run: RunFile) -> Iterator[tuple[str, Step]]:
@@ -211,7 +211,7 @@ def _missing_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState])
     return verb or ("" if (run.folder / REPORT_FILE).exists() else "report")
 
 
-def _missing_tests(profile: Profile, results: StageResults, driven: Sequence[str]) -> tuple[IsoTest, ...]:
+def _missing_tests(profile: Profile, results: RunResults, driven: Sequence[str]) -> tuple[IsoTest, ...]:
     """Return the tests of ISO 9283 that the tolerances need and the run lacks, for arms that can be driven."""
     stored = None if ISO9283 in results.out_of_date else results.iso9283
     return unmeasured_tests(profile.tolerances, driven, {} if stored is None else stored.arms)

@@ -20,17 +20,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
+from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import Writes
+from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
+from cellapp.ground.progress import Listener, ignore
 
 if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
     from cellapp.commands.view.parts import Part
-    from cellapp.ground.control import JobControl
-    from cellapp.ground.outputs import Outputs
-    from cellapp.ground.progress import Listener
     from cellapp.ground.results import Result
 
 
@@ -171,10 +170,10 @@ class Work:
         Write the page of a run into its folder; return its path.
     """
 
-    listener: Listener
-    control: JobControl
-    ask: Callable[[str], Callable[[str], bool] | None]
-    outputs: Outputs
+    listener: Listener = ignore
+    control: JobControl = field(default_factory=JobControl)
+    ask: Callable[[str], Callable[[str], bool] | None] = field(default=lambda profile_name: None)
+    outputs: Outputs = NEW_ONLY
     certificate_page: Callable[[Any], str] = field(default=_no_certificate_page)
     announce: Callable[[Result], None] = field(default=lambda result: None)
     say: Callable[[str], None] = field(default=lambda sentence: None)
@@ -317,9 +316,3 @@ NewRun = Annotated[Path, Asked("Folder of the new run; must not hold one yet.", 
 Prior = Annotated[Path | None, Asked("Folder of an earlier calibrated run of the same arms, as prior.", "EARLIER")]
 OutOfDate = Annotated[bool, Asked("Use the latest model even if it no longer fits the run's data.")]
 Strict = Annotated[bool, Asked("Exit code 1 if a result, the page or the certificate is out of date.")]
-Jobs = Annotated[
-    int | None,
-    Field(ge=1, le=1024),
-    Asked("Processes, each of one thread; all cores if left out; 1: no other.", "N"),
-]
-Scheduler = Annotated[str | None, Asked("Compute on the workers of a Dask scheduler, as tcp://HOST:8786.", "ADDRESS")]

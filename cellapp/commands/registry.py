@@ -14,16 +14,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from cellapp.commands.record import Verb
 
-STORING = (
-    "calibrate",
-    "discover",
-    "locate",
-    "compensate",
-    "push",
-    "iso9283",
-    "check",
-    "certificate",
-)
+STORING = ("calibrate", "discover", "locate", "compensate", "push", "iso9283", "check", "certificate")
 """Verbs that store results in a run, in the order in which ``show`` names them."""
 
 ALL = (

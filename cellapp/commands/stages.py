@@ -361,10 +361,7 @@ _DONE: Mapping[StageName, str] = {
     LOCATE: "the tracker was located",
 }
 """Phrases for what a verb that makes a model did since."""
-_MEASURED: Mapping[StageName, str] = {
-    VERIFY: "targets were verified",
-    ISO9283: "the cell was tested by ISO 9283",
-}
+_MEASURED: Mapping[StageName, str] = {VERIFY: "targets were verified", ISO9283: "the cell was tested by ISO 9283"}
 """Phrases for what a verb that measures with a model did since; a certificate rests on these."""
 STORED_OTHERWISE: Mapping[StageName, str] = {
     VERIFY: "the stored verification was changed",

@@ -67,45 +67,19 @@ def run(request: TrackerBridgeRequest, work: Work) -> TrackerBridgeResult:
         served.append(result)
         work.announce(result)
 
-    serve_tracker(
-        load_profile(request.profile),
-        work.control,
-        announce,
-        host=request.host,
-        port=DEFAULT_PORT if request.port is None and request.serial is None else request.port,
-        serial=request.serial,
-        baud=request.baud,
-        token_file=request.token_file,
-        token_env=request.token_env,
-    )
+    serve_tracker(load_profile(request.profile), request, work.control, announce)
     return served[0]
 
 
 def serve_tracker(
     profile: Profile,
+    request: TrackerBridgeRequest,
     cancel: CancelToken,
     announce: Callable[[TrackerBridgeResult], None],
-    *,
-    host: str = "127.0.0.1",
-    port: int | None = DEFAULT_PORT,
-    serial: str | None = None,
-    baud: int = 115200,
-    token_file: Path | None = None,
-    token_env: str | None = None,
 ) -> None:
     """Serve the profile's tracker until ``cancel``; all ports are free on return.
 
     ``announce`` is called once, when the service listens. The tracker connects when a client first needs it.
-
-    Parameters
-    ----------
-    host, port
-        Where to listen: by default only this machine; any other ``host`` needs a token. Port 0 takes a free one, None
-        does not listen.
-    serial, baud
-        Also serve on a serial port, by any name or URL that pyserial accepts.
-    token_file, token_env
-        Source of the shared token: a file that no other user may read, or an environment variable.
 
     Raises
     ------
@@ -115,11 +89,14 @@ def serve_tracker(
         If the address is in use or not available.
     """
     settings = profile.tracker.driver
+    port = DEFAULT_PORT if request.port is None and request.serial is None else request.port
     _check_kind(profile)
-    token = _token(token_file, token_env)
-    _check_ports(host, port, serial, guarded=token is not None)
+    token = _token(request.token_file, request.token_env)
+    _check_ports(request.host, port, guarded=token is not None)
     tracker = tracker_driver(profile, build_plant(profile) if settings.needs_plant else None)
-    service = TrackerService(tracker, host=host, port=port, serial_url=serial, baud=baud, token=token)
+    service = TrackerService(
+        tracker, host=request.host, port=port, serial_url=request.serial, baud=request.baud, token=token
+    )
     try:
         service.open()
     except OSError as error:
@@ -127,7 +104,11 @@ def serve_tracker(
     try:
         announce(
             TrackerBridgeResult(
-                kind=settings.kind, host=service.host, port=service.port, serial=serial, guarded=token is not None
+                kind=settings.kind,
+                host=service.host,
+                port=service.port,
+                serial=request.serial,
+                guarded=token is not None,
             )
         )
         while not cancel.cancelled:
@@ -146,9 +127,7 @@ def _check_kind(profile: Profile) -> None:
         )
 
 
-def _check_ports(host: str, port: int | None, serial: str | None, *, guarded: bool) -> None:
-    if port is None and serial is None:
-        raise InputError("tracker-bridge: nothing to serve on; give a port, a serial port, or both")
+def _check_ports(host: str, port: int | None, *, guarded: bool) -> None:
     if not guarded and port is not None and not is_loopback(host):
         raise InputError(
             f"tracker-bridge: {host} is reachable from other machines: give a token (--token-file or --token-env), the"

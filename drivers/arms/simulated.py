@@ -312,15 +312,17 @@ class SimulatedArm:
 
     def protective_stop(self, reason: str = "a force limit was exceeded") -> None:
         """Stop the arm as its controller would; it accepts motions again after ``release``."""
-        self._fault = ProtectiveStop(f"arm {self._name}: protective stop, {reason}; look at the arm, then release it")
-        self._halt()
-        self._listener(self._fault)
+        text = f"protective stop, {reason}; look at the arm, then release it"
+        self._fail(ProtectiveStop(f"arm {self._name}: {text}"))
 
     def emergency_stop(self) -> None:
         """Press the emergency stop; the arm accepts motions again after ``release``."""
-        self._fault = EmergencyStop(f"arm {self._name}: the emergency stop is pressed; clear the cell, then release it")
+        self._fail(EmergencyStop(f"arm {self._name}: the emergency stop is pressed; clear the cell, then release it"))
+
+    def _fail(self, fault: ProtectiveStop | EmergencyStop) -> None:
+        self._fault = fault
         self._halt()
-        self._listener(self._fault)
+        self._listener(fault)
 
     def cut_link(self) -> None:
         """Block all calls until ``release`` and ``connect``. The arm continues a motion; a stream ends."""

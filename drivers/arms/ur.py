@@ -37,13 +37,14 @@ from drivers.arms.protocol import (
 )
 from drivers.arms.recording import JointRecord, counts_so_far
 from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, held_by, load_checks
+from drivers.arms.ur_control import Refusal
 from drivers.arms.ur_guarded_link import ANSWER_WITHIN_S, CONFIRM_WITHIN_S, GuardedLink, arm_error, arm_state
 from drivers.arms.ur_links import RTDE_PORT, Connection, cause, program_name, running_program
 from drivers.arms.ur_motion import OPTIONAL_VARIABLES, STILL_MOVING
 from drivers.arms.ur_options import UrOptions
 from drivers.arms.ur_probe import UrProbe, probe_ur
 from drivers.arms.ur_rtde_reader import Outputs
-from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess, WorkerRefusal
+from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess
 from drivers.patience import Patience
 
 LONGEST_PROBE_S = 5.0
@@ -279,7 +280,7 @@ class UrArm(GuardedLink):
             self._program.started()
             self._connecting = worker
             answer = worker.call("restart", self._settings.startup_timeout, going_on)
-        except (WorkerGone, WorkerRefusal, LinkLost):
+        except (WorkerGone, Refusal, LinkLost):
             return False
         self._connecting = None
         going_on()
@@ -336,7 +337,7 @@ class UrArm(GuardedLink):
             self._raise_failed(load_checks(self._expected, probe, answer))
         except MotionStopped:
             raise
-        except WorkerRefusal as error:
+        except Refusal as error:
             going_on()
             self._give_up()
             text = self._who_holds_it() if error.kind == "occupied" else ""
@@ -538,7 +539,7 @@ class UrPathArm(UrArm):
             return
         try:
             worker.call("end_path", ANSWER_WITHIN_S)
-        except (WorkerGone, WorkerRefusal) as error:
+        except (WorkerGone, Refusal) as error:
             raise LinkLost(f"arm {self._name}: the path could not be ended: {error}") from error
 
     def reached(self) -> float:

@@ -43,9 +43,10 @@ _ASKED_WITHIN_S = 0.15
 
 
 class Refusal(Exception):
-    """A request that cannot be served: its kind, one of ``drivers.arms.ur_guarded_link.REFUSALS``, and a sentence.
+    """A request that the worker does not serve: its kind, one of ``drivers.arms.ur_guarded_link.REFUSALS``, and a
+    sentence.
 
-    The sentence says what to do, unless ``_REMEDIES`` there has a remedy for the kind.
+    The sentence says what to do, unless there is a remedy for the kind.
     """
 
     def __init__(self, kind: str, text: str) -> None:

@@ -31,6 +31,7 @@ from drivers.arms.protocol import (
     ProtectiveStop,
 )
 from drivers.arms.ur_checks import JOINTS
+from drivers.arms.ur_control import Refusal
 from drivers.arms.ur_links import (
     DASHBOARD_PORT,
     RTDE_PORT,
@@ -42,7 +43,7 @@ from drivers.arms.ur_links import (
 )
 from drivers.arms.ur_options import UrOptions
 from drivers.arms.ur_rtde_reader import not_ready, samples, wait_at_rest
-from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess, WorkerRefusal
+from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess
 from drivers.patience import SLICE_S, Patience, patient_get
 
 ANSWER_WITHIN_S = 2.0
@@ -107,7 +108,7 @@ class GuardedLink:
             fault = worker.call("confirm", patience.left_s)["fault"]
         except WorkerGone as error:
             raise self._doubted(error.kind, str(error)) from error
-        except WorkerRefusal as error:
+        except Refusal as error:
             raise arm_error(self._name, error.kind, error.text) from error
         if fault is not None:
             raise arm_error(self._name, fault["kind"], fault["text"])
@@ -163,7 +164,7 @@ class GuardedLink:
                 self._program.wait_at_rest()
                 with suppress(MotionStopped):
                     worker.call("release", ANSWER_WITHIN_S, self._require_last_stop)
-            except (LinkLost, WorkerGone, WorkerRefusal) as error:
+            except (LinkLost, WorkerGone, Refusal) as error:
                 kind = error.kind if isinstance(error, WorkerGone) else "link"
                 why = cause(error) if isinstance(error, LinkLost) else str(error)
                 doubt = self._link_in_doubt(f"the stop failed: {why}", kind)
@@ -219,7 +220,7 @@ class GuardedLink:
             return doubt or stopped
         if isinstance(doubt, LinkLost):
             return self._link_in_doubt(self._doubt.text, self._doubt.kind)
-        with suppress(WorkerGone, WorkerRefusal):
+        with suppress(WorkerGone, Refusal):
             fault = worker.call("state", ANSWER_WITHIN_S)["fault"]  # the worker may know the cause better by now
             if fault is not None:
                 return arm_error(self._name, fault["kind"], fault["text"])
@@ -269,7 +270,7 @@ class GuardedLink:
             return worker.call(request, within_s, permitted, **arguments)
         except MotionStopped as stopped:
             raise self._fault_or(stopped) from stopped
-        except WorkerRefusal as error:
+        except Refusal as error:
             refused = arm_error(self._name, error.kind, error.text)
             raise (self._fault_or(refused) if isinstance(refused, MotionStopped) else refused) from error
         except WorkerGone as error:
@@ -700,38 +701,28 @@ class StopLine:
 # Translation of a UR worker's answers to the terms of the arm's protocol: errors with their remedies, and states.
 
 
-REFUSALS: Mapping[str, type[ArmError]] = {
-    "protective": ProtectiveStop,
-    "emergency": EmergencyStop,
-    "local": NotInRemoteControl,
-    "link": LinkLost,
-    "driver": LinkLost,
-    "ended": LinkLost,
-    "nonsense": LinkLost,
-    "timeout": ArmTimeout,
-    "stopped": MotionStopped,
-    "stalled": HostStalled,
-    "failed": ArmError,
-    "advised": ArmError,
-    "occupied": ArmError,
+REFUSALS: Mapping[str, tuple[type[ArmError], str]] = {
+    "protective": (ProtectiveStop, ""),
+    "emergency": (EmergencyStop, ""),
+    "local": (NotInRemoteControl, ""),
+    "link": (LinkLost, "see whether the controller is on and the network between works, then connect again"),
+    "driver": (LinkLost, "possible: other programs take its time; close them, then connect again"),
+    "ended": (LinkLost, "connect again; if it ends again, report it"),
+    "nonsense": (LinkLost, "look at the pendant's log, restart the controller"),
+    "timeout": (ArmTimeout, "see what the pendant shows"),
+    "stopped": (MotionStopped, "connect again when it may move"),
+    "stalled": (HostStalled, "nothing is wrong at the arm; close other programs on this computer"),
+    "failed": (ArmError, "look at the arm and at the pendant's log, then connect again"),
+    "advised": (ArmError, ""),
+    "occupied": (ArmError, ""),
 }
-"""Exception for each kind of refusal of the worker. A kind without a remedy here has the remedy in its text."""
-_REMEDIES = {
-    "link": "see whether the controller is on and the network between works, then connect again",
-    "driver": "possible: other programs take its time; close them, then connect again",
-    "ended": "connect again; if it ends again, report it",
-    "nonsense": "look at the pendant's log, restart the controller",
-    "timeout": "see what the pendant shows",
-    "stopped": "connect again when it may move",
-    "stalled": "nothing is wrong at the arm; close other programs on this computer",
-    "failed": "look at the arm and at the pendant's log, then connect again",
-}
+"""Exception and remedy for each kind of refusal of the worker. A kind without a remedy here has it in its text."""
 
 
 def arm_error(name: str, kind: str, text: str) -> ArmError:
     """Return the exception for a refusal of arm ``name``; its message says what is wrong and what to do."""
-    remedy = _REMEDIES.get(kind, "")
-    return REFUSALS[kind](f"arm {name}: {text}" + (f"; {remedy}" if remedy else ""))
+    error, remedy = REFUSALS[kind]
+    return error(f"arm {name}: {text}" + (f"; {remedy}" if remedy else ""))
 
 
 def arm_state(answer: Mapping[str, Any], moving_rad_s: float) -> ArmState:

@@ -202,10 +202,10 @@ class Dashboard:
                 f"{link.where}: no connection to the UR dashboard ({refusal}); is the controller switched on, is this"
                 " its address, and does the network between allow it?"
             )
-        self.greeting = self._read("its greeting")
-        if "universal robots dashboard" not in self.greeting.lower():
+        greeting = self._read("its greeting")
+        if "universal robots dashboard" not in greeting.lower():
             raise LinkLost(
-                f"{link.where}: the peer is not a UR dashboard: its greeting is '{printable(self.greeting)}';"
+                f"{link.where}: the peer is not a UR dashboard: its greeting is '{printable(greeting)}';"
                 " check the address"
             )
 

@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.arms.ur_rtde_reader import PROGRAM_STATES, ROBOT_MODES, SAFETY_MODES, UrSample, mode_name
+from drivers.arms.ur_rtde_reader import ProgramState, RobotMode, SafetyMode, UrSample, mode_name
 
 MAX_SPEED = 3.14
 """Largest joint speed that the RTDE client accepts [rad/s]."""
@@ -47,9 +47,9 @@ def read_worker_sample(receive: Any, optional: Collection[str]) -> UrSample:
         q=tuple(q),
         qd=tuple(qd),
         joints_c=tuple(temperatures),
-        robot_mode=mode_name(ROBOT_MODES, modes[0]),
-        safety_mode=mode_name(SAFETY_MODES, modes[1]),
-        program=mode_name(PROGRAM_STATES, modes[2]),
+        robot_mode=mode_name(RobotMode, modes[0]),
+        safety_mode=mode_name(SafetyMode, modes[1]),
+        program=mode_name(ProgramState, modes[2]),
         payload_kg=payload_kg,
         payload_center_m=center,
         speed_fraction=fraction,

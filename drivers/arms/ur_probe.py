@@ -61,7 +61,7 @@ _MODELS_WITH_E_SUFFIX = ("UR3", "UR5", "UR10", "UR16")
 
 
 class _Query(enum.StrEnum):
-    """All texts that are ever sent to a dashboard: questions only."""
+    """All texts that are ever sent to a dashboard: questions only; names are those of fields of ``UrProbe``."""
 
     VERSION = "PolyscopeVersion"
     MODEL = "get robot model"
@@ -69,7 +69,7 @@ class _Query(enum.StrEnum):
     ROBOT_MODE = "robotmode"
     SAFETY_MODE = "safetymode"
     SAFETY_STATUS = "safetystatus"
-    RUNNING = "running"
+    PROGRAM_RUNNING = "running"
     PROGRAM = "programState"
     REMOTE_CONTROL = "is in remote control"
 
@@ -81,7 +81,7 @@ _ANSWERS = {
     _Query.ROBOT_MODE: re.compile(r"Robotmode: ([A-Z_]{1,40})$"),
     _Query.SAFETY_MODE: re.compile(r"Safetymode: ([A-Z_]{1,40})$"),
     _Query.SAFETY_STATUS: re.compile(r"Safetystatus: ([A-Z_0-9]{1,60})$"),
-    _Query.RUNNING: re.compile(r"(?:Program|Robot) running: (true|false)$", re.IGNORECASE),
+    _Query.PROGRAM_RUNNING: re.compile(r"(?:Program|Robot) running: (true|false)$", re.IGNORECASE),
     _Query.PROGRAM: re.compile(r"(?:PLAYING|PAUSED) (.{1,200})$"),
     _Query.REMOTE_CONTROL: re.compile(r"(true|false)$", re.IGNORECASE),
 }
@@ -132,7 +132,7 @@ class UrPrimary:
         Tool centre point in the flange frame: position [m], rotation vector [rad].
     real_robot : bool or None
         Whether motions move the real arm; False in simulation mode.
-    note : str
+    kinematics_note : str
         Why no kinematics were read; empty if they were.
     """
 
@@ -140,11 +140,11 @@ class UrPrimary:
     limits: JointLimits | None = None
     tcp: tuple[float, ...] | None = None
     real_robot: bool | None = None
-    note: str = ""
+    kinematics_note: str = ""
 
 
-@dataclass(frozen=True)
-class UrProbe:
+@dataclass(frozen=True, kw_only=True)
+class UrProbe(UrPrimary):
     """Result of a probe. None: not reported, or not supported by the software version.
 
     Attributes
@@ -161,43 +161,28 @@ class UrProbe:
         Whether it accepts commands over the network; None if it has no such switch (CB3).
     ports : mapping
         Primary, script and RTDE port -> whether it accepts a connection.
-    kinematics : UrKinematics or None
-    kinematics_note : str
-        Why no kinematics were read; empty if they were.
-    limits : JointLimits or None
-        Limits of the joints in the controller.
-    tcp : tuple of float or None
-        Tool centre point in the flange frame: position [m], rotation vector [rad].
     sample : UrSample or None
         The arm's state over RTDE.
     sample_note : str
         Why no state was read; empty if one was.
-    real_robot : bool or None
-        Whether motions move the real arm; False: the controller is in simulation mode.
     program : str or None
         Name of the program that runs or is paused.
     """
 
     host: str
-    greeting: str
     software: str
     series: str
-    model: str | None
-    serial: str | None
-    robot_mode: str | None
-    safety_mode: str | None
-    safety_status: str | None
-    remote_control: bool | None
-    program_running: bool | None
+    model: str | None = None
+    serial: str | None = None
+    robot_mode: str | None = None
+    safety_mode: str | None = None
+    safety_status: str | None = None
+    remote_control: bool | None = None
+    program_running: bool | None = None
+    program: str | None = None
     ports: Mapping[int, bool]
-    kinematics: UrKinematics | None
-    kinematics_note: str
-    limits: JointLimits | None = None
-    tcp: tuple[float, ...] | None = None
     sample: UrSample | None = None
     sample_note: str = ""
-    real_robot: bool | None = None
-    program: str | None = None
 
     @property
     def full_model(self) -> str | None:
@@ -225,15 +210,13 @@ def probe_ur(
     host: str,
     timeout_s: float,
     *,
-    dashboard_port: int = DASHBOARD_PORT,
-    primary_port: int = PRIMARY_PORT,
-    script_port: int = SCRIPT_PORT,
-    rtde_port: int = RTDE_PORT,
+    ports: Sequence[int] = (DASHBOARD_PORT, PRIMARY_PORT, SCRIPT_PORT, RTDE_PORT),
     look: Callable[[], None] | None = None,
 ) -> UrProbe:
     """Read identity and state of a UR controller. Returns or raises within ``timeout_s`` in all cases.
 
-    IPv4 only, like the RTDE client. ``look`` is called while this waits and may raise.
+    IPv4 only, like the RTDE client. ``ports`` are those of dashboard, primary interface, script and RTDE. ``look`` is
+    called while this waits and may raise.
 
     Raises
     ------
@@ -248,39 +231,23 @@ def probe_ur(
     address = resolve(host, patience)
     with ExitStack() as stack:
         # in parallel, so that a dead port takes no time from the others
-        dashboard, primary, script, rtde = (
-            stack.enter_context(Connection(host, address, port))
-            for port in (dashboard_port, primary_port, script_port, rtde_port)
-        )
+        dashboard, primary, script, rtde = (stack.enter_context(Connection(host, address, port)) for port in ports)
         try:
-            conversation = _ask_dashboard(dashboard, patience)
+            software, answers = _ask_dashboard(dashboard, patience)
         except LinkLost as error:
             raise _with_open_ports(error, (primary, script, rtde), patience) from error.__cause__
         sample, sample_note = _state(rtde, patience.share(0.5))
         primary_state = _read_primary(primary, patience)
-        ports = {link.port: not link.refusal(patience) for link in (primary, script, rtde)}
-    greeting, software, answers = conversation
+        accepting = {link.port: not link.refusal(patience) for link in (primary, script, rtde)}
     return UrProbe(
+        **vars(primary_state),
+        **answers,
         host=host,
-        greeting=greeting,
         software=software,
         series=_series(software),
-        model=answers.get(_Query.MODEL),
-        serial=answers.get(_Query.SERIAL),
-        robot_mode=answers.get(_Query.ROBOT_MODE),
-        safety_mode=answers.get(_Query.SAFETY_MODE),
-        safety_status=answers.get(_Query.SAFETY_STATUS),
-        remote_control=_is_true(answers.get(_Query.REMOTE_CONTROL)),
-        program_running=_is_true(answers.get(_Query.RUNNING)),
-        ports=ports,
-        kinematics=primary_state.kinematics,
-        kinematics_note=primary_state.note,
-        limits=primary_state.limits,
-        tcp=primary_state.tcp,
+        ports=accepting,
         sample=sample,
         sample_note=sample_note,
-        real_robot=primary_state.real_robot,
-        program=answers.get(_Query.PROGRAM),
     )
 
 
@@ -329,10 +296,6 @@ def _major_version(primary: Connection, patience: Patience) -> int | None:
     return message[at] if subtype == _VERSION_MESSAGE and at < len(message) else None
 
 
-def _is_true(answer: str | None) -> bool | None:
-    return None if answer is None else answer.lower() == "true"
-
-
 def _series(software: str) -> str:
     return _SERIES.get(int(software.split(".")[0]), "unknown")
 
@@ -340,8 +303,8 @@ def _series(software: str) -> str:
 # -- dashboard --------------------------------------------------------------------------------------------------------
 
 
-def _ask_dashboard(link: Connection, patience: Patience) -> tuple[str, str, dict[_Query, str]]:
-    """Return greeting, version and the answers that could be read."""
+def _ask_dashboard(link: Connection, patience: Patience) -> tuple[str, dict[str, Any]]:
+    """Return the version, and the answers that could be read as fields of ``UrProbe``."""
     dashboard = Dashboard(link, patience)
     version = dashboard.ask(_Query.VERSION)
     found = _ANSWERS[_Query.VERSION].match(version)
@@ -351,15 +314,16 @@ def _ask_dashboard(link: Connection, patience: Patience) -> tuple[str, str, dict
             f" '{printable(version)}'; check that this is a UR controller"
         )
     software = found.group(1)
-    answers: dict[_Query, str] = {}
+    answers: dict[str, Any] = {}
     for query in _Query:
         if query is _Query.VERSION or (query is _Query.REMOTE_CONTROL and _series(software) == "CB3"):
             continue
         # older software answers an unknown question with an error line, which counts as no answer
         match = _ANSWERS[query].match(dashboard.ask(query))
         if match:
-            answers[query] = match.group(1)
-    return dashboard.greeting, software, answers
+            truth = query in (_Query.PROGRAM_RUNNING, _Query.REMOTE_CONTROL)
+            answers[query.name.lower()] = match.group(1).lower() == "true" if truth else match.group(1)
+    return software, answers
 
 
 def _state(link: Connection, patience: Patience) -> tuple[UrSample | None, str]:
@@ -376,13 +340,13 @@ def _read_primary(link: Connection, patience: Patience) -> UrPrimary:
     """Read packages until one contains the kinematics; return the contents of all packages up to it."""
     refusal = link.refusal(patience)
     if refusal:
-        return UrPrimary(note=f"port {link.port}: no connection ({refusal})")
+        return UrPrimary(kinematics_note=f"port {link.port}: no connection ({refusal})")
     received = bytearray()
     packages = states = 0
     primary_state = UrPrimary()
 
     def incomplete(why: str) -> UrPrimary:
-        return replace(primary_state, note=f"port {link.port}: {why}")
+        return replace(primary_state, kinematics_note=f"port {link.port}: {why}")
 
     while packages < _MAX_PACKAGES and states < _MAX_STATES:
         if len(received) >= _PACKAGE_HEADER.size:
@@ -498,7 +462,7 @@ def time_link(host: str, timeout_s: float, look: Callable[[], None]) -> tuple[fl
             with suppress(LinkLost):
                 while not ended.wait(_ASK_EVERY_S):
                     asked_s = time.monotonic()
-                    dashboard.ask(_Query.RUNNING)
+                    dashboard.ask(_Query.PROGRAM_RUNNING)
                     trips_s.append(time.monotonic() - asked_s)
 
         asking = threading.Thread(target=ask, name=f"round trips to {host}", daemon=True)

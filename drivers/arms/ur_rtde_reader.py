@@ -11,6 +11,7 @@ import struct
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from enum import IntEnum
 from typing import Any
 
 from drivers.arms.protocol import ArmError, EmergencyStop, LinkLost, ProtectiveStop
@@ -22,7 +23,7 @@ _VERSION, _OUTPUTS, _INPUTS, _START, _DATA = ord("V"), ord("O"), ord("I"), ord("
 _FREQUENCY_HZ = 125.0
 """Rate that every series supports."""
 _MAX_PACKETS = 1000
-_FORMATS = {
+FORMATS = {
     "DOUBLE": "d",
     "INT32": "i",
     "UINT32": "I",
@@ -33,36 +34,52 @@ _FORMATS = {
     "VECTOR6D": "6d",
     "VECTOR6INT32": "6i",
 }
+"""Types of the protocol and their binary layouts."""
 _REQUIRED = ("timestamp", "actual_q", "actual_qd", "robot_mode", "safety_mode", "runtime_state")
 _OPTIONAL = ("target_speed_fraction", "payload", "payload_cog", "joint_temperatures")
 """Older software versions lack some of these."""
 _AT_REST_RAD_S = 0.005
 _RETRY_S = 0.1
 
-SAFETY_MODES = {
-    1: "NORMAL",
-    2: "REDUCED",
-    3: "PROTECTIVE_STOP",
-    4: "RECOVERY",
-    5: "SAFEGUARD_STOP",
-    6: "SYSTEM_EMERGENCY_STOP",
-    7: "ROBOT_EMERGENCY_STOP",
-    8: "VIOLATION",
-    9: "FAULT",
-}
-ROBOT_MODES = {
-    -1: "NO_CONTROLLER",
-    0: "DISCONNECTED",
-    1: "CONFIRM_SAFETY",
-    2: "BOOTING",
-    3: "POWER_OFF",
-    4: "POWER_ON",
-    5: "IDLE",
-    6: "BACKDRIVE",
-    7: "RUNNING",
-    8: "UPDATING_FIRMWARE",
-}
-PROGRAM_STATES = {0: "STOPPING", 1: "STOPPED", 2: "PLAYING", 3: "PAUSING", 4: "PAUSED", 5: "RESUMING"}
+
+class SafetyMode(IntEnum):
+    """Safety modes as numbered in the protocol."""
+
+    NORMAL = 1
+    REDUCED = 2
+    PROTECTIVE_STOP = 3
+    RECOVERY = 4
+    SAFEGUARD_STOP = 5
+    SYSTEM_EMERGENCY_STOP = 6
+    ROBOT_EMERGENCY_STOP = 7
+    VIOLATION = 8
+    FAULT = 9
+
+
+class RobotMode(IntEnum):
+    """Robot modes as numbered in the protocol."""
+
+    NO_CONTROLLER = -1
+    DISCONNECTED = 0
+    CONFIRM_SAFETY = 1
+    BOOTING = 2
+    POWER_OFF = 3
+    POWER_ON = 4
+    IDLE = 5
+    BACKDRIVE = 6
+    RUNNING = 7
+    UPDATING_FIRMWARE = 8
+
+
+class ProgramState(IntEnum):
+    """States of the program as numbered in the protocol."""
+
+    STOPPING = 0
+    STOPPED = 1
+    PLAYING = 2
+    PAUSING = 3
+    PAUSED = 4
+    RESUMING = 5
 
 
 SLIDER_DOWN = 0.005
@@ -231,13 +248,13 @@ class Outputs:
             names = tuple(name for name, kind in zip(names, types, strict=True) if kind != "NOT_FOUND")
             types = _setup_outputs(packets, names, frequency_hz)
         missing = [name for name in required if name not in names]
-        unknown = [kind for kind in types if kind not in _FORMATS]
+        unknown = [kind for kind in types if kind not in FORMATS]
         if missing or unknown:
             raise LinkLost(f"{link.where}: the controller's RTDE does not provide {', '.join(missing or unknown)}")
         if packets.ask(_START, b"") != b"\x01":
             raise LinkLost(f"{link.where}: the controller did not start to send its state")
         self.names = names
-        self._formats = [struct.Struct(f">{_FORMATS[kind]}") for kind in types]
+        self._formats = [struct.Struct(f">{FORMATS[kind]}") for kind in types]
 
     def states(self, patience: Callable[[], Patience]) -> Iterator[dict[str, tuple[float, ...]]]:
         """Yield states as they arrive, as output -> its values; ``patience`` returns the time limit of each wait."""
@@ -271,9 +288,9 @@ def _sample(where: str, values: Mapping[str, tuple[float, ...]]) -> UrSample:
         time_s=values["timestamp"][0],
         q=values["actual_q"],
         qd=values["actual_qd"],
-        robot_mode=mode_name(ROBOT_MODES, values["robot_mode"][0]),
-        safety_mode=mode_name(SAFETY_MODES, values["safety_mode"][0]),
-        program=mode_name(PROGRAM_STATES, values["runtime_state"][0]),
+        robot_mode=mode_name(RobotMode, values["robot_mode"][0]),
+        safety_mode=mode_name(SafetyMode, values["safety_mode"][0]),
+        program=mode_name(ProgramState, values["runtime_state"][0]),
         speed_fraction=None if fraction is None else fraction[0],
         payload_kg=None if payload is None else payload[0],
         payload_center_m=values.get("payload_cog"),
@@ -281,9 +298,9 @@ def _sample(where: str, values: Mapping[str, tuple[float, ...]]) -> UrSample:
     )
 
 
-def mode_name(names: Mapping[int, str], code: float) -> str:
+def mode_name(modes: type[IntEnum], code: float) -> str:
     """Return the controller's name of a mode, or ``UNKNOWN_`` and its number."""
-    return names.get(int(code), f"UNKNOWN_{int(code)}")
+    return next((mode.name for mode in modes if mode == code), f"UNKNOWN_{int(code)}")
 
 
 class _Packets:

@@ -202,23 +202,13 @@ class Worker:
         if supervisor is None:
             raise failed("no controller was opened")
         match request["do"]:
-            case "state":
-                return supervisor.state()
-            case "move":
-                return supervisor.move(request)
-            case "path":
-                return supervisor.path(request)
-            case "end_path":
-                return supervisor.end_path()
-            case "reached":
-                return supervisor.reached()
+            case "state" | "confirm" | "end_path" | "reached" as question:
+                return dict(getattr(supervisor, question)())
+            case "move" | "path" | "allowed" as order:
+                return dict(getattr(supervisor, order)(request))
             case "settled":
                 supervisor.wait_settled(int(request["id"]), float(request["timeout_s"]))
                 return None
-            case "allowed":
-                return supervisor.allowed(request)
-            case "confirm":
-                return supervisor.confirm()
             case "release":
                 released = supervisor.release()
                 self._released = int(request["brakes"])

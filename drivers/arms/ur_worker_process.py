@@ -21,6 +21,7 @@ from typing import Any
 
 import drivers
 from drivers.arms.protocol import LiveArm
+from drivers.arms.ur_control import Refusal
 from drivers.arms.ur_links import printable
 from drivers.arms.ur_motion import DECELERATES_WITHIN_S
 from drivers.patience import Patience, patient_get
@@ -98,14 +99,6 @@ class WorkerGone(Exception):
     def __init__(self, reason: str, kind: str = "driver") -> None:
         super().__init__(reason)
         self.kind = kind
-
-
-class WorkerRefusal(Exception):
-    """The worker refused a request, or reports that the arm did not execute it."""
-
-    def __init__(self, kind: str, text: str) -> None:
-        super().__init__(text)
-        self.kind, self.text = kind, text
 
 
 @dataclass(frozen=True)
@@ -221,7 +214,7 @@ class WorkerProcess:
         """Send a request and return its answer.
 
         ``permitted`` is called when no brake can come between it and the sending; it raises to send nothing. A call of
-        ``settled`` also ends when ``brake`` is called. Raises ``WorkerGone`` or ``WorkerRefusal``.
+        ``settled`` also ends when ``brake`` is called. Raises ``WorkerGone`` or ``Refusal``.
         """
         answered: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
         with self._lock:
@@ -254,7 +247,7 @@ class WorkerProcess:
             self._require_running()
         assert answer is not None
         if "error" in answer:
-            raise WorkerRefusal(str(answer["error"]), str(answer["text"]))
+            raise Refusal(str(answer["error"]), str(answer["text"]))
         return dict(answer["ok"])
 
     def brake(self, within_s: float = _LOCK_WITHIN_S) -> bool:

@@ -6,9 +6,8 @@
         tracker.connect()
         bridge.fault("garbage")      # the next answer comes damaged
 
-On its own, the emulator advances the plant's clock itself, without waiting. If other emulators share the plant, one of
-them advances the clock and all use one lock: pass that lock as a ``threading.Condition`` (``clock``). The tracker then
-waits for the plant's clock, with the lock released, instead of advancing it.
+On its own, the emulator advances the plant's clock itself, without waiting. If controllers move the plant (``cell``),
+the tracker waits for their clock, with their lock released, instead.
 
 Another process requests faults on a separate connection to the same port, before any ``hello``:
 ``1 fault kind=garbage*CRC``; from loopback addresses only.
@@ -16,15 +15,15 @@ Another process requests faults on a separate connection to the same port, befor
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.emulators.ur_controller import PacedCell
 from drivers.plant import Plant
 from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge_links import Link
@@ -37,32 +36,9 @@ from drivers.trackers.simulated import SimulatedTracker
 Fault = Literal["beam", "slow", "garbage", "truncate", "silence", "drop", "repeat", "reboot", "tracker-reboot"]
 FAULTS: tuple[Fault, ...] = get_args(Fault)
 
-_STANDSTILL_S = 30.0
-_POLL_S = 0.005
 _MOST_FAULTS = 1000
 _WATCH_S = 0.1
 """Plant time between two checks of the beam and the SMR during a measurement on a shared plant."""
-
-
-class WaitingClock:
-    """Callable that waits until another emulator has advanced the plant; call it with ``clock`` held.
-
-    Raises ``TrackerTimeout`` if the plant's clock has not advanced for half a minute.
-    """
-
-    def __init__(self, plant: Plant, clock: threading.Condition) -> None:
-        self._plant, self._clock = plant, clock
-
-    def __call__(self, duration_s: float) -> None:
-        """Wait until ``duration_s`` [s] of plant time have passed, with ``clock`` released."""
-        until_s = self._plant.clock_s + duration_s
-        seen_s, last = self._plant.clock_s, time.monotonic()
-        while self._plant.clock_s < until_s:
-            self._clock.wait(_POLL_S)
-            if self._plant.clock_s != seen_s:
-                seen_s, last = self._plant.clock_s, time.monotonic()
-            elif time.monotonic() - last > _STANDSTILL_S:
-                raise TrackerTimeout("tracker: the simulated cell's clock does not advance; nothing moves the plant on")
 
 
 class TrackerBridgeEmulator(TrackerService):
@@ -78,7 +54,7 @@ class TrackerBridgeEmulator(TrackerService):
         self,
         plant: Plant,
         *,
-        clock: threading.Condition | None = None,
+        cell: PacedCell | None = None,
         imperfections: Imperfections | None = None,
         nests: Mapping[str, NDArray[np.float64]] | None = None,
         wrong_target_m: float | None = None,
@@ -88,29 +64,36 @@ class TrackerBridgeEmulator(TrackerService):
     ) -> None:
         """Configure a service for the tracker of ``plant``.
 
-        ``clock`` is the lock of a shared plant, see the module docstring. A restart takes ``reboot_s``: real time for
-        the bridge, plant time for the tracker. A slow answer is ``slow_s`` late. ``options`` are those of
+        ``cell`` is that of the controllers that move the plant, see the module docstring. A restart takes ``reboot_s``:
+        real time for the bridge, plant time for the tracker. A slow answer is ``slow_s`` late. ``options`` are those of
         ``TrackerService``.
         """
-        pass_time: Callable[[float], None] | None = None if clock is None else WaitingClock(plant, clock)
+        self._cell = cell
         self.tracker = SimulatedTracker(
             plant,
             imperfections or Imperfections(),
             nests=nests,
             wrong_target_m=wrong_target_m,
-            pass_time=pass_time,
-            watch_s=float("inf") if clock is None else _WATCH_S,
+            pass_time=None if cell is None else self._wait,
+            watch_s=float("inf") if cell is None else _WATCH_S,
         )
-        super().__init__(self.tracker, lock=clock, **options)
+        super().__init__(self.tracker, lock=None if cell is None else cell.lock, **options)
         self._plant_names = (*plant.names, *(nests or {}))
         self._reboot_s, self._slow_s = reboot_s, slow_s
-        self._tracker_down_s = (
-            0.0 if clock is None else reboot_s
-        )  # without other emulators, only measuring advances the clock
+        # without other emulators, only measuring advances the clock
+        self._tracker_down_s = 0.0 if cell is None else reboot_s
         self._faults: deque[Fault] = deque()
         self._late: deque[tuple[float, Link, int, Reply]] = deque()
         self._down_until = 0.0
         self._covered: frozenset[str] = frozenset()
+
+    def _wait(self, duration_s: float) -> None:
+        """Wait until the controllers have advanced the plant by ``duration_s`` [s]."""
+        assert self._cell is not None
+        try:
+            self._cell.wait(duration_s)
+        except TimeoutError as error:
+            raise TrackerTimeout(f"tracker: {error}") from error
 
     def fault(self, kind: str) -> None:
         """Inject a fault into the next measurement; repeated calls queue faults for the following ones.

@@ -10,8 +10,9 @@ cause exactly that deflection.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from numbers import Real
 from typing import Any
 
@@ -133,9 +134,12 @@ class Parameters:
 
     def by_law(self, default: str, *others: str) -> tuple[str, Parameters]:
         """Return the parameter ``law``, one of these words, ``default`` if it is missing; and the other parameters."""
-        law = self.choice("law", default, *others) if "law" in self._values else default
-        rest = {key: value for key, value in self._values.items() if key != "law"}
-        return law, Parameters(self._arm, self._effect, rest, self.joints)
+        return self.choice("law", default, *others) if "law" in self._values else default, self.without("law")
+
+    def without(self, left_out: str) -> Parameters:
+        """Return the other parameters."""
+        rest = {key: value for key, value in self._values.items() if key != left_out}
+        return Parameters(self._arm, self._effect, rest, self.joints)
 
     def all_or_none(self, *keys: str) -> bool:
         """Return whether these optional keys are given; raise ``ValueError`` if only some of them are."""
@@ -214,12 +218,78 @@ class Parameters:
         return str(value)
 
     def joint_numbers(self, key: str) -> np.ndarray:
-        """Return a list of different joint numbers; counted from 1 in the parameter, from 0 in the result."""
+        """Return a list of different joint numbers; counted from 1 in the parameter, from 0 in the result.
+
+        Lists that are read after it have one value for each of these joints.
+        """
         value = self._values[key]
         valid = isinstance(value, list | tuple) and len(set(value)) == len(value) > 0
         if not valid or any(isinstance(v, bool) or not isinstance(v, int) or not 1 <= v <= self.joints for v in value):
             raise self.error(key, f"must be a list of different joint numbers from 1 to {self.joints}, not {value!r}")
+        self.joints = len(value)
         return np.array(value, dtype=int) - 1
+
+
+# -- Factories of effects, made from how each parameter is read --------------------------------------------------------
+
+
+Factory = Callable[[Parameters], Effect]
+Read = Callable[[Parameters, str], Any]
+
+NUMBER, NUMBERS, JOINTS = Parameters.number, Parameters.numbers, Parameters.joint_numbers
+STIFFNESS, STIFFNESSES = Parameters.stiffness, Parameters.stiffnesses
+POSITIVE, NOT_NEGATIVE = partial(NUMBER, above=0.0), partial(NUMBER, least=0.0)
+POSITIVES, NOT_NEGATIVES = partial(NUMBERS, above=0.0), partial(NUMBERS, least=0.0)
+VECTOR, SEED = partial(NUMBERS, count=3), partial(Parameters.integer, least=0)
+
+
+def made(effect: Callable[..., Effect], optional: Mapping[str, Read] | None = None, /, **reads: Read) -> Factory:
+    """Return the factory of an effect that takes the parameters of these names, read in this order."""
+
+    def factory(parameters: Parameters) -> Effect:
+        parameters.require(*reads, optional=tuple(optional or ()))
+        return effect(**{key: read(parameters, key) for key, read in {**reads, **(optional or {})}.items()})
+
+    return factory
+
+
+def by_law(**factories: Factory) -> Factory:
+    """Return the factory of an effect whose parameter ``law`` names one of these; the first if it is missing."""
+
+    def factory(parameters: Parameters) -> Effect:
+        law, others = parameters.by_law(*factories)
+        return factories[law](others)
+
+    return factory
+
+
+def of_arms(joints: int, what: str, factory: Factory) -> Factory:
+    """Return a factory that refuses arms of fewer joints."""
+
+    def checked(parameters: Parameters) -> Effect:
+        if parameters.joints < joints:
+            raise parameters.effect_error(f"{what} needs an arm of at least {joints} joints, not {parameters.joints}")
+        return factory(parameters)
+
+    return checked
+
+
+# -- Deviations of some joints of an arm ------------------------------------------------------------------------------
+
+
+def on_joints(situation: Situation, joints: int | np.ndarray, angles: Array) -> Deflection:
+    """Return the deviation by ``angles`` of one joint (n,) or of several (n, k) [rad]."""
+    offsets = np.zeros_like(situation.q)
+    offsets[:, joints] = angles
+    return Deflection(joints=offsets)
+
+
+def before_joints(situation: Situation, joints: np.ndarray, twists: Array) -> Deflection:
+    """Return the deviation by twists (n, k, 6) of the axes of k joints, each in the frame before its joint."""
+    n, count = situation.q.shape
+    every = np.zeros((n, count + 1, 6))
+    every[:, joints] = twists
+    return Deflection(base=every[:, 0], links=every[:, 1:])
 
 
 # -- First-order lags of joints along a path --------------------------------------------------------------------------

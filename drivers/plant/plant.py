@@ -208,9 +208,7 @@ class Plant:
         step = q - phase.q if moving else np.repeat(phase.last_step[None], len(q), axis=0)
         memories = list(phase.memories)
         if moving:
-            memories = [
-                effect.memory_after_motion(memory, q) for effect, memory in zip(arm.effects, memories, strict=True)
-            ]
+            memories = arm.remembered(memories, q)
         air_c = np.full(len(q), self.air_temperature_c)
         situation = Situation(
             q=q,
@@ -315,11 +313,7 @@ class Plant:
     def _end_motion(self, arm: TrueArm, q: Array, time_s: float) -> None:
         """Update the arm's state and memories after a motion to ``q``."""
         note_phase(arm, time_s)
-        step, effects = q - arm.q, zip(arm.effects, arm.memories, strict=True)
-        arm.memories = [effect.memory_after_motion(memory, q[None]) for effect, memory in effects]
-        arm.approach = np.where(step == 0.0, arm.approach, np.sign(step))
-        arm.last_step = step
-        arm.q = q
+        arm.note_motion(q)
         arm.rest_since_s = time_s
         arm.motion, arm.streamed = None, None
 

@@ -107,23 +107,7 @@ def follow(arm: TrueArm, goal: Array, time_s: float, rate: float, repeatability:
     else:
         now = np.array([time_s])
         q, speed = ended.position(now)[0], ended.velocity(now)[0]
-        _note_reversals(arm, q)
+        assert arm.streamed is not None
+        arm.note_turn(arm.streamed, q)
     arm.streamed = q
     arm.motion = ServoMotion.towards(np.array(goal, dtype=np.float64), time_s, q, speed, rate)
-
-
-def _note_reversals(arm: TrueArm, q: Array) -> None:
-    """Update the memories of joints that reversed in a stream; the other joints continue their motion."""
-    assert arm.streamed is not None
-    before = arm.streamed
-    step = before - arm.q
-    turned = (q - before) * step < 0.0
-    if turned.any():
-        at = np.where(turned, before, arm.q)
-        arm.memories = [
-            effect.memory_after_motion(memory, at[None])
-            for effect, memory in zip(arm.effects, arm.memories, strict=True)
-        ]
-        arm.approach = np.where(turned, np.sign(step), arm.approach)
-        arm.last_step = np.where(turned, step, arm.last_step)
-        arm.q = at

@@ -6,7 +6,7 @@ with the reach and weight of a UR10; for other arms they are scaled by torque or
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,8 +67,7 @@ class Draw:
     def random_vector(self, low: float, high: float) -> list[float]:
         """Draw a vector of random direction with a length between two sizes."""
         direction = self.rng.standard_normal(3)
-        found: list[float] = (direction / np.linalg.norm(direction) * self.log_uniform(low, high)).tolist()
-        return found
+        return list(map(float, direction / np.linalg.norm(direction) * self.log_uniform(low, high)))
 
     def some_joints(self) -> list[int]:
         """Draw two to four joints, counted from 1; at least two of the first three, which have long lever arms."""
@@ -93,8 +92,7 @@ def _drive_stiffness(draw: Draw) -> list[float]:
     design_torque = np.maximum(draw.torques, 0.15 * draw.torques.max())
     design_torque[0] = max(design_torque[0], draw.torques.max())
     windup = draw.log_uniform(1.0e-3, 2.2e-3) * np.exp(0.2 * draw.rng.standard_normal(draw.arm.joints))
-    found: list[float] = (design_torque / windup).tolist()
-    return found
+    return list(map(float, design_torque / windup))
 
 
 def _joint_compliance(draw: Draw) -> dict[str, Any]:
@@ -107,10 +105,6 @@ def _joint_compliance(draw: Draw) -> dict[str, Any]:
         "soft_stiffness": (draw.uniform(0.65, 0.85) * np.array(stiffness)).tolist(),
         "knee": knee.tolist(),
     }
-
-
-def _payload_compliance(draw: Draw) -> dict[str, Any]:
-    return {"stiffness": _drive_stiffness(draw)}
 
 
 def _link_bending(draw: Draw) -> dict[str, Any]:
@@ -162,13 +156,6 @@ def _encoder_eccentricity(draw: Draw) -> dict[str, Any]:
     }
 
 
-def _backlash(draw: Draw) -> dict[str, Any]:
-    values: dict[str, Any] = {"play": draw.per_joint(50e-6, 140e-6)}
-    if draw.rng.random() < 0.3:
-        values["reach"] = [draw.log_uniform(0.05, 0.4)] * draw.arm.joints
-    return values
-
-
 def _friction_windup(draw: Draw) -> dict[str, Any]:
     stiffness = np.array(_drive_stiffness(draw))
     # about 5 Nm and 5 % of the load at a shoulder of 122 Nm
@@ -177,13 +164,6 @@ def _friction_windup(draw: Draw) -> dict[str, Any]:
         "friction": friction,
         "load_friction": draw.per_joint(0.03, 0.1),
         "stiffness": stiffness.tolist(),
-    }
-
-
-def _unsettled_measurement(draw: Draw) -> dict[str, Any]:
-    return {
-        "fraction": draw.per_joint(6e-5, 1.6e-4),
-        "time_constant": [draw.log_uniform(2.0, 8.0)] * draw.arm.joints,
     }
 
 
@@ -212,20 +192,6 @@ def _joint_axis_runout(draw: Draw) -> dict[str, Any]:
     }
 
 
-def _thermal_growth(draw: Draw) -> dict[str, Any]:
-    return {
-        "expansion": draw.uniform(20e-6, 25e-6),
-        "share": draw.uniform(0.6, 1.0),
-        "lag": draw.log_uniform(300.0, 1800.0),
-        "motor": draw.uniform(0.5e-6, 2.5e-6) * draw.reach / _UR10_REACH_M,
-    }
-
-
-def _joint_drift(draw: Draw) -> dict[str, Any]:
-    drift = [draw.signed_log_uniform(30e-6, 80e-6) for _ in range(draw.arm.joints)]
-    return {"drift": drift, "time_constant": [draw.uniform(0.12, 0.4) * draw.duration_s] * draw.arm.joints}
-
-
 def _course(draw: Draw) -> tuple[str, float, float]:
     """Draw a law and its time constant; also return the share of the drift that is reached at the end of the run."""
     law = str(draw.rng.choice(["linear", "exponential", "creep"]))
@@ -248,26 +214,6 @@ def _drift(draw: Draw, turn: tuple[float, float]) -> dict[str, Any]:
     }
 
 
-def _base_drift(draw: Draw) -> dict[str, Any]:
-    return _drift(draw, (30e-6, 80e-6))
-
-
-def _tracker_drift(draw: Draw) -> dict[str, Any]:
-    return _drift(draw, (8e-6, 25e-6))
-
-
-def _base_step(draw: Draw) -> dict[str, Any]:
-    return {
-        "shift": draw.random_vector(20e-6, 60e-6),
-        "turn": draw.random_vector(20e-6, 60e-6),
-        "time": draw.uniform(0.2, 0.8) * draw.duration_s,
-    }
-
-
-def _target_slip(draw: Draw) -> dict[str, Any]:
-    return {"shift": draw.random_vector(40e-6, 150e-6), "time": draw.uniform(0.2, 0.8) * draw.duration_s}
-
-
 def _pedestal_compliance(draw: Draw) -> dict[str, Any]:
     stiffness = draw.torques.max() / draw.log_uniform(45e-6, 90e-6)
     return {
@@ -282,10 +228,6 @@ def _pedestal_coupling(draw: Draw) -> dict[str, Any]:
     return {"bending": bending, "torsion": bending * draw.uniform(0.6, 1.2), "depth": draw.uniform(0.2, 0.8)}
 
 
-def _tracker_scale(draw: Draw) -> dict[str, Any]:
-    return {"ppm": draw.signed_log_uniform(2.0, 10.0)}
-
-
 def _tracker_angle_error(draw: Draw) -> dict[str, Any]:
     def circle() -> list[float]:
         # second order s^2 / 4
@@ -297,10 +239,6 @@ def _tracker_angle_error(draw: Draw) -> dict[str, Any]:
         ]
 
     return {"azimuth": circle(), "elevation": circle(), "transit": draw.signed_log_uniform(5e-6, 15e-6)}
-
-
-def _tracker_distance_offset(draw: Draw) -> dict[str, Any]:
-    return {"offset": draw.signed_log_uniform(8e-6, 30e-6)}
 
 
 def _target_incidence(draw: Draw) -> dict[str, Any]:
@@ -323,110 +261,95 @@ def _dress_pack(draw: Draw) -> dict[str, Any]:
     }
 
 
-def _crosstalk(draw: Draw) -> dict[str, Any]:
-    return {"amplitude": draw.signed_log_uniform(150e-6, 350e-6), "phase": draw.angle()}
-
-
-def _base_sway(draw: Draw) -> dict[str, Any]:
-    shift = draw.random_vector(30e-6, 70e-6)
-    return {"shift": shift, "period": draw.uniform(1500.0, 4500.0), "phase": draw.angle()}
-
-
-def _tool_sag(draw: Draw) -> dict[str, Any]:
-    return {"shift": draw.random_vector(60e-6, 140e-6)}
-
-
-def _wrist_cable(draw: Draw) -> dict[str, Any]:
-    lever = max(float(np.hypot(*draw.arm.smr_offset[:2])), 0.02)
-    return {"amplitude": draw.signed_log_uniform(40e-6, 90e-6) / lever, "phase": draw.angle()}
-
-
-def _draught(draw: Draw) -> dict[str, Any]:
-    return {
+_CATALOGUED: Mapping[str, Callable[[Draw], dict[str, Any]]] = {
+    "joint_compliance": _joint_compliance,
+    "payload_compliance": lambda draw: {"stiffness": _drive_stiffness(draw)},
+    "link_bending": _link_bending,
+    "transmission_error": _transmission_error,
+    "encoder_eccentricity": _encoder_eccentricity,
+    "backlash": lambda draw: {
+        "play": draw.per_joint(50e-6, 140e-6),
+        **({"reach": [draw.log_uniform(0.05, 0.4)] * draw.arm.joints} if draw.rng.random() < 0.3 else {}),
+    },
+    "friction_windup": _friction_windup,
+    "unsettled_measurement": lambda draw: {
+        "fraction": draw.per_joint(6e-5, 1.6e-4),
+        "time_constant": [draw.log_uniform(2.0, 8.0)] * draw.arm.joints,
+    },
+    "joint_axis_wobble": _joint_axis_wobble,
+    "thermal_growth": lambda draw: {
+        "expansion": draw.uniform(20e-6, 25e-6),
+        "share": draw.uniform(0.6, 1.0),
+        "lag": draw.log_uniform(300.0, 1800.0),
+        "motor": draw.uniform(0.5e-6, 2.5e-6) * draw.reach / _UR10_REACH_M,
+    },
+    "joint_drift": lambda draw: {
+        "drift": [draw.signed_log_uniform(30e-6, 80e-6) for _ in range(draw.arm.joints)],
+        "time_constant": [draw.uniform(0.12, 0.4) * draw.duration_s] * draw.arm.joints,
+    },
+    "base_drift": lambda draw: _drift(draw, (30e-6, 80e-6)),
+    "base_step": lambda draw: {
+        "shift": draw.random_vector(20e-6, 60e-6),
+        "turn": draw.random_vector(20e-6, 60e-6),
+        "time": draw.uniform(0.2, 0.8) * draw.duration_s,
+    },
+    "target_slip": lambda draw: {
+        "shift": draw.random_vector(40e-6, 150e-6),
+        "time": draw.uniform(0.2, 0.8) * draw.duration_s,
+    },
+    "pedestal_compliance": _pedestal_compliance,
+    "pedestal_coupling": _pedestal_coupling,
+    "tracker_scale": lambda draw: {"ppm": draw.signed_log_uniform(2.0, 10.0)},
+    "tracker_angle_error": _tracker_angle_error,
+    "tracker_distance_offset": lambda draw: {"offset": draw.signed_log_uniform(8e-6, 30e-6)},
+    "target_incidence": _target_incidence,
+    "tracker_drift": lambda draw: _drift(draw, (8e-6, 25e-6)),
+    "joint_axis_runout": _joint_axis_runout,
+}
+_UNCATALOGUED: Mapping[str, Callable[[Draw], dict[str, Any]]] = {
+    "dress_pack": _dress_pack,
+    "crosstalk": lambda draw: {"amplitude": draw.signed_log_uniform(150e-6, 350e-6), "phase": draw.angle()},
+    "base_sway": lambda draw: {
+        "shift": draw.random_vector(30e-6, 70e-6),
+        "period": draw.uniform(1500.0, 4500.0),
+        "phase": draw.angle(),
+    },
+    "tool_sag": lambda draw: {"shift": draw.random_vector(60e-6, 140e-6)},
+    "wrist_cable": lambda draw: {
+        "amplitude": draw.signed_log_uniform(40e-6, 90e-6) / max(float(np.hypot(*draw.arm.smr_offset[:2])), 0.02),
+        "phase": draw.angle(),
+    },
+    "draught": lambda draw: {
         "angle": draw.signed_log_uniform(9e-6, 20e-6),
         "period": draw.uniform(1200.0, 3600.0),
         "phase": draw.angle(),
-    }
-
-
-def _elbow_hose(draw: Draw) -> dict[str, Any]:
-    return {
+    },
+    "elbow_hose": lambda draw: {
         "angle": draw.signed_log_uniform(100e-6, 250e-6),
         "share": float(draw.rng.choice([-1.0, 1.0])) * draw.uniform(0.4, 1.2),
         "centre": draw.uniform(-0.8, 0.8),
         "width": draw.uniform(0.3, 0.9),
-    }
-
-
-def _joint_coupling(draw: Draw) -> dict[str, Any]:
-    return {
+    },
+    "joint_coupling": lambda draw: {
         "joint": 3,
         "first": 2,
         "second": min(4, draw.arm.joints),
         "amplitude": draw.signed_log_uniform(150e-6, 400e-6),
         "orders": draw.rng.integers(1, 4, 2).tolist(),
         "phases": draw.angles(2),
-    }
-
-
-def _warm_floor(draw: Draw) -> dict[str, Any]:
-    return {"per_kelvin": draw.random_vector(60e-6, 150e-6)}
-
-
-def _workspace_field(draw: Draw) -> dict[str, Any]:
-    return {"rms": draw.log_uniform(80e-6, 200e-6), "length": draw.uniform(0.4, 0.9), "seed": draw.seed()}
-
-
-def _drive_lag(draw: Draw) -> dict[str, Any]:
+    },
+    "warm_floor": lambda draw: {"per_kelvin": draw.random_vector(60e-6, 150e-6)},
+    "workspace_field": lambda draw: {
+        "rms": draw.log_uniform(80e-6, 200e-6),
+        "length": draw.uniform(0.4, 0.9),
+        "seed": draw.seed(),
+    },
+}
+_ONLY_MOVING: Mapping[str, Callable[[Draw], dict[str, Any]]] = {
     # filters and drives of controllers: an estimate
-    return {"time_constant": [draw.log_uniform(0.01, 0.03) for _ in range(draw.arm.joints)]}
-
-
-def _joint_vibration(draw: Draw) -> dict[str, Any]:
+    "drive_lag": lambda draw: {"time_constant": draw.per_joint(0.01, 0.03)},
     # first modes of arms of this class lie at some 8 to 15 Hz
-    return {"stiffness": _drive_stiffness(draw), "damping": draw.log_uniform(0.02, 0.08)}
-
-
-_CATALOGUED: dict[str, Callable[[Draw], dict[str, Any]]] = {
-    "joint_compliance": _joint_compliance,
-    "payload_compliance": _payload_compliance,
-    "link_bending": _link_bending,
-    "transmission_error": _transmission_error,
-    "encoder_eccentricity": _encoder_eccentricity,
-    "backlash": _backlash,
-    "friction_windup": _friction_windup,
-    "unsettled_measurement": _unsettled_measurement,
-    "joint_axis_wobble": _joint_axis_wobble,
-    "thermal_growth": _thermal_growth,
-    "joint_drift": _joint_drift,
-    "base_drift": _base_drift,
-    "base_step": _base_step,
-    "target_slip": _target_slip,
-    "pedestal_compliance": _pedestal_compliance,
-    "pedestal_coupling": _pedestal_coupling,
-    "tracker_scale": _tracker_scale,
-    "tracker_angle_error": _tracker_angle_error,
-    "tracker_distance_offset": _tracker_distance_offset,
-    "target_incidence": _target_incidence,
-    "tracker_drift": _tracker_drift,
-    "joint_axis_runout": _joint_axis_runout,
-}
-_UNCATALOGUED: dict[str, Callable[[Draw], dict[str, Any]]] = {
-    "dress_pack": _dress_pack,
-    "crosstalk": _crosstalk,
-    "base_sway": _base_sway,
-    "tool_sag": _tool_sag,
-    "wrist_cable": _wrist_cable,
-    "draught": _draught,
-    "elbow_hose": _elbow_hose,
-    "joint_coupling": _joint_coupling,
-    "warm_floor": _warm_floor,
-    "workspace_field": _workspace_field,
-}
-
-_ONLY_MOVING: dict[str, Callable[[Draw], dict[str, Any]]] = {
-    "drive_lag": _drive_lag,
-    "joint_vibration": _joint_vibration,
+    "joint_vibration": lambda draw: {"stiffness": _drive_stiffness(draw), "damping": draw.log_uniform(0.02, 0.08)},
 }
 
 REALISTIC: tuple[str, ...] = tuple(_CATALOGUED)
@@ -455,7 +378,7 @@ def suggest(slug: str, rng: np.random.Generator, arm: ArmConfig, duration_s: flo
 
     Raises ``ValueError`` for a slug that does not exist or a duration that is not positive.
     """
-    factories = _CATALOGUED | _UNCATALOGUED | _ONLY_MOVING
+    factories = {**_CATALOGUED, **_UNCATALOGUED, **_ONLY_MOVING}
     if slug not in factories:
         raise ValueError(f"unknown effect '{slug}'; effects are {', '.join(sorted(factories))}")
     return factories[slug](Draw.of(rng, arm, duration_s))
@@ -468,19 +391,16 @@ def suggest(slug: str, rng: np.random.Generator, arm: ArmConfig, duration_s: flo
 
 
 _Parameters = dict[str, Any]
+_Law = Callable[[Draw, _Parameters], _Parameters]
 
 
-def _some(draw: Draw, *laws: Callable[[Draw, _Parameters], _Parameters]) -> Callable[[Draw, _Parameters], _Parameters]:
+def _one_of(*laws: _Law) -> _Law:
     """Draw one of several laws."""
-    return laws[int(draw.rng.integers(len(laws)))]
+    return lambda draw, plain: laws[int(draw.rng.integers(len(laws)))](draw, plain)
 
 
 def _times(factor: float, values: list[float]) -> list[float]:
-    found: list[float] = (factor * np.array(values)).tolist()
-    return found
-
-
-# -- elastic and thermal effects ---------------------------------------------------------------------------------------
+    return list(map(float, factor * np.array(values)))
 
 
 def _three_stages(draw: Draw, plain: _Parameters) -> _Parameters:
@@ -495,49 +415,6 @@ def _three_stages(draw: Draw, plain: _Parameters) -> _Parameters:
     }
 
 
-def _stiffening(draw: Draw, plain: _Parameters) -> _Parameters:
-    return {
-        "law": "stiffening",
-        "stiffness": plain["stiffness"],
-        "soft_stiffness": _times(draw.uniform(0.35, 0.55), plain["stiffness"]),
-        "knee": (draw.uniform(0.2, 0.5) * draw.torques).tolist(),
-    }
-
-
-def _hardening(draw: Draw, plain: _Parameters) -> _Parameters:
-    stiff = np.array(plain["stiffness"])
-    # the cubic part takes this share of the largest torque
-    cubic = draw.uniform(0.3, 0.8) * stiff**3 / draw.torques**2
-    return {"law": "hardening", "stiffness": plain["stiffness"], "cubic": cubic.tolist()}
-
-
-def _other_joint_compliance(draw: Draw, plain: _Parameters) -> _Parameters:
-    return _some(draw, _three_stages, _stiffening, _hardening)(draw, plain)
-
-
-def _off_centre(draw: Draw, plain: _Parameters) -> _Parameters:
-    return {"law": "off_centre", **plain, "shift": draw.random_vector(0.03, 0.09)}
-
-
-def _softening(draw: Draw, plain: _Parameters) -> _Parameters:
-    return {
-        "law": "softening",
-        **plain,
-        "soft_stiffness": _times(draw.uniform(0.4, 0.65), plain["stiffness"]),
-        "knee": (draw.uniform(0.15, 0.4) * draw.torques).tolist(),
-    }
-
-
-def _other_payload_compliance(draw: Draw, plain: _Parameters) -> _Parameters:
-    return _some(draw, _off_centre, _softening)(draw, plain)
-
-
-def _other_link_bending(draw: Draw, plain: _Parameters) -> _Parameters:
-    # of a tube half a metre long: shear adds this share to its deflection
-    shear = [12.0 * value / 0.5**2 / draw.uniform(0.8, 2.0) for value in plain["bending"]]
-    return {"law": "shear", **plain, "shear": shear}
-
-
 def _other_thermal_growth(draw: Draw, plain: _Parameters) -> _Parameters:
     if draw.rng.random() < 0.5:
         return {"law": "saturating", **plain, "limit": draw.uniform(5.0, 12.0)}
@@ -549,11 +426,6 @@ def _other_thermal_growth(draw: Draw, plain: _Parameters) -> _Parameters:
         "slow_lag": draw.uniform(8.0, 20.0) * lag,
         "slow_share": draw.uniform(0.3, 0.6),
     }
-
-
-def _other_joint_drift(draw: Draw, plain: _Parameters) -> _Parameters:
-    time = draw.uniform(0.7, 1.4) * draw.duration_s
-    return {"law": "wandering", "drift": plain["drift"], "time": time, "seed": draw.seed()}
 
 
 def _other_pedestal_compliance(draw: Draw, plain: _Parameters) -> _Parameters:
@@ -573,9 +445,6 @@ def _other_pedestal_coupling(draw: Draw, plain: _Parameters) -> _Parameters:
         "depth": plain["depth"],
         "limit": draw.uniform(40.0, 120.0),
     }
-
-
-# -- gears, bearings, encoders, friction -------------------------------------------------------------------------------
 
 
 def _other_transmission_error(draw: Draw, plain: _Parameters) -> _Parameters:
@@ -602,32 +471,6 @@ def _other_encoder_eccentricity(draw: Draw, plain: _Parameters) -> _Parameters:
     return {"law": "tilted", **plain, "tilt": tilt, "tilt_phase": draw.angles(len(tilt))}
 
 
-def _warm_play(draw: Draw, plain: _Parameters) -> _Parameters:
-    reach = [draw.log_uniform(0.15, 0.6)] * draw.arm.joints
-    return {"law": "warm", "play": plain["play"], "reach": reach, "per_kelvin": draw.uniform(0.01, 0.03)}
-
-
-def _many_plays(draw: Draw, plain: _Parameters) -> _Parameters:
-    return {"law": "many_plays", "play": plain["play"], "reach": [draw.log_uniform(0.2, 0.8)] * draw.arm.joints}
-
-
-def _other_backlash(draw: Draw, plain: _Parameters) -> _Parameters:
-    return _some(draw, _warm_play, _many_plays)(draw, plain)
-
-
-def _other_friction_windup(draw: Draw, plain: _Parameters) -> _Parameters:
-    if draw.rng.random() < 0.5:
-        return {"law": "stribeck", **plain, "rise": draw.uniform(0.4, 1.0), "short": draw.uniform(0.3, 0.9)}
-    return {"law": "root_load", **plain, "typical_load": (0.4 * draw.torques).tolist()}
-
-
-def _other_unsettled_measurement(draw: Draw, plain: _Parameters) -> _Parameters:
-    if draw.rng.random() < 0.5:
-        return {"law": "power", **plain, "power": draw.uniform(0.5, 1.2)}
-    slow = _times(draw.uniform(6.0, 15.0), plain["time_constant"])
-    return {"law": "two_rates", **plain, "slow_time_constant": slow, "slow_share": draw.uniform(0.2, 0.5)}
-
-
 def _other_joint_axis_wobble(draw: Draw, plain: _Parameters) -> _Parameters:
     sets = ([1.0], [3.0], [4.0], [1.0, 3.0], [2.0, 3.0, 4.0])
     harmonics = sets[int(draw.rng.integers(len(sets)))]
@@ -647,45 +490,17 @@ def _other_joint_axis_runout(draw: Draw, plain: _Parameters) -> _Parameters:
     return {**plain, "harmonics": harmonics, "shares": [draw.uniform(0.5, 1.0) for _ in harmonics]}
 
 
-# -- base, tracker, target ---------------------------------------------------------------------------------------------
-
-
-def _other_course(draw: Draw, shift: list[float], turn: list[float]) -> _Parameters:
+def _other_course(draw: Draw, turn: tuple[float, float]) -> _Parameters:
+    twist = {"shift": draw.random_vector(30e-6, 80e-6), "turn": draw.random_vector(*turn)}
     if draw.rng.random() < 0.5:
-        return {
-            "shift": shift,
-            "turn": turn,
-            "law": "sinusoidal",
-            "time": draw.uniform(1.2, 2.4) * draw.duration_s,
-            "phase": draw.angle(),
-        }
-    time = draw.uniform(0.5, 1.0) * draw.duration_s
-    return {"shift": shift, "turn": turn, "law": "wandering", "time": time, "seed": draw.seed()}
-
-
-def _other_base_drift(draw: Draw, plain: _Parameters) -> _Parameters:
-    return _other_course(draw, draw.random_vector(30e-6, 80e-6), draw.random_vector(30e-6, 80e-6))
-
-
-def _other_tracker_drift(draw: Draw, plain: _Parameters) -> _Parameters:
-    return _other_course(draw, draw.random_vector(30e-6, 80e-6), draw.random_vector(8e-6, 25e-6))
+        time = draw.uniform(1.2, 2.4) * draw.duration_s
+        return {**twist, "law": "sinusoidal", "time": time, "phase": draw.angle()}
+    return {**twist, "law": "wandering", "time": draw.uniform(0.5, 1.0) * draw.duration_s, "seed": draw.seed()}
 
 
 def _creeping(draw: Draw, plain: _Parameters) -> _Parameters:
-    return {
-        "law": "creeping",
-        **plain,
-        "creeping": draw.uniform(0.3, 0.6),
-        "time_constant": draw.uniform(0.03, 0.1) * draw.duration_s,
-    }
-
-
-def _other_tracker_scale(draw: Draw, plain: _Parameters) -> _Parameters:
-    return {"law": "air", **plain, "per_kelvin": draw.signed_log_uniform(0.5, 2.0)}
-
-
-def _other_tracker_distance_offset(draw: Draw, plain: _Parameters) -> _Parameters:
-    return {"law": "growing", **plain, "length": draw.uniform(2.0, 8.0)}
+    share, time = draw.uniform(0.3, 0.6), draw.uniform(0.03, 0.1) * draw.duration_s
+    return {"law": "creeping", **plain, "creeping": share, "time_constant": time}
 
 
 def _other_tracker_angle_error(draw: Draw, plain: _Parameters) -> _Parameters:
@@ -695,46 +510,99 @@ def _other_tracker_angle_error(draw: Draw, plain: _Parameters) -> _Parameters:
     return {"law": "higher", **plain, "azimuth_higher": harmonics(), "elevation_higher": harmonics()}
 
 
-def _other_target_incidence(draw: Draw, plain: _Parameters) -> _Parameters:
-    size = draw.signed_log_uniform(60e-6, 200e-6)
-    return {"law": "power", "size": size, "power": draw.uniform(2.7, 4.0), "dihedral": plain["dihedral"]}
-
-
-def _other_workspace_field(draw: Draw, plain: _Parameters) -> _Parameters:
-    # shorter than about a hundred stops can resolve
-    return {**plain, "rms": draw.uniform(120e-6, 200e-6), "length": draw.uniform(0.25, 0.35)}
-
-
-def _as_suggested(draw: Draw, plain: _Parameters) -> _Parameters:
-    return plain
-
-
-_OTHER: dict[str, Callable[[Draw, _Parameters], _Parameters]] = {
-    "joint_compliance": _other_joint_compliance,
-    "payload_compliance": _other_payload_compliance,
-    "link_bending": _other_link_bending,
+_OTHER: Mapping[str, _Law] = {
+    "joint_compliance": _one_of(
+        _three_stages,
+        lambda draw, plain: {
+            "law": "stiffening",
+            "stiffness": plain["stiffness"],
+            "soft_stiffness": _times(draw.uniform(0.35, 0.55), plain["stiffness"]),
+            "knee": (draw.uniform(0.2, 0.5) * draw.torques).tolist(),
+        },
+        lambda draw, plain: {
+            "law": "hardening",
+            "stiffness": plain["stiffness"],
+            # the cubic part takes this share of the largest torque
+            "cubic": (draw.uniform(0.3, 0.8) * np.array(plain["stiffness"]) ** 3 / draw.torques**2).tolist(),
+        },
+    ),
+    "payload_compliance": _one_of(
+        lambda draw, plain: {"law": "off_centre", **plain, "shift": draw.random_vector(0.03, 0.09)},
+        lambda draw, plain: {
+            "law": "softening",
+            **plain,
+            "soft_stiffness": _times(draw.uniform(0.4, 0.65), plain["stiffness"]),
+            "knee": (draw.uniform(0.15, 0.4) * draw.torques).tolist(),
+        },
+    ),
+    "link_bending": lambda draw, plain: {
+        "law": "shear",
+        **plain,
+        # of a tube half a metre long: shear adds this share to its deflection
+        "shear": [12.0 * value / 0.5**2 / draw.uniform(0.8, 2.0) for value in plain["bending"]],
+    },
     "transmission_error": _other_transmission_error,
     "encoder_eccentricity": _other_encoder_eccentricity,
-    "backlash": _other_backlash,
-    "friction_windup": _other_friction_windup,
-    "unsettled_measurement": _other_unsettled_measurement,
+    "backlash": _one_of(
+        lambda draw, plain: {
+            "law": "warm",
+            "play": plain["play"],
+            "reach": [draw.log_uniform(0.15, 0.6)] * draw.arm.joints,
+            "per_kelvin": draw.uniform(0.01, 0.03),
+        },
+        lambda draw, plain: {
+            "law": "many_plays",
+            "play": plain["play"],
+            "reach": [draw.log_uniform(0.2, 0.8)] * draw.arm.joints,
+        },
+    ),
+    "friction_windup": lambda draw, plain: (
+        {"law": "stribeck", **plain, "rise": draw.uniform(0.4, 1.0), "short": draw.uniform(0.3, 0.9)}
+        if draw.rng.random() < 0.5
+        else {"law": "root_load", **plain, "typical_load": (0.4 * draw.torques).tolist()}
+    ),
+    "unsettled_measurement": lambda draw, plain: (
+        {"law": "power", **plain, "power": draw.uniform(0.5, 1.2)}
+        if draw.rng.random() < 0.5
+        else {
+            "law": "two_rates",
+            **plain,
+            "slow_time_constant": _times(draw.uniform(6.0, 15.0), plain["time_constant"]),
+            "slow_share": draw.uniform(0.2, 0.5),
+        }
+    ),
     "joint_axis_wobble": _other_joint_axis_wobble,
     "joint_axis_runout": _other_joint_axis_runout,
     "thermal_growth": _other_thermal_growth,
-    "joint_drift": _other_joint_drift,
-    "base_drift": _other_base_drift,
+    "joint_drift": lambda draw, plain: {
+        "law": "wandering",
+        "drift": plain["drift"],
+        "time": draw.uniform(0.7, 1.4) * draw.duration_s,
+        "seed": draw.seed(),
+    },
+    "base_drift": lambda draw, plain: _other_course(draw, (30e-6, 80e-6)),
     "base_step": _creeping,
     "target_slip": _creeping,
     "pedestal_compliance": _other_pedestal_compliance,
     "pedestal_coupling": _other_pedestal_coupling,
-    "tracker_scale": _other_tracker_scale,
+    "tracker_scale": lambda draw, plain: {"law": "air", **plain, "per_kelvin": draw.signed_log_uniform(0.5, 2.0)},
     "tracker_angle_error": _other_tracker_angle_error,
-    "tracker_distance_offset": _other_tracker_distance_offset,
-    "target_incidence": _other_target_incidence,
-    "tracker_drift": _other_tracker_drift,
-    "workspace_field": _other_workspace_field,
-    "joint_coupling": _as_suggested,
-    "crosstalk": _as_suggested,
+    "tracker_distance_offset": lambda draw, plain: {"law": "growing", **plain, "length": draw.uniform(2.0, 8.0)},
+    "target_incidence": lambda draw, plain: {
+        "law": "power",
+        "size": draw.signed_log_uniform(60e-6, 200e-6),
+        "power": draw.uniform(2.7, 4.0),
+        "dihedral": plain["dihedral"],
+    },
+    "tracker_drift": lambda draw, plain: _other_course(draw, (8e-6, 25e-6)),
+    # shorter than about a hundred stops can resolve
+    "workspace_field": lambda draw, plain: {
+        **plain,
+        "rms": draw.uniform(120e-6, 200e-6),
+        "length": draw.uniform(0.25, 0.35),
+    },
+    "joint_coupling": lambda draw, plain: plain,
+    "crosstalk": lambda draw, plain: plain,
 }
 
 

@@ -126,8 +126,9 @@ def record_sweep(
         distance = np.linalg.norm(p_M, axis=1, keepdims=True)
         p_M = p_M * (1.0 + DYNAMIC_M * rng.standard_normal(distance.shape) / distance)
     joint_time_s, joints, speeds = _samples(time_s, q, recorder, rng)
-    for one in others:
-        _remember(plant._arm(one), others[one])
+    for one, path in others.items():
+        for turn in _turns(path).tolist():
+            plant._arm(one).note_turn(path[turn], path[turn + 1])
     _end(plant, moving, float(time_s[-1]))
     lost = _lost(seen, recorder, rng)
     return SweepRecord(
@@ -209,7 +210,7 @@ def _points(
             points[some], _ = smr_in(
                 plant, arm, phase, q_seen[some], at_s, here, moving=True, inertia=turn, response=more
             )
-        _note_turn(arm, q[end], q[min(end + 1, len(q) - 1)])
+        arm.note_turn(q[end], q[min(end + 1, len(q) - 1)])
     return points
 
 
@@ -224,36 +225,11 @@ def _of_course(arm: TrueArm, time_s: Array, q: Array, seen: Array) -> tuple[Arra
     return inertia_torques(arm.mechanism, before, now, after, _BEND_S), added
 
 
-def _note_turn(arm: TrueArm, turned: Array, after: Array) -> None:
-    """Update memories of the joints that reversed at ``turned`` (N,); the other joints continue their motion."""
-    step = turned - arm.q
-    reverses = (after - turned) * step < 0.0
-    at = np.where(reverses, turned, arm.q)
-    arm.memories = [
-        effect.memory_after_motion(memory, at[None]) for effect, memory in zip(arm.effects, arm.memories, strict=True)
-    ]
-    arm.approach = np.where(reverses, np.sign(step), arm.approach)
-    arm.last_step = np.where(reverses, step, arm.last_step)
-    arm.q = at
-
-
-def _remember(arm: TrueArm, q: Array) -> None:
-    """Update the memories of an arm that moved along ``q`` (n, N), up to its last reversal."""
-    for turn in _turns(q).tolist():
-        _note_turn(arm, q[turn], q[turn + 1])
-
-
 def _end(plant: Plant, moving: Mapping[TrueArm, Array], seconds: float) -> None:
     """Put arms at rest at the end of their paths (n, N), and advance the clock by ``seconds``."""
     warmer = dict[TrueArm, Array]()
     for arm, q in moving.items():
-        step = q[-1] - arm.q
-        arm.memories = [
-            effect.memory_after_motion(memory, q[-1][None])
-            for effect, memory in zip(arm.effects, arm.memories, strict=True)
-        ]
-        arm.approach = np.where(step == 0.0, arm.approach, np.sign(step))
-        arm.last_step, arm.q = step, q[-1].copy()
+        arm.note_motion(q[-1].copy())
         speed = np.abs(np.diff(q, axis=0)).mean(axis=0) / _STEP_S
         warmer[arm] = joint_rise(arm.rise, speed, seconds, plant.config.holding_k)
     plant.advance(seconds)

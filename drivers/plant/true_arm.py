@@ -76,6 +76,27 @@ class TrueArm:
     resting: Seen | None = None  # cache for an arm at rest without effects
     trail: deque[Phase] = field(default_factory=lambda: deque(maxlen=LONGEST))  # recent history
 
+    def remembered(self, memories: Sequence[Array | None], q: Array) -> list[Array | None]:
+        """Return the memories of the effects after a motion without reversal to ``q`` (n, N)."""
+        return [one.memory_after_motion(memory, q) for one, memory in zip(self.effects, memories, strict=True)]
+
+    def note_motion(self, q: Array) -> None:
+        """Update the state after a motion without reversal to ``q`` (N,)."""
+        step = q - self.q
+        self.memories = self.remembered(self.memories, q[None])
+        self.approach = np.where(step == 0.0, self.approach, np.sign(step))
+        self.last_step, self.q = step, q
+
+    def note_turn(self, turned: Array, after: Array) -> None:
+        """Update the state of joints that reversed at ``turned`` (N,); the other joints continue their motion."""
+        step = turned - self.q
+        reverses = (after - turned) * step < 0.0
+        if reverses.any():
+            at = np.where(reverses, turned, self.q)
+            self.memories = self.remembered(self.memories, at[None])
+            self.approach = np.where(reverses, np.sign(step), self.approach)
+            self.last_step, self.q = np.where(reverses, step, self.last_step), at
+
 
 def largest_change(before: Deflection, after: Deflection) -> float:
     """Return the largest difference of two deflections [rad or m]."""

@@ -67,7 +67,7 @@ _NOT_IN_UNIT = re.compile(r"[\s'’°º�]")
 
 @dataclass(frozen=True)
 class LineFormat:
-    """Format of a station's lines, and how to request one.
+    """Format of a station's lines, and how to request one. ``SerialStationSettings`` checks one of a profile.
 
     Attributes
     ----------
@@ -87,18 +87,6 @@ class LineFormat:
     poll: bytes = b""
     baud: int = 9600
     framing: str = "8N1"
-
-    def __post_init__(self) -> None:
-        try:
-            groups = re.compile(self.pattern).groupindex
-        except re.error as error:
-            raise ValueError(f"pattern: not a regular expression: {error}") from None
-        known = {*FIELDS, *(f"{name}_unit" for name in FIELDS)}
-        if "temperature" not in groups or not known.issuperset(groups):
-            raise ValueError(f"pattern: needs (?P<temperature>...), and may have {', '.join(sorted(known))}")
-        for name, unit in self.units.items():
-            if name not in FIELDS or _normalised(unit) not in _UNITS[name]:
-                raise ValueError(f"units: '{name}: {unit}' is not known; for {name} use one of {_choices(name)}")
 
 
 _VALUE = r"[-+]?[ ]*\d+\.?\d*"
@@ -150,7 +138,7 @@ def parse_line(line: str, layout: LineFormat) -> dict[str, float]:
             raise ValueError(f"{name} is '{text}', which is not a number")
         unit = texts.get(f"{name}_unit") or layout.units.get(name) or _DEFAULT_UNITS[name]
         if _normalised(unit) not in _UNITS[name]:
-            raise ValueError(f"{name} has the unit '{unit}'; known are {_choices(name)}")
+            raise ValueError(f"{name} has the unit '{unit}'; known are {', '.join(_UNITS[name])}")
         factor, offset = _UNITS[name][_normalised(unit)]
         value = float(bare) * factor + offset
         low, high = _PLAUSIBLE[name]
@@ -167,10 +155,6 @@ def parse_line(line: str, layout: LineFormat) -> dict[str, float]:
 
 def _normalised(unit: str) -> str:
     return _NOT_IN_UNIT.sub("", unit).casefold()
-
-
-def _choices(name: str) -> str:
-    return ", ".join(_UNITS.get(name, {})) or "nothing: unknown field"
 
 
 class SerialStation:

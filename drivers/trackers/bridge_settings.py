@@ -11,7 +11,7 @@ from pydantic import Field, field_validator, model_validator
 from drivers.findings import Finding
 from drivers.quantities import Time
 from drivers.settings import SettingError, loopback_ipv4
-from drivers.trackers.settings import EmulatedBridge, TrackerContext, TrackerSettings
+from drivers.trackers.settings import EmulatedBridge, TrackerContext, TrackerSettings, looked_at
 
 if TYPE_CHECKING:
     from drivers.trackers.protocol import Tracker
@@ -98,22 +98,9 @@ class BridgeSettings(TrackerSettings):
         from drivers.trackers.bridge import BridgeTracker
         from drivers.trackers.protocol import TrackerError
 
+        timeout_s, baud = min(self.timeout, patience_s), self.baud
         try:
-            token = self.token()
-        except SettingError as error:
+            device = BridgeTracker(self.url, token=self.token(), timeout_s=timeout_s, baud=baud, patience_s=patience_s)
+            return looked_at(device, f", behind the bridge at {self.url}")
+        except (SettingError, TrackerError) as error:
             return [Finding("", "failed", str(error))]
-        timeout_s = min(self.timeout, patience_s)
-        device = BridgeTracker(self.url, token=token, timeout_s=timeout_s, baud=self.baud, patience_s=patience_s)
-        try:
-            device.connect()
-            identity = device.identify()
-            unmet = device.unmet()
-        except TrackerError as error:
-            return [Finding("", "failed", str(error))]
-        finally:
-            device.disconnect()
-        report = identity.report()
-        who = f"{identity.model}, serial {identity.serial}, {identity.software}, behind the bridge at {self.url}"
-        if unmet:
-            return [Finding("", "warning", f"{who}; before it measures: {'; '.join(unmet)}", report)]
-        return [Finding("", "ok", f"{who}; ready", report)]

@@ -63,6 +63,8 @@ _AXES = ("x", "y", "z")
 _QUATERNION = ("quat_w", "quat_x", "quat_y", "quat_z")
 _UNIT_LENGTH, _ROUNDED = 1e-3, 1e-12
 """Tolerances of a quaternion's length: beyond the first it is invalid; beyond the second it is normalised."""
+_AIR = {"temperature": "temperature_c", "pressure": "pressure_hpa", "humidity": "humidity_percent"}
+"""Fields of the air, and their names in ``Preparation`` and ``Point``."""
 _UPPER_TRIANGLE = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 ERRORS: Mapping[str, type[TrackerError]] = {
@@ -226,15 +228,9 @@ def read_identity(fields: Fields) -> TrackerIdentity:
 
 def preparation_fields(settings: Preparation) -> dict[str, str]:
     """Return the fields of ``prepare``."""
-    fields = {"reflector": settings.reflector, "accuracy": settings.accuracy}
-    for key, value in (
-        ("temperature", settings.temperature_c),
-        ("pressure", settings.pressure_hpa),
-        ("humidity", settings.humidity_percent),
-    ):
-        if value is not None:
-            fields[key] = number(value)
-    return fields
+    air = {key: getattr(settings, name) for key, name in _AIR.items()}
+    given = {key: number(value) for key, value in air.items() if value is not None}
+    return {"reflector": settings.reflector, "accuracy": settings.accuracy, **given}
 
 
 def read_preparation(fields: Fields) -> Preparation:
@@ -246,9 +242,7 @@ def read_preparation(fields: Fields) -> Preparation:
     return Preparation(
         reflector=fields.get("reflector", ""),
         accuracy=accuracy,
-        temperature_c=read_optional(fields, "temperature"),
-        pressure_hpa=read_optional(fields, "pressure"),
-        humidity_percent=read_optional(fields, "humidity"),
+        **{name: read_optional(fields, key) for key, name in _AIR.items()},
     )
 
 
@@ -259,9 +253,7 @@ def point_fields(point: Point) -> dict[str, str]:
         **{f"c{_AXES[i]}{_AXES[j]}": point.covariance_M[i, j] for i, j in _UPPER_TRIANGLE},
         "time": point.time_s,
         "averaging": point.averaging_s,
-        "temperature": point.temperature_c,
-        "pressure": point.pressure_hpa,
-        "humidity": point.humidity_percent,
+        **{key: getattr(point, name) for key, name in _AIR.items()},
     }
     if point.quaternion_M is not None:
         values |= dict(zip(_QUATERNION, point.quaternion_M, strict=True)) | {"sigma_rad": point.sigma_rad}

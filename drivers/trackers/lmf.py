@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from drivers.trackers.lmf_objects import (
     ErrorLaw,
+    Handlers,
     Lmf,
     apply_settings,
     describe,
@@ -38,7 +39,6 @@ from drivers.trackers.lmf_objects import (
     read_air,
     read_position,
     read_rotation,
-    set_handler,
     set_quantity,
     start_level_monitoring,
     unwrap,
@@ -105,14 +105,12 @@ class LmfTracker:
         self._messages: deque[str] = deque(maxlen=_MAX_MESSAGES)
         self._unreported: deque[str] = deque(maxlen=_MAX_MESSAGES)
         self._disconnected = ""
-        self._subscribed = False
         self._reflector = ""
         self._averaging_set_s: float | None = None
-        # bound once: a handler must be removed as the same object
-        self._handlers = (
-            ("Disconnected", self._on_disconnected),
-            ("ErrorArrived", self._on_message),
-            ("WarningArrived", self._on_message),
+        self._handlers = Handlers(
+            ("", "Disconnected", self._on_disconnected),
+            ("", "ErrorArrived", self._on_message),
+            ("", "WarningArrived", self._on_message),
         )
 
     # -- link ----------------------------------------------------------------------------------------------------------
@@ -156,7 +154,7 @@ class LmfTracker:
         if self._calls is not calls:  # connect() has timed out; a tracker left connected would refuse the next attempt
             tracker.Disconnect()
             return
-        self._tracker, self._subscribed = tracker, False
+        self._tracker, self._handlers.added = tracker, False
         serial = str(tracker.SerialNumber)
         if self._use.serial and serial != self._use.serial:
             raise TrackerError(
@@ -165,7 +163,7 @@ class LmfTracker:
             )
         with self._translating_errors("settings"):
             self._apply(tracker, self._preparation)
-        self._subscribe(tracker, wanted=True)
+        self._handlers.set(tracker, wanted=True)
 
     def disconnect(self) -> None:
         """Release the tracker; harmless when not connected. A call that hangs is abandoned."""
@@ -181,7 +179,7 @@ class LmfTracker:
 
     def _close(self, tracker: Any) -> None:
         with self._translating_errors("disconnecting"):
-            self._subscribe(tracker, wanted=False)
+            self._handlers.set(tracker, wanted=False)
             tracker.Disconnect()
 
     def identify(self) -> TrackerIdentity:
@@ -265,24 +263,16 @@ class LmfTracker:
 
     # -- events --------------------------------------------------------------------------------------------------------
 
-    def _subscribe(self, tracker: Any, *, wanted: bool) -> None:
-        if wanted == self._subscribed:
-            return  # pythonnet refuses to remove a handler that was not added
-        self._subscribed = False
-        for name, handler in self._handlers:
-            set_handler(tracker, name, handler, wanted=wanted)
-        self._subscribed = wanted
-
     @contextlib.contextmanager
     def _no_handlers(self, tracker: Any) -> Iterator[None]:
         """Unsubscribe the handlers while settings are written; the module docstring says why."""
-        subscribed = self._subscribed
-        self._subscribe(tracker, wanted=False)
+        subscribed = self._handlers.added
+        self._handlers.set(tracker, wanted=False)
         try:
             yield
         finally:
             if subscribed:
-                self._subscribe(tracker, wanted=True)
+                self._handlers.set(tracker, wanted=True)
 
     def _on_disconnected(self, *arguments: Any) -> None:
         cause = arguments[-1] if arguments else None
@@ -455,42 +445,26 @@ class LmfTracker:
 FINDING_S = 30.0
 
 
-@dataclass(frozen=True)
-class FoundTracker:
-    """A tracker that answers in the network."""
+def visible_trackers(library: str = DEFAULT_LIBRARY, load: Callable[[str], Lmf] = load_lmf) -> str:
+    """Return the trackers that LMF finds in this computer's networks, or why it cannot search, as a sentence."""
 
-    address: str
-    model: str
-    serial: str
-
-
-def find_trackers(library: str = DEFAULT_LIBRARY, load: Callable[[str], Lmf] = load_lmf) -> list[FoundTracker]:
-    """Return the trackers in this computer's networks. Raises ``LmfMissing``, ``TrackerTimeout``, ``TrackerError``."""
-
-    def find() -> list[FoundTracker]:
+    def find() -> str:
         lmf = load(library)
         try:
             finder = lmf.TrackerFinder()
             finder.Refresh()
-            return [FoundTracker(str(t.IPAddress), str(t.Type), str(t.SerialNumber)) for t in finder.Trackers]
+            names = ", ".join(f"{t.Type} {t.SerialNumber} at {t.IPAddress}" for t in finder.Trackers)
         except lmf.exceptions as error:
-            raise TrackerError(f"tracker: LMF could not search for trackers: {describe(error)}") from error
+            return f"tracker: LMF could not search for trackers: {describe(error)}"
+        return f"LMF sees {names}" if names else "LMF sees no tracker in the networks of this computer"
 
     calls = CallThread()
     try:
         return calls.call("searching for trackers", find, FINDING_S)
-    finally:
-        calls.close()
-
-
-def visible_trackers(library: str, load: Callable[[str], Lmf] = load_lmf) -> str:
-    """Return the trackers that LMF finds in this computer's networks, as a sentence for a person."""
-    try:
-        found = find_trackers(library, load)
     except TrackerError as error:
         return str(error)
-    names = ", ".join(f"{t.model} {t.serial} at {t.address}" for t in found)
-    return f"LMF sees {names}" if names else "LMF sees no tracker in the networks of this computer"
+    finally:
+        calls.close()
 
 
 # -- A thread for calls that may hang; every wait for a call has a time limit -----------------------------------------

@@ -60,14 +60,30 @@ def load_lmf(library: str) -> Lmf:
     return Lmf(modules[0].Connection, modules[0].TrackerFinder, enumeration, (system.Exception,))
 
 
-def set_handler(owner: Any, name: str, handler: Callable[..., None], *, wanted: bool) -> None:
-    """Add a handler to an event of LMF, or remove it; removing needs the object that was added."""
-    event = getattr(owner, name)
-    if wanted:
-        event += handler
-    else:
-        event -= handler
-    setattr(owner, name, event)
+class Handlers:
+    """Handlers of LMF's events, added or removed together: part of the tracker (empty: itself), event, handler.
+
+    Each handler is bound once, as it must be removed as the same object. pythonnet refuses to remove one that was not
+    added.
+    """
+
+    def __init__(self, *handlers: tuple[str, str, Callable[..., None]]) -> None:
+        self._handlers, self.added = handlers, False
+
+    def set(self, tracker: Any, *, wanted: bool) -> None:
+        """Add all handlers or remove them; harmless if that is so already."""
+        if wanted == self.added:
+            return
+        self.added = False
+        for part, name, handler in self._handlers:
+            owner = getattr(tracker, part) if part else tracker
+            event = getattr(owner, name)
+            if wanted:
+                event += handler
+            else:
+                event -= handler
+            setattr(owner, name, event)
+        self.added = wanted
 
 
 def unwrap(value: Any) -> Any:

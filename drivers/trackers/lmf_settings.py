@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from drivers.findings import Finding
 from drivers.trackers.lmf_options import LmfOptions
-from drivers.trackers.settings import TrackerContext
+from drivers.trackers.settings import TrackerContext, looked_at
 
 if TYPE_CHECKING:
     from drivers.trackers.protocol import Preparation, Tracker
@@ -39,20 +39,8 @@ class LmfSettings(LmfOptions):
 
         device = lmf.LmfTracker(self, self.preparation())
         try:
-            device.connect()
-            identity = device.identify()
-            unmet = device.unmet()
-            notices = device.notices()
+            return looked_at(device, notices=device.notices)
         except TrackerLinkLost as error:
             return [Finding("", "failed", f"{error}; {device.visible_trackers()}")]
         except (TrackerError, ValueError) as error:
             return [Finding("", "failed", str(error))]
-        finally:
-            device.disconnect()
-        report = identity.report()
-        who = f"{identity.model}, serial {identity.serial}, {identity.software}"
-        if unmet:
-            return [Finding("", "warning", f"{who}; before it measures: {'; '.join([*unmet, *notices])}", report)]
-        if notices:
-            return [Finding("", "warning", f"{who}; {'; '.join(notices)}", report)]
-        return [Finding("", "ok", f"{who}; ready", report)]

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from drivers.trackers.lmf import LmfTracker, Vector
-from drivers.trackers.lmf_objects import describe, set_handler, set_quantity, set_value, to_si, tracker_time_s, unwrap
+from drivers.trackers.lmf_objects import Handlers, describe, set_quantity, set_value, to_si, tracker_time_s, unwrap
 from drivers.trackers.protocol import (
     PACKETS_HZ,
     Packet,
@@ -110,13 +110,13 @@ class LmfStreamTracker(LmfTracker):
             self._averaging_set_s = None
             set_quantity(profile.TimeSeparation, "time", interval_s)
             set_value(profile, "PacketRate", max(1, min(int(PACKETS_HZ), round(1.0 / interval_s))))
-        following.subscribe(tracker, wanted=True)
+        following.handlers.set(tracker, wanted=True)
         tracker.Measurement.StartMeasurement()
         if tracker.Targets.Selected is None:
             raise TargetLost("tracker: the beam to the SMR broke before it was followed")
 
     def _stop(self, tracker: Any, following: _Following) -> None:
-        following.subscribe(tracker, wanted=False)
+        following.handlers.set(tracker, wanted=False)
         self._apply(tracker, self._preparation)  # stops the measurement and selects the stationary one
 
     def _leave(self) -> None:
@@ -154,22 +154,12 @@ class _Following:
         self._read, self._lost, self._received = read, lost, received
         self._queue: queue.SimpleQueue[tuple[Any, float] | None] = queue.SimpleQueue()
         self._packets: list[Packet] = []
-        self._over = self._subscribed = False
-        # bound once: a handler must be removed as the same object
-        self._arrived_handler, self._selected_handler = self._arrived, self._selected
+        self._over = False
+        self.handlers = Handlers(
+            ("Measurement", "MeasurementArrived", self._arrived), ("Targets", "SelectedChanged", self._selected)
+        )
         self._thread = threading.Thread(target=self._work, name="LMF points", daemon=True)
         self._thread.start()
-
-    def subscribe(self, tracker: Any, *, wanted: bool) -> None:
-        """Add the handlers to LMF's events, or remove them."""
-        if wanted == self._subscribed:
-            return  # pythonnet refuses to remove a handler that was not added
-        self._subscribed = wanted
-        for owner, name, handler in (
-            (tracker.Measurement, "MeasurementArrived", self._arrived_handler),
-            (tracker.Targets, "SelectedChanged", self._selected_handler),
-        ):
-            set_handler(owner, name, handler, wanted=wanted)
 
     def end(self) -> list[Packet]:
         """Read all stored events and return all packets."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -70,3 +70,16 @@ class TrackerSettings(Section):
     @abstractmethod
     def probe(self, tracker: TrackerContext, patience_s: float) -> Sequence[Finding]:
         """Check the tracker without moving its head; a link that is silent for ``patience_s`` [s] counts as dead."""
+
+
+def looked_at(device: Tracker, where: str = "", notices: Callable[[], Sequence[str]] = tuple) -> list[Finding]:
+    """Connect a tracker, ask it who it is, what it lacks and what it has to say, and disconnect. Raises as it does."""
+    try:
+        device.connect()
+        identity, unmet, said = device.identify(), device.unmet(), notices()
+    finally:
+        device.disconnect()
+    who = f"{identity.model}, serial {identity.serial}, {identity.software}{where}"
+    lacks = "before it measures: " if unmet else ""
+    state = lacks + "; ".join([*unmet, *said]) or "ready"
+    return [Finding("", "warning" if unmet or said else "ok", f"{who}; {state}", identity.report())]

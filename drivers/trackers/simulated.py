@@ -6,7 +6,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import NoReturn, Protocol
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,8 @@ class SimulatedTracker:
 
     Attributes
     ----------
+    plant, errors, sight, dynamic : Plant, Imperfections, Sight, numpy.random.Generator
+        Its cell, its own errors, what it sees, and the random numbers of a moving SMR.
     obstacles : list of str
         Unmet preconditions in words; add one to make the tracker refuse.
     measured : int
@@ -96,9 +98,9 @@ class SimulatedTracker:
         watch_s : float
             Longest interval of checking the target meanwhile [s].
         """
-        self._plant = plant
-        self._errors = imperfections
-        self._sight = Sight(plant, nests)
+        self.plant = plant
+        self.errors = imperfections
+        self.sight = Sight(plant, nests)
         self._wrong_target_m = wrong_target_m
         self._switched_on_s = switched_on_s
         self._pass_time = plant.advance if pass_time is None else pass_time
@@ -110,7 +112,7 @@ class SimulatedTracker:
         """Stream of the SMR that is being followed; None if there is none."""
         self._blind_until_s = -math.inf
         """Time until which a broken beam cannot be locked again [s]."""
-        self._dynamic = plant.config.random(3)
+        self.dynamic = plant.config.random(3)
         self._turns = plant.config.random(5)
         self._connected = False
         self._link_cut = False
@@ -121,18 +123,18 @@ class SimulatedTracker:
     @property
     def covered(self) -> set[str]:
         """Arms or nests whose SMR is covered."""
-        return self._sight.covered
+        return self.sight.covered
 
     @covered.setter
     def covered(self, names: set[str]) -> None:
-        self._sight.covered = names
+        self.sight.covered = names
 
     # -- link ----------------------------------------------------------------------------------------------------------
 
     def _down(self) -> str:
         if self._link_cut:
             return "cut"
-        if self._plant.clock_s < self._down_until_s:
+        if self.plant.clock_s < self._down_until_s:
             return "down: the tracker is starting"
         return ""
 
@@ -179,7 +181,7 @@ class SimulatedTracker:
         unmet = list(self.obstacles)
         if not self._initialised:
             unmet.append("it has not been initialised since it was switched on")
-        left = self._switched_on_s + self._errors.laser_s - self._plant.clock_s
+        left = self._switched_on_s + self.errors.laser_s - self.plant.clock_s
         if left > 0.0:
             unmet.append(f"its laser is warming up, {left:.0f} s are left")
         return unmet
@@ -208,12 +210,12 @@ class SimulatedTracker:
     def _measure(self, expected: Vector, averaging_s: float) -> Point:
         self._wait(POINTING_S)
         locked = self._lock(expected)
-        rested_s = math.inf if locked.arm is None else self._plant.clock_s - self._plant.rest_s(locked.arm)
+        rested_s = math.inf if locked.arm is None else self.plant.clock_s - self.plant.rest_s(locked.arm)
         if locked.moving or rested_s < SETTLE_S:
             self._unstable(locked)
-        taken_s = self._plant.clock_s
-        air = (self._plant.air_temperature_c, self._errors.pressure_hpa, self._errors.humidity_percent)
-        read, covariance = self._plant.measure_positions(locked.p_M[None], averaging_s=averaging_s)
+        taken_s = self.plant.clock_s
+        air = (self.plant.air_temperature_c, self.errors.pressure_hpa, self.errors.humidity_percent)
+        read, covariance = self.plant.measure_positions(locked.p_M[None], averaging_s=averaging_s)
         applied, warnings = self._applied(air)
         p_M = self._with_errors(read[0], air, applied)
         self._average(locked, averaging_s)
@@ -240,7 +242,7 @@ class SimulatedTracker:
         if locked.R_M_S is None:
             return None
         error = np.zeros(6)
-        if self._plant.config.noise:
+        if self.plant.config.noise:
             error[3:] = locked.sigma_rad * self._turns.standard_normal(3)
         return quaternion(rigid(error)[:3, :3] @ locked.R_M_S)
 
@@ -262,26 +264,15 @@ class SimulatedTracker:
         STREAM_LIMITS.check(interval_s)
         expected = self._checked_request(expected_M, interval_s)
         self._wait(POINTING_S)
-        if self._plant.clock_s < self._blind_until_s:
+        if self.plant.clock_s < self._blind_until_s:
             raise TargetLost("tracker: the SMR cannot be locked again yet")
         locked = self._lock(expected)
 
         def broken(error: TrackerError) -> None:
-            self._blind_until_s = self._plant.clock_s + self._dynamic.uniform(0.0, self._errors.longest_loss_s)
+            self._blind_until_s = self.plant.clock_s + self.dynamic.uniform(0.0, self.errors.longest_loss_s)
             lost(error)
 
-        self._stream = SimulatedStream(
-            self._plant,
-            self._errors,
-            locked.owner,
-            lambda time_s: self._sight.recent(locked, time_s),
-            lambda p_M, normal_M: self._down() or self._sight.hidden(locked, p_M, normal_M),
-            self._points,
-            interval_s,
-            self._dynamic,
-            broken,
-            received,
-        )
+        self._stream = SimulatedStream(self, locked, interval_s, broken, received)
         self._stream.begin()
 
     def end_track(self) -> Track:
@@ -292,23 +283,27 @@ class SimulatedTracker:
         self.measured += len(track.p_M)
         return track
 
-    def _points(self, p_M: Vector, *, moving: bool) -> tuple[Vector, Vector]:
+    def hidden(self, locked: Smr, p_M: Vector, normal_M: Vector) -> str:
+        """Return why the locked SMR is not visible at ``p_M`` (3,) now; empty if it is."""
+        return self._down() or self.sight.hidden(locked, p_M, normal_M)
+
+    def points(self, p_M: Vector, *, moving: bool) -> tuple[Vector, Vector]:
         """Simulate measured points (n, 3) of true ones; return them and their standard uncertainties (n,)."""
-        air = (self._plant.air_temperature_c, self._errors.pressure_hpa, self._errors.humidity_percent)
-        read, covariance = self._plant.measure_positions(p_M)
+        air = (self.plant.air_temperature_c, self.errors.pressure_hpa, self.errors.humidity_percent)
+        read, covariance = self.plant.measure_positions(p_M)
         applied = self._applied(air)[0]
         read = np.array([self._with_errors(one, air, applied) for one in read]).reshape(-1, 3)
-        if self._plant.config.noise and moving:
+        if self.plant.config.noise and moving:
             distance = np.linalg.norm(read, axis=1, keepdims=True)
-            read = read * (1.0 + DYNAMIC_M * self._dynamic.standard_normal(distance.shape) / distance)
+            read = read * (1.0 + DYNAMIC_M * self.dynamic.standard_normal(distance.shape) / distance)
         return read, np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0)
 
     def _lock(self, expected: Vector) -> Smr:
         around = []
-        for target in self._sight.targets():
+        for target in self.sight.targets():
             distance = float(np.linalg.norm(target.p_M - expected))
             if distance <= SEARCH_RADIUS_M:
-                around.append((distance, self._sight.behind_bodies(target)))
+                around.append((distance, self.sight.behind_bodies(target)))
         visible = [(distance, target) for distance, target in around if not target.hidden]
         if not visible:
             place = ", ".join(f"{v:.3f}" for v in expected)
@@ -319,41 +314,39 @@ class SimulatedTracker:
     # -- time ----------------------------------------------------------------------------------------------------------
 
     def _moving(self) -> bool:
-        return any(self._plant.moving(name) for name in self._plant.names)
+        return any(self.plant.moving(name) for name in self.plant.names)
 
     def _wait(self, duration_s: float) -> None:
         """Advance time in steps of at most ``watch_s``, up to each event. Raises ``Halted`` or ``TrackerLinkLost``."""
-        end_s = self._plant.clock_s + duration_s
+        end_s = self.plant.clock_s + duration_s
         left = duration_s
         while left > 0.0:
-            step = min(left, self._watch_s, self._plant.undisturbed_s)
+            step = min(left, self._watch_s, self.plant.undisturbed_s)
             self._pass_time(step)
             self._link()  # before the halt: a restart is a lost link
             if self._halt.is_set():
                 raise Halted("tracker: a halt was requested; no measurement was made")
-            left = 0.0 if left <= step else end_s - self._plant.clock_s
+            left = 0.0 if left <= step else end_s - self.plant.clock_s
 
     def _average(self, locked: Smr, averaging_s: float) -> None:
         """Wait for the end of the averaging; check the target while anything moves or an event changes it."""
-        began_s = self._plant.clock_s
+        began_s = self.plant.clock_s
         left = averaging_s
         while left > 0.0:
-            undisturbed_s = self._plant.undisturbed_s
+            undisturbed_s = self.plant.undisturbed_s
             step = min(left, self._watch_s, undisturbed_s, _WATCH_S if self._moving() else math.inf)
             moved = self._moving() or step == undisturbed_s
             self._wait(step)
-            moved = moved or any(self._plant.moving(n) or self._plant.rest_s(n) > began_s for n in self._plant.names)
+            moved = moved or any(self.plant.moving(n) or self.plant.rest_s(n) > began_s for n in self.plant.names)
             if moved:
                 self._check_target(locked, began_s)
-            left = 0.0 if left <= step else began_s + averaging_s - self._plant.clock_s
+            left = 0.0 if left <= step else began_s + averaging_s - self.plant.clock_s
 
     def _check_target(self, locked: Smr, began_s: float) -> None:
-        now = self._sight.behind_bodies(
-            next(target for target in self._sight.targets() if target.owner == locked.owner)
-        )
+        now = self.sight.behind_bodies(next(target for target in self.sight.targets() if target.owner == locked.owner))
         if now.hidden:
             raise TargetLost(f"tracker: the beam to the SMR of {locked.owner} broke in mid-measurement: {now.hidden}")
-        own_motion = locked.arm is not None and self._plant.rest_s(locked.arm) > began_s
+        own_motion = locked.arm is not None and self.plant.rest_s(locked.arm) > began_s
         if now.moving or own_motion or np.linalg.norm(now.p_M - locked.p_M) > _MOVED_M:
             self._unstable(locked)
 
@@ -366,15 +359,15 @@ class SimulatedTracker:
     def _applied(self, air: tuple[float, float, float]) -> tuple[tuple[float, float, float], tuple[str, ...]]:
         """Return temperature, pressure and humidity used for the refraction correction, and warnings about them."""
         given = (self._settings.temperature_c, self._settings.pressure_hpa, self._settings.humidity_percent)
-        source = air if self._errors.weather_station else _STANDARD_AIR
-        missing = not self._errors.weather_station and None in given
+        source = air if self.errors.weather_station else _STANDARD_AIR
+        missing = not self.errors.weather_station and None in given
         warnings = ("no weather station: refraction was corrected for standard air",) if missing else ()
         temperature, pressure, humidity = (s if g is None else g for g, s in zip(given, source, strict=True))
         return (temperature, pressure, humidity), warnings
 
     def _with_errors(self, p_M: Vector, air: tuple[float, float, float], applied: tuple[float, float, float]) -> Vector:
         """Return the point (3,) with the tracker's own errors; exactly ``p_M`` if there are none."""
-        errors, since_s = self._errors, self._plant.clock_s - self._switched_on_s
+        errors, since_s = self.errors, self.plant.clock_s - self._switched_on_s
         cold = math.exp(-since_s / errors.warm_up_s)
         p_M = errors.pointed(p_M, cold)
         if applied != air:  # it divides the optical path by the refractive index of the assumed air
@@ -408,7 +401,7 @@ class SimulatedTracker:
         self._connected = False
         self._initialised = False
         self._settings = Preparation()
-        self._down_until_s = self._plant.clock_s + down_s
+        self._down_until_s = self.plant.clock_s + down_s
         self._halt.set()
 
 
@@ -529,36 +522,21 @@ _STILL_M = 1e-9
 """Motion between two packets below which an SMR counts as resting."""
 
 
-class Measured(Protocol):
-    """Function that simulates measurements of true points (n, 3) [m]: points and standard uncertainties (n,)."""
-
-    def __call__(self, p_M: Vector, *, moving: bool) -> tuple[Vector, Vector]:
-        """Return the measured points."""
-
-
 class SimulatedStream:
     """Stream of one SMR; the plant's schedule sends its packets while other calls advance the time."""
 
     def __init__(
         self,
-        plant: Plant,
-        errors: Imperfections,
-        owner: str,
-        true_smr: Callable[[Vector], tuple[Vector, Vector]],
-        hidden: Callable[[Vector, Vector], str],
-        measured: Measured,
+        tracker: SimulatedTracker,
+        locked: Smr,
         interval_s: float,
-        rng: np.random.Generator,
         lost: Callable[[TrackerError], None],
         received: Callable[[Packet], None],
     ) -> None:
-        """``owner`` names the owner of the SMR. ``true_smr`` returns its positions and viewing directions (n, 3) at
-        recent times (n,). ``hidden`` returns why it is not visible at one of them; empty if it is."""
-        self._plant, self._errors, self._owner = plant, errors, owner
-        self._true_smr, self._hidden = true_smr, hidden
-        self._measured, self._interval_s, self._rng = measured, interval_s, rng
+        self._tracker, self._locked, self._interval_s = tracker, locked, interval_s
+        self._plant, self._errors, self._rng = tracker.plant, tracker.errors, tracker.dynamic
         self._lost, self._received = lost, received
-        self._began_s = plant.clock_s
+        self._began_s = self._plant.clock_s
         self._packet_s = max(interval_s, 1.0 / PACKETS_HZ)
         self._taken = 0
         self._packets: list[Packet] = []
@@ -586,22 +564,24 @@ class SimulatedStream:
         due = math.floor((self._plant.clock_s - self._began_s) / self._interval_s + 1e-6) + 1
         time_s = self._began_s + self._interval_s * np.arange(self._taken, due, dtype=np.float64)
         self._taken = due
-        true_M, normal_M = self._true_smr(np.append(time_s, self._plant.clock_s))
+        true_M, normal_M = self._tracker.sight.recent(self._locked, np.append(time_s, self._plant.clock_s))
         if why := self._broken(true_M[-1], normal_M[-1], may_break=may_break):
             self._on = False
-            self._lost(TargetLost(f"tracker: the beam to the SMR of {self._owner} broke while it was followed: {why}"))
+            owner = self._locked.owner
+            self._lost(TargetLost(f"tracker: the beam to the SMR of {owner} broke while it was followed: {why}"))
             return False
         if self._errors.saturated and self._rng.random() < self._errors.saturated:
             time_s = time_s[:0]
         if len(time_s):
-            p_M, sigma_m = self._measured(true_M[: len(time_s)], moving=float(np.ptp(true_M, axis=0).max()) > _STILL_M)
+            moving = float(np.ptp(true_M, axis=0).max()) > _STILL_M
+            p_M, sigma_m = self._tracker.points(true_M[: len(time_s)], moving=moving)
             self._go(Packet(self._errors.own_time_s(time_s), p_M, sigma_m, math.nan))
         return True
 
     def _broken(self, p_M: Vector, normal_M: Vector, *, may_break: bool) -> str:
         """Return why the beam is broken now; empty if it is not."""
         often = self._errors.lost_beams_per_min * self._packet_s / 60.0
-        return self._hidden(p_M, normal_M) or (
+        return self._tracker.hidden(self._locked, p_M, normal_M) or (
             "something crossed it" if may_break and self._rng.random() < often else ""
         )
 

@@ -17,12 +17,10 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.prior_source import earlier_arms
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.check.run import check_run, plant_of
+from cellapp.commands.check.run import plant_of
 from cellapp.commands.compensate.run import compensate_run
-from cellapp.commands.locate.run import locate_run
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.commands.push.run import push_run
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import stage_in_force
@@ -38,6 +36,7 @@ from drivers.trackers.simulated import SimulatedTracker
 from tests.cell.driving.test_check import SOME, away, swap_splits
 from tests.twin import PROFILES, finished_twin
 from tests.twin import plant_of as opened_plant
+from tests.verbs import check_run, locate_run, push_run
 
 TEN_MINUTES_S = 600.0
 
@@ -289,7 +288,7 @@ def test_without_any_smr_nothing_is_stored(run: RunFile) -> None:
 
 
 def test_what_cannot_be_checked_is_refused_before_anything_moves(run: RunFile, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="at least 4 stops"):
+    with pytest.raises(InputError, match="--stops: expected at least 4, got 3"):
         check_run(run, stops=3)
     with pytest.raises(InputError, match="unknown arm third"):
         check_run(run, simulated_plant=Plant(effects={"third": {}}))

@@ -13,8 +13,7 @@ from cellapp.cell.run.measured_again import replace_stop
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.commands.confirm import MotionNotConfirmed, asked_once, confirmation, first_path_words, require_permission
-from cellapp.commands.report.result import read_results
-from cellapp.commands.report.run import report_run
+from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import (
     CERTIFICATE_FILE,
@@ -33,6 +32,7 @@ from cellapp.interfaces.page.page import write_page
 from drivers.findings import Finding
 from tests.cell.run.small_runs import collected_run
 from tests.twin import PROFILES
+from tests.verbs import report_run
 
 
 def measure_again(run: RunFile, stop: int) -> None:

@@ -27,7 +27,6 @@ from cellapp.cell.run.recordings import read_recordings_of, recording_states
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.commands.push.run import push_run
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.motion.tracks import track_of
@@ -42,6 +41,7 @@ from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.commands.emulated_cell import behind_bridge, emulated, patiently, stalled
 from tests.loopback import free_port, own_address, own_arms
 from tests.twin import PROFILES, small_twin, with_arm
+from tests.verbs import push_run
 from tests.waiting import WAIT_S, within
 
 pytestmark = pytest.mark.waits

@@ -20,7 +20,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.compensate.run import compensate_run
-from cellapp.commands.export.run import calibrated_arms, export_as_run, sentences
+from cellapp.commands.export.run import calibrated_arms, sentences
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import smr_positions
@@ -28,6 +28,7 @@ from cellapp.robot.model import CellModel
 from tests.cell.exports import readers
 from tests.interfaces.plugins.installed import add_example, run_commands
 from tests.twin import PROFILES, finished_twin
+from tests.verbs import export_as_run
 
 FORMATS = formats_of(ExportFormat)
 

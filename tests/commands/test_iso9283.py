@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,10 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.iso9283.request import VERB, Iso9283Request
 from cellapp.commands.iso9283.run import iso9283_run, opened_run
 from cellapp.commands.iso9283.view import iso9283_sentences, iso9283_tables
+from cellapp.commands.record import Work
 from cellapp.commands.report.data import read_report_data
-from cellapp.commands.report.result import read_results
 from cellapp.commands.report.sections import report_sections
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.view.charts import Chart
 from cellapp.estimation.iso9283.records import Iso9283Result
@@ -62,7 +64,7 @@ def asked(run: RunFile, **options: Any) -> Iso9283Request:
 
 def test_a_calibrated_run_is_tested_as_found_and_as_left(finished_copy: Path) -> None:
     with RunFile.open(finished_copy, write=True) as run:
-        result = iso9283_run(run, asked(run, tests=("pose", "cooperative"), cycles=3))
+        result = iso9283_run(run, asked(run, tests=("pose", "cooperative"), cycles=3), Work())
         stages = read_stages(run)
         assert ISO9283 in stages.current
         assert ISO9283 not in stages.out_of_date
@@ -103,7 +105,7 @@ def test_what_was_measured_before_a_fault_is_stored(finished_copy: Path, monkeyp
     with RunFile.open(finished_copy, write=True) as run:
         request = asked(run, tests=["distance"], cycles=3, arms=["right"], commands="nominal")
         with pytest.raises(HardwareError, match="protective stop"):
-            iso9283_run(run, request, listen)
+            iso9283_run(run, request, Work(listen))
         stored = read_results(run).iso9283
     assert stored is not None
     assert stored.stopped == "stopped: arm right: protective stop"
@@ -131,8 +133,8 @@ def test_the_command_makes_one_test_in_a_new_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     profile = left_alone()
-    loose = profile.tolerances.model_copy(update={"pose_accuracy": 0.05, "pose_repeatability": 0.05})
-    path = saved(profile.model_copy(update={"tolerances": loose}), tmp_path)
+    its_own = profile.tolerances.model_copy(update={"pose_accuracy": 0.05, "distance_accuracy": 1e-6})
+    path = saved(profile.model_copy(update={"tolerances": its_own}), tmp_path)
     out = tmp_path / "result.json"
     assert code_of(monkeypatch, "iso9283", "distance", path, "--run", tmp_path / "run") == 2  # a folder mistyped
     assert "holds no run" in capsys.readouterr().err
@@ -140,8 +142,10 @@ def test_the_command_makes_one_test_in_a_new_run(
     assert code_of(monkeypatch, "iso9283", "distance", path) == 2
     assert "--nominal" in capsys.readouterr().err
     arguments = ("--run", tmp_path / "run", "--cycles", 2, "--nominal", "--json", out)
-    assert code_of(monkeypatch, "iso9283", "distance", path, *arguments) == 0
-    printed = capsys.readouterr().out
+    assert code_of(monkeypatch, "iso9283", "distance", path, *arguments) == 1
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "not all that has a tolerance conforms" in printed
+    assert not re.search("nearer|wider|more cycles|another instrument", printed), "a calibration would help"
     assert "Distance accuracy AD and repeatability RD" in printed
     assert "arm left has a distance accuracy AD of" in printed
     found = json.loads(out.read_text("utf-8"))

@@ -19,6 +19,7 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.iso9283.request import VERB, Iso9283Request
 from cellapp.commands.iso9283.run import iso9283_run
 from cellapp.commands.iso9283.view import iso9283_tables
+from cellapp.commands.record import Work
 from cellapp.estimation.iso9283.evaluate import orientation_characteristics
 from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result
 from cellapp.ground.errors import InputError
@@ -39,7 +40,7 @@ def tested(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Iso9283Re
         patch.setattr(programme, "_SEEDS", 4)
         only_paths(patch, "line")
         tests = ["pose", "multidirectional", "distance", "drift", "path"]
-        yield iso9283_run(run, asked(run, tests=tests, cycles=3, nominal=True, drift_minutes=0.5)), folder
+        yield iso9283_run(run, asked(run, tests=tests, cycles=3, nominal=True, drift_minutes=0.5), Work()), folder
 
 
 def rows_of(tested: tuple[Iso9283Result, Path]) -> Rows:
@@ -149,7 +150,7 @@ def test_points_of_an_earlier_test_stay(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(programme, "_SEEDS", 4)
     with RunFile.create(tmp_path / "run", left_alone()) as run:
         (tmp_path / "run" / "iso9283-points.csv").write_text("kept", "utf-8")
-        result = iso9283_run(run, asked(run, tests=["distance"], cycles=2, nominal=True))
+        result = iso9283_run(run, asked(run, tests=["distance"], cycles=2, nominal=True), Work())
     assert result.points_file == "iso9283-points-2.csv"
     assert (tmp_path / "run" / "iso9283-points.csv").read_text("utf-8") == "kept"
 
@@ -161,7 +162,7 @@ def test_a_result_is_kept_where_its_points_cannot_be_written(tmp_path: Path, mon
     monkeypatch.setattr(programme, "_SEEDS", 4)
     monkeypatch.setattr(Outputs, "write", full)
     with RunFile.create(tmp_path / "run", left_alone()) as run:
-        result = iso9283_run(run, asked(run, tests=["distance"], cycles=2, nominal=True))
+        result = iso9283_run(run, asked(run, tests=["distance"], cycles=2, nominal=True), Work())
     assert result.points_file == ""
     assert "not kept: iso9283-points.csv cannot be written: No space left" in result.notes[-1]
     assert result.arms["left"].tests["nominal"].distance[0].accuracy.n == 2
@@ -184,7 +185,7 @@ def test_orientation_is_measured_stored_and_told(tmp_path: Path, monkeypatch: py
     with RunFile.create(tmp_path / "run", profile.model_copy(update={"plant": plant, "arms": arms})) as run:
         request = VERB.asked({"folder": run.folder, "tests": ["pose"], "cycles": 6, "nominal": True})
         assert isinstance(request, Iso9283Request)
-        result = iso9283_run(run, request)
+        result = iso9283_run(run, request, Work())
     poses = result.arms["left"].tests["nominal"].pose
     (line,) = (one for one in result.coverage if one.characteristic == "AP, RP of the orientation")
     assert (line.status, line.words) == ("in part", "6 of 30 cycles, nominal commands")

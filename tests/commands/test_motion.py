@@ -17,9 +17,9 @@ from cellapp.commands.calibrate.request import VERB
 from cellapp.commands.calibrate.request import VERB as CALIBRATE
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
-from cellapp.commands.export.run import export_as_run, export_run
+from cellapp.commands.export.request import ExportRequest
+from cellapp.commands.export.run import export
 from cellapp.commands.import_ import VERB as IMPORT
-from cellapp.commands.import_ import import_new_run
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import read_stages
@@ -33,6 +33,7 @@ from cellapp.robot.kinematics.chain import smr_positions
 from tests.commands.moved_arms import OFFSET_S, RATE_PPM, SIGMA_M, add_arm, true_arm, write_recording
 from tests.interfaces.page.runs import without_devices
 from tests.program import app
+from tests.verbs import export_as_run, import_new_run
 
 
 def files_of(folder: Path, profile, *names: str, **options: float) -> tuple[list[Path], list[Path]]:
@@ -145,7 +146,7 @@ def test_what_cannot_be_calibrated_is_said(tmp_path: Path) -> None:
 
 def _empty_export(folder: Path) -> None:
     with RunFile.create(folder / "empty", without_devices("left")) as run:
-        export_run(run, None, None, recordings={"joints": folder / "out.csv"})
+        export(run, ExportRequest(folder=run.folder, joints=folder / "out.csv"))
 
 
 def test_long_fits_of_recordings_say_what_they_do_and_end_on_request(tmp_path: Path) -> None:

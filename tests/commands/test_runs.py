@@ -32,7 +32,7 @@ from cellapp.commands.compare.run import (
     comparison_sentences,
     comparison_tables,
 )
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.runs.history import list_runs, summarise
 from cellapp.commands.runs.result import ArmHistory, RunsResult, RunSummary
 from cellapp.commands.runs.run import arm_history

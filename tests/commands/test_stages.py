@@ -16,9 +16,7 @@ from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.run import compensate_run
 from cellapp.commands.discover.run import discover_run
-from cellapp.commands.push.run import push_run
-from cellapp.commands.report.result import read_results
-from cellapp.commands.report.run import report_run
+from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.view import overview_sentences
 from cellapp.commands.stages import (
@@ -35,6 +33,7 @@ from cellapp.interfaces.page.page import write_page
 from cellapp.interfaces.tui.keys import way_to, with_keys
 from cellapp.robot.model import CellModel
 from tests.twin import PROFILES, small_twin
+from tests.verbs import push_run, report_run
 
 OLD_RUN = Path(__file__).parents[1] / "fixtures" / "run-schema-2"
 TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())[:2]
@@ -109,7 +108,7 @@ def test_something_comes_next_while_anything_is_undecided_failed_or_out_of_date(
                 name: arm.model_copy(update={"verdict": "ambiguous"}) for name, arm in results.discover.arms.items()
             }
             changed = results.model_copy(update={"discover": results.discover.model_copy(update={"arms": found})})
-            monkeypatch.setattr("cellapp.commands.next_step.read_stage_results", lambda run, stages: changed)
+            monkeypatch.setattr("cellapp.commands.next_step.read_results", lambda run, stages: changed)
         elif change == "out of date":
             append_stage(run, COMPENSATE, results.compensate, None)
         write_page(run)

@@ -16,7 +16,7 @@ from cellapp.cell.driving.cell import tracker_driver
 from cellapp.cell.driving.examination import examine
 from cellapp.cell.profile import load_profile
 from cellapp.commands.emulate import EmulatedTracker, emulate
-from cellapp.commands.tracker_bridge import TrackerBridgeResult, serve_tracker, view
+from cellapp.commands.tracker_bridge import TrackerBridgeRequest, TrackerBridgeResult, serve_tracker, view
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
@@ -43,6 +43,10 @@ def token_file(tmp_path: Path) -> Path:
     return path
 
 
+def asked(**options) -> TrackerBridgeRequest:
+    return TrackerBridgeRequest(profile=Path("cell.yaml"), **options)
+
+
 @contextmanager
 def served(profile: Profile, **options):
     cancel, up, found = CancelToken(), threading.Event(), []
@@ -51,8 +55,8 @@ def served(profile: Profile, **options):
         found.append(where)
         up.set()
 
-    options = {"port": 0} | options
-    thread = threading.Thread(target=serve_tracker, args=(profile, cancel, announce), kwargs=options)
+    request = asked(**{"port": 0} | options)
+    thread = threading.Thread(target=serve_tracker, args=(profile, request, cancel, announce))
     thread.start()
     try:
         assert up.wait(PATIENT_S)
@@ -85,25 +89,24 @@ def test_a_profiles_tracker_is_served_until_cancelled(token_file: Path) -> None:
     ("options", "why"),
     [
         ({"host": "0.0.0.0"}, "reachable from other machines: give a token"),
-        ({"port": None}, "nothing to serve on"),
         ({"token_env": "CELLAPP_TEST_NO_SUCH_TOKEN"}, "CELLAPP_TEST_NO_SUCH_TOKEN is not set"),
         ({"token_file": Path("/no/such/token")}, "cannot be read"),
     ],
 )
 def test_a_door_that_would_stand_open_is_refused(options, why) -> None:
     with pytest.raises(InputError, match=why):
-        serve_tracker(small_twin(), CancelToken(), lambda _: pytest.fail("it listens"), **options)
+        serve_tracker(small_twin(), asked(**options), CancelToken(), lambda _: pytest.fail("it listens"))
 
 
 def test_a_bridge_serves_no_bridge() -> None:
     profile = behind(small_twin(), "socket://127.0.0.1:50960")
     with pytest.raises(InputError, match=r"tracker\.driver is 'bridge'; to be served it must be"):
-        serve_tracker(profile, CancelToken(), lambda _: None)
+        serve_tracker(profile, asked(), CancelToken(), lambda _: None)
 
 
 def test_a_port_in_use_is_said() -> None:
     with served(small_twin()) as where, pytest.raises(HardwareError, match=f"cannot listen at .* port {where.port}"):
-        serve_tracker(small_twin(), CancelToken(), lambda _: None, port=where.port)
+        serve_tracker(small_twin(), asked(port=where.port), CancelToken(), lambda _: None)
 
 
 def test_the_token_comes_from_where_it_is_said_to_be(token_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:

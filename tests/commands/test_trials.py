@@ -19,10 +19,10 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.trials.judge import TRIAL_RESULT, StoredTrial, judge_run, judge_trials, score_run, source_digest
-from cellapp.commands.trials.judge_records import ArmFindings, DescribedTerm, JudgeResult, NoiseLengths, ScoredRun
+from cellapp.commands.trials.judge_records import ArmFindings, JudgeResult, NoiseLengths, ScoredRun
 from cellapp.commands.trials.scoring import scores
 from cellapp.commands.trials.sealed import (
-    ExpectedTerm,
+    DescribedTerm,
     GroundTruth,
     HiddenLaw,
     check_seal,
@@ -377,7 +377,7 @@ def truth(kind: str, *slugs: str, visible_um: float = 100.0, look_alikes: bool =
             HiddenLaw(effect=slug, plant=slug, parameters={}, raw_um=2.0 * visible_um, visible_um=visible_um)
             for slug in slugs
         ),
-        expected=None if expected is None else ExpectedTerm(channel=expected[0], variables=expected[1]),
+        expected=None if expected is None else DescribedTerm(channel=expected[0], variables=expected[1]),
         noise_um={"left": 26.0, "right": 26.0},
         held_out_um={"left": 25.0, "right": 25.0},
         seeds={},

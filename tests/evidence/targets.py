@@ -32,7 +32,6 @@ from cellapp.cell.targets.targets import Target
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.locate.result import LocateVerdict
-from cellapp.commands.locate.run import locate_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
@@ -49,6 +48,7 @@ from drivers.plant import Plant
 from tests.evidence.shared.cells import TWIN
 from tests.evidence.shared.target_draws import draw_hidden, draw_pairs, draw_targets
 from tests.evidence.skeleton import Evidence, Limit, Table
+from tests.verbs import locate_run
 
 _FLOOR_SEED = 0xF100
 """Mixed with the trial's seed."""

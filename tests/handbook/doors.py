@@ -96,7 +96,7 @@ def _read_yaml(example: Example, profiles: Path) -> None:
     elif schema is None and isinstance(content, dict) and set(content) >= _ANSWERS:
         new = profiles / "answers"
         shutil.rmtree(new, ignore_errors=True)
-        load_profile(write_answers(path, new).path)
+        load_profile(Path(write_answers(path, new).profile))
     else:
         path.write_text(yaml.safe_dump(merged(example, profiles)), encoding="utf-8")
         load_profile(path)

@@ -7,7 +7,7 @@ base, tracker or SMR may have moved.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Protocol
 
@@ -15,9 +15,9 @@ import numpy as np
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.measuring import APART_M, FoundPoint, SmrSearch
-from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
+from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.supervision import MovingCell, Opened, moving_cell
-from cellapp.cell.driving.target_visit import Driver, last_motion_matters
+from cellapp.cell.driving.target_visit import Driver
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import clear_stops, visible_stops
 from cellapp.estimation.monitoring.check import SequentialState
@@ -46,13 +46,13 @@ class StopTest(Protocol):
 class CheckTask:
     """Settings of a check.
 
-    ``model`` is in the present tracker frame. ``stops`` are joint positions (N,) [rad] by arm, in the order of driving.
-    ``excess_m`` is as in ``fit_station``.
+    ``model`` is in the present tracker frame. ``stops`` are readings of the calibration, one of each arm, in the order
+    of driving. ``excess_m`` is as in ``fit_station``.
     """
 
     profile: Profile
     model: CellModel
-    stops: Sequence[Mapping[str, Vector]]
+    stops: Sequence[Mapping[str, Readings]]
     excess_m: Mapping[str, float]
 
 
@@ -156,7 +156,7 @@ class _Checking:
             )
         return self.driven
 
-    def _visit(self, number: int, wanted: Mapping[str, Vector]) -> bool:
+    def _visit(self, number: int, wanted: Mapping[str, Readings]) -> bool:
         """Measure the arms at one stop, together or one by one; return whether the test is decided."""
         try:
             return self._measure(number, self._drive(wanted))
@@ -175,15 +175,10 @@ class _Checking:
     def _note_refusal(self, number: int, names: Iterable[str], error: MotionRefused) -> None:
         self.driven.notes.append(f"stop {number + 1}, arm {', '.join(names)}: {error}")
 
-    def _drive(self, wanted: Mapping[str, Vector]) -> dict[str, ArmState]:
-        """Drive arms to joint positions (N,) [rad]; end with a short motion if the model depends on its direction."""
-        here = self.mover.positions()
-        sides = {
-            name: np.sign(q - here[name])
-            for name, q in wanted.items()
-            if last_motion_matters(self.task.model.arms[name])
-        }
-        return self.driver.to(list(wanted), lambda name, start: wanted[name], sides)
+    def _drive(self, wanted: Mapping[str, Readings]) -> dict[str, ArmState]:
+        """Drive arms to readings of the calibration; end with a short motion of each joint in the direction as then."""
+        sides = {name: its.approach[0].astype(np.float64) for name, its in wanted.items()}
+        return self.driver.to(list(wanted), lambda name, start: wanted[name].q[0], sides)
 
     def _measure(self, number: int, states: Mapping[str, ArmState]) -> bool:
         """Measure the SMRs of arms that are at a stop together; return whether the test is decided then."""
@@ -244,12 +239,12 @@ def _first(values: Array | None) -> float | None:
 # -- Stops at which a check can measure all arms together: stops of the calibration that are clear and visible --------
 
 
-def check_candidates(profile: Profile, model: CellModel, readings: Mapping[str, Readings]) -> dict[str, Array]:
-    """Return joint positions of all arms, arm -> (n, N) [rad]; row k of all arms is one stop.
+def check_candidates(profile: Profile, model: CellModel, readings: Mapping[str, Readings]) -> dict[str, Readings]:
+    """Return readings of all arms, of which row k of all arms is one stop.
 
-    They are those of the readings, where the model is known, at which the arms are clear of each other and of
-    everything else, the tracker of ``model`` sees all SMRs, and no SMR can be mistaken for another. Readings that were
-    not taken at common stops are paired at random.
+    They are those, where the model is known, at which the arms are clear of each other and of everything else, the
+    tracker of ``model`` sees all SMRs, and no SMR can be mistaken for another. Readings that were not taken at common
+    stops are paired at random.
 
     Raises
     ------
@@ -257,9 +252,10 @@ def check_candidates(profile: Profile, model: CellModel, readings: Mapping[str, 
         If no stop is left.
     """
     stops = _together({name: readings[name] for name in model.arms}, profile.seed)
+    q = {name: its.q for name, its in stops.items()}
     bodies = cell_bodies(profile, model)
-    usable = clear_stops(bodies, stops) & visible_stops(bodies, stops)
-    p_M = {name: model.predict(name, q) for name, q in stops.items()}
+    usable = clear_stops(bodies, q) & visible_stops(bodies, q)
+    p_M = {name: model.predict(name, its) for name, its in q.items()}
     for one, other in combinations(p_M, 2):
         usable &= np.linalg.norm(p_M[one] - p_M[other], axis=1) >= APART_M
     if not usable.any():
@@ -267,18 +263,18 @@ def check_candidates(profile: Profile, model: CellModel, readings: Mapping[str, 
             f"profile {profile.name}: at no stop of the calibration's readings are all arms clear and in the tracker's"
             " sight; nothing was moved"
         )
-    return {name: q[usable] for name, q in stops.items()}
+    return {name: its.take(usable) for name, its in stops.items()}
 
 
-def _together(readings: Mapping[str, Readings], seed: int) -> dict[str, Array]:
-    """Return joint positions of all arms at the stops where all were measured; if there are none, in random pairs."""
+def _together(readings: Mapping[str, Readings], seed: int) -> dict[str, Readings]:
+    """Return the readings of all arms at the stops where all were measured; if there are none, random pairs."""
     numbers = [arm.configuration for arm in readings.values()]
     common = numbers[0]
     for one in numbers[1:]:
         common = np.intersect1d(common, one)
     if len(common):
-        rows = {name: np.isin(arm.configuration, common) for name, arm in readings.items()}
-        return {name: arm.q[rows[name]] for name, arm in readings.items()}
+        return {name: arm.take(np.isin(arm.configuration, common)) for name, arm in readings.items()}
     count = min(len(arm) for arm in readings.values())
     rng = np.random.default_rng([seed, 0xC4EC])
-    return {name: arm.q[rng.permutation(len(arm))[:count]] for name, arm in readings.items()}
+    paired = {name: arm.take(rng.permutation(len(arm))[:count]) for name, arm in readings.items()}
+    return {name: replace(arm, configuration=np.arange(count)) for name, arm in paired.items()}

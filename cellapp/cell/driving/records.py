@@ -9,6 +9,7 @@ from pydantic import Field
 
 from cellapp.cell.planning.records import PlanDesignResult, PlannedTime
 from cellapp.cell.run.records import ArmOrder, MissingReading, RecordingState, ReferenceDrift
+from cellapp.cell.run.sqlite_file import Session
 from cellapp.ground.asking import Verb
 from cellapp.ground.results import Record, Result
 
@@ -82,29 +83,6 @@ class CollectResult(Result, schema="cellapp-collect"):
         ]
 
 
-class SessionRequest(Record):
-    """What a person asked in a session, or what suspended or resumed it; ``written`` is UTC."""
-
-    written: str
-    kind: str
-    reason: str
-
-
-class SessionRecord(Record):
-    """One session of collecting; ``ended`` and ``outcome`` are None if the program died in it.
-
-    ``again`` lists the stops that it measured again, as people count them; empty of one that collects what is left.
-    """
-
-    number: int
-    began: str
-    ended: str | None
-    outcome: str | None
-    reason: str | None
-    requests: tuple[SessionRequest, ...]
-    again: str = ""
-
-
 class CollectedStop(Record):
     """One arm at one stop, from 0, as measured, or why not.
 
@@ -175,7 +153,7 @@ class CollectionResult(Result, schema="cellapp-collection"):
     """
 
     run: str
-    sessions: tuple[SessionRecord, ...]
+    sessions: tuple[Session, ...]
     missing: tuple[MissingReading, ...]
     missing_share: float
     tolerated_share: float
@@ -189,7 +167,7 @@ class CollectionResult(Result, schema="cellapp-collection"):
     omitted_when_none = frozenset({"sweep"})
 
     @property
-    def last(self) -> SessionRecord | None:
+    def last(self) -> Session | None:
         """Last session that collected remaining stops (none measured again); None if there is none."""
         return next((one for one in reversed(self.sessions) if not one.again), None)
 

@@ -117,10 +117,8 @@ def export_lines(result: ExportResult) -> list[str]:
     """Return lines about the files that were written and what they do not represent."""
     lines = [f"arm {name}: {counted(count, 'reading')}" for name, count in (result.readings or {}).items()]
     lines += [f"plan written to {result.plan}"] if result.plan is not None else []
-    written = (result.csv, *(result.recordings or {}).values(), result.geometry)
+    written = (result.csv, *(result.recordings or {}).values())
     lines += [f"written to {file}" for file in written if file is not None]
-    for name, rms_mm in (result.ur_lost_rms_mm or {}).items():
-        lines.append(f"arm {name}: the differences of its D-H rows lack the Hayati angles and lose {rms_mm:.3f} mm rms")
     for name, arm in (result.arms or {}).items():
         smr = ", ".join(f"{1e3 * value:.4f}" for value in arm.smr_m)
         lines += [

@@ -63,20 +63,15 @@ class CommandFile(Record):
 class ExportResult(Result, schema="cellapp-export"):
     """``export``: the files that were written.
 
-    ``arms`` maps the arms to their files in ``format``, ``commands`` to files of their commands. ``ur_lost_rms_mm``
-    belongs to ``--geometry``: the rms position error of its D-H deltas, which lack the Hayati angles.
+    ``arms`` maps the arms to their files in ``format``, ``commands`` to files of their commands.
     """
 
     csv: str | None = None
     readings: Mapping[str, int] | None = None
     recordings: Mapping[Literal["joints", "points"], str] | None = None
     plan: str | None = None
-    geometry: str | None = None
-    ur_lost_rms_mm: Mapping[str, float] | None = None
     format: str | None = None
     arms: Mapping[str, ArmFile] | None = None
     commands: Mapping[str, CommandFile] | None = None
     notes: tuple[str, ...] = ()
-    omitted_when_none = frozenset(
-        {"csv", "readings", "recordings", "plan", "geometry", "ur_lost_rms_mm", "format", "arms", "commands"}
-    )
+    omitted_when_none = frozenset({"csv", "readings", "recordings", "plan", "format", "arms", "commands"})

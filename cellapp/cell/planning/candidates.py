@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from cellapp.cell.planning.records import ConstraintShare
 from cellapp.cell.safety.bodies import (
-    ArmBodies,
     Placed,
     beam_clearance,
     ceiling_clearance,
@@ -21,7 +20,7 @@ from cellapp.cell.safety.bodies import (
     place,
     self_clearance,
 )
-from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone, in_view, visible
+from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone, visible
 from cellapp.cell.safety.shapes import Obstacle, beam_gaps
 from cellapp.cell.safety.visibility import (
     AZIMUTH,
@@ -37,16 +36,13 @@ from cellapp.cell.safety.visibility import (
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
-from cellapp.robot.kinematics.chain import Geometry, frame_poses
 from cellapp.robot.kinematics.transforms import Array
 
 _OBLIQUE_SHARE = 0.25
 """Share of the configurations beyond the incidence of full accuracy that is kept: they are measured worse, but without
 them effects of the incidence could not be seen."""
-_INDEPENDENT = 4000
-"""Independent configurations drawn at once: about 60 of them are usable in the twin cell, and they fit in the cache."""
-_ASKED_AT_ONCE = 1000
-"""Number of configurations that the safety gate is asked about at once."""
+_AT_ONCE = 4000
+"""Configurations drawn at once: about 60 of them are usable in the twin cell, and they fit in the cache."""
 _MOST_DRAWS = 800_000
 _MOST_DRAWS_PER_CANDIDATE = 400
 """Draws after which the search ends: four times the number that a candidate takes in the twin cell, some seconds."""
@@ -86,8 +82,7 @@ def draw_pool(
     """Draw ``count`` candidates of an arm in random order, fewer where they are rare.
 
     Each is uniform in the joint ranges of the plan, restricted to configurations that are visible and clear; of those
-    with an incidence above ``plan.incidence`` a quarter is kept. About half of them have their first joints, or their
-    wrist, in common with one or a few others; no two are equal.
+    with an incidence above ``plan.incidence`` a quarter is kept.
 
     Raises
     ------
@@ -100,26 +95,20 @@ def draw_pool(
         lucky = rng.random(len(incidence)) < _OBLIQUE_SHARE
         return np.asarray(lucky | (incidence <= profile.plan.incidence))
 
-    if cell.field is None:
-        raise InputError(f"plan: arm {name}: the cell has no tracker that could see its SMR; give tracker.pose")
-    cancel, ranges = cancel or CancelToken(), joint_ranges(cell, profile, name)
-    found: list[CandidatePool] = []
-    drawn = number = 0
+    cancel, found, number = cancel or CancelToken(), list[CandidatePool](), 0
+    low, high = joint_ranges(cell, profile, name).T
     most = max(_MOST_DRAWS, count * _MOST_DRAWS_PER_CANDIDATE)
-    while number < count and drawn < most:
-        asked: list[CandidatePool] = []
-        while drawn < most and sum(len(batch.q) for batch in asked) < min(count - number, _ASKED_AT_ONCE):
-            cancel.check()
-            draws = draw_joints(cell.arms[name], cell.field.T_C_M, ranges, rng)
-            asked.append(usable(cell, cell.field, name, draws, keep))
-            drawn += asked[-1].drawn
-        found.append(admitted_by_gate(cell, name, together(asked)))
+    while number < count and len(found) * _AT_ONCE < most:
+        cancel.check()
+        found.append(_usable(cell, name, rng.uniform(low, high, size=(_AT_ONCE, len(low))), keep))
         number += len(found[-1].q)
+    drawn = len(found) * _AT_ONCE
     if number < min(count, profile.plan.stops + profile.plan.reserve):
         raise InputError(shortage(cell, profile, name, number, drawn))
-    pool = together(found)
     order = rng.permutation(number)[:count]
-    return CandidatePool(pool.q[order], pool.incidence[order], drawn, pool.rejected)
+    q, incidence = (np.concatenate([getattr(one, part) for one in found])[order] for part in ("q", "incidence"))
+    rejected = {constraint: sum(one.rejected[constraint] for one in found) for constraint in found[0].rejected}
+    return CandidatePool(q, incidence, drawn, rejected)
 
 
 def random_configurations(cell: CellBodies, profile: Profile, name: str, rng: np.random.Generator) -> Iterator[Array]:
@@ -131,94 +120,13 @@ def random_configurations(cell: CellBodies, profile: Profile, name: str, rng: np
         If none is found in many draws; the message says which constraint excludes them.
     """
     low, high = joint_ranges(cell, profile, name).T
-    arm, none = cell.arms[name], np.arange(0)
-    bare = replace(arm, frames=arm.frames[none], start=arm.start[none], end=arm.end[none], radius=arm.radius[none])
     fruitless = 0
     while True:
-        q = rng.uniform(low, high, size=(_INDEPENDENT, len(low)))
-        if cell.field is not None:  # most face away from the tracker: that is checked without bodies
-            q = q[in_view(cell.field, place(bare, q))]
-        q = q[visible(cell, name, q)]
-        q = q[clear_alone(cell, place(arm, q))]
+        q = _usable(cell, name, rng.uniform(low, high, size=(_AT_ONCE, len(low)))).q
         yield from q[::-1]  # this order belongs to the seed: a profile gives the same plan each time
-        fruitless = 0 if len(q) else fruitless + _INDEPENDENT
+        fruitless = 0 if len(q) else fruitless + _AT_ONCE
         if fruitless >= _MOST_DRAWS:
             raise InputError(shortage(cell, profile, name, 0, fruitless))
-
-
-# -- Random configurations of one arm and how the tracker sees their SMR, without the poses of all frames -------------
-#
-# An SMR that may be turned away by some 30 degrees faces the tracker in one of twenty configurations. Whether it does,
-# and where the SMR is, follows from a few products of the pose of the first joints with that of the wrist. So each of a
-# group of first joints is combined with each of a group of wrists: the trigonometry is done once for many
-# configurations.
-
-
-_GROUP = 16
-"""Number of first joints, and of wrists, in a group: 256 configurations, 2 to 4 of them usable in the twin cell."""
-_GROUPS = 48
-"""Number of groups drawn at once, some 12 000 configurations: what is computed from them fits in the cache."""
-
-
-@dataclass(frozen=True, eq=False)
-class JointDraws:
-    """b groups, in each m positions of the first joints combined with w of the other joints.
-
-    Attributes
-    ----------
-    first : array, shape (b, m, s)
-        Positions of the first s joints [rad].
-    wrist : array, shape (b, w, N - s)
-        Positions of the other joints [rad].
-    sight : Sight
-        Their SMRs as the tracker sees them; its arrays have the shape (b, m, w), that of the positions (3, b, m, w).
-    """
-
-    first: Array
-    wrist: Array
-    sight: Sight
-
-    def q(self, chosen: NDArray[np.bool_]) -> Array:
-        """Return the configurations ``chosen`` (b, m, w) as (n, N) [rad], in the order of ``array[chosen]``."""
-        group, i, k = np.nonzero(chosen)
-        return np.concatenate([self.first[group, i], self.wrist[group, k]], axis=1)
-
-
-def draw_joints(arm: ArmBodies, T_C_M: Array, ranges: Array, rng: np.random.Generator) -> JointDraws:
-    """Draw configurations uniformly from ``ranges`` (N, 2) [rad]; the tracker stands at ``T_C_M`` (4, 4).
-
-    Every configuration is uniform; only those of one group depend on each other, as they share positions of joints.
-    """
-    split = max(1, arm.geometry.joints // 2)
-    first, wrist = _uniform(ranges[:split], rng), _uniform(ranges[split:], rng)
-    R, o = _end_poses(replace(arm.geometry, rows=arm.geometry.rows[:split]), first)
-    identity = Geometry(np.zeros(6), arm.geometry.rows[split:], arm.geometry.tool)
-    R_wrist, o_wrist = _end_poses(identity, wrist)
-    normal, smr = R_wrist @ arm.normal_F, o_wrist + R_wrist @ arm.geometry.tool  # in the last frame of the first joints
-    axes = T_C_M[:3, :3].T @ R
-    tracker = np.einsum("bmac,bma->bmc", R, T_C_M[:3, 3] - o)  # (b, m, 3), in the same frame
-    away = -np.einsum("bmac,bmc->bma", axes, tracker)
-    b, m, w = len(first), first.shape[1], wrist.shape[1]
-    smr_T = np.ascontiguousarray(smr.transpose(0, 2, 1))
-    smr_M = (axes.transpose(0, 2, 1, 3).reshape(b, 3 * m, 3) @ smr_T).reshape(b, 3, m, w).transpose(1, 0, 2, 3)
-    smr_M = smr_M + away.transpose(2, 0, 1)[..., None]
-    distance = np.sqrt(smr_M[0] ** 2 + smr_M[1] ** 2 + smr_M[2] ** 2)
-    towards = tracker @ normal.transpose(0, 2, 1)
-    towards -= np.einsum("bwa,bwa->bw", smr, normal)[:, None]
-    return JointDraws(first, wrist, Sight(smr_M, distance, towards / distance))
-
-
-def _uniform(ranges: Array, rng: np.random.Generator) -> Array:
-    """Draw uniform positions (b, m, s) [rad] of s joints; one in each group where no joint can move."""
-    group = _GROUP if np.any(ranges[:, 1] > ranges[:, 0]) else 1
-    return rng.uniform(ranges[:, 0], ranges[:, 1], size=(_GROUPS, group, len(ranges)))
-
-
-def _end_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
-    """Compute rotations (b, m, 3, 3) and origins (b, m, 3) [m] of a chain's last frame at ``q`` (b, m, s) [rad]."""
-    b, m, joints = q.shape
-    rotations, origins = frame_poses(geometry, q.reshape(b * m, joints))
-    return rotations[-1].reshape(b, m, 3, 3), origins[-1].reshape(b, m, 3)
 
 
 def joint_ranges(cell: CellBodies, profile: Profile, name: str) -> Array:
@@ -256,47 +164,38 @@ GATE = "gate"
 """Name under which configurations are counted that all named constraints admit but the safety gate refuses."""
 
 
-def usable(
-    cell: CellBodies,
-    field: TrackerField,
-    name: str,
-    draws: JointDraws,
-    keep: Callable[[Array], NDArray[np.bool_]] | None = None,
+def _usable(
+    cell: CellBodies, name: str, q: Array, keep: Callable[[Array], NDArray[np.bool_]] | None = None
 ) -> CandidatePool:
-    """Select the usable configurations among ``draws``; ``keep`` decides by incidence (n,) [rad] what to keep."""
-    rejected: dict[str, int] = {}
-    seen = np.ones(draws.sight.distance.shape, dtype=bool)
-    count = seen.size
-    for constraint, holds in sight_conditions(field, cell.arms[name].acceptance, draws.sight):
-        seen &= holds
-        left = int(np.count_nonzero(seen))
-        rejected[constraint], count = count - left, left
-    q = draws.q(seen)
-    incidence = np.arccos(np.minimum(draws.sight.cosine[seen], 1.0))
-    rows = np.arange(len(q))
+    """Select the usable ones of configurations ``q`` (n, N); ``keep`` decides by incidence (m,) [rad] what to keep.
+
+    The answer of the safety gate is final.
+    """
+    arm, field, rows, rejected = cell.arms[name], _field(cell, name), np.arange(len(q)), dict[str, int]()
+
+    def only(constraint: str, holds: NDArray[np.bool_]) -> NDArray[np.intp]:
+        rejected[constraint] = len(rows) - int(np.count_nonzero(holds))
+        return rows[holds]
+
+    none = np.arange(0)  # most face away from the tracker: that is checked without bodies
+    bare = replace(arm, frames=arm.frames[none], start=arm.start[none], end=arm.end[none], radius=arm.radius[none])
+    sight = sight_of(field.T_C_M, place(bare, q))
+    for constraint, holds in sight_conditions(field, arm.acceptance, sight):
+        rows = only(constraint, holds[rows])
     if keep is not None:
-        rows = rows[keep(incidence)]
-        rejected[INCIDENCE] = len(q) - len(rows)
-    placed = place(cell.arms[name], q[rows])
+        rows = only(INCIDENCE, keep(sight.incidence[rows]))
+    placed = place(arm, q[rows])
     for constraint, margin in body_margins(cell, field, name).items():
         clear = margin(placed) > 0.0  # not for NaN
-        rejected[constraint] = len(rows) - int(np.count_nonzero(clear))
-        rows, placed = rows[clear], placed.take(clear)
-    return CandidatePool(q[rows], incidence[rows], seen.size, rejected)
+        rows, placed = only(constraint, clear), placed.take(clear)
+    rows = only(GATE, visible(cell, name, q[rows]) & clear_alone(cell, placed))
+    return CandidatePool(q[rows], sight.incidence[rows], len(q), rejected)
 
 
-def together(batches: Sequence[CandidatePool]) -> CandidatePool:
-    """Merge the configurations of several draws into one."""
-    q, incidence = (np.concatenate([getattr(batch, part) for batch in batches]) for part in ("q", "incidence"))
-    rejected = {constraint: sum(batch.rejected[constraint] for batch in batches) for constraint in batches[0].rejected}
-    return CandidatePool(q, incidence, sum(batch.drawn for batch in batches), rejected)
-
-
-def admitted_by_gate(cell: CellBodies, name: str, found: CandidatePool) -> CandidatePool:
-    """Select the configurations that the safety gate, too, finds visible and clear: its answer is final."""
-    admitted = visible(cell, name, found.q) & clear_alone(cell, place(cell.arms[name], found.q))
-    rejected = {**found.rejected, GATE: len(admitted) - int(np.count_nonzero(admitted))}
-    return CandidatePool(found.q[admitted], found.incidence[admitted], found.drawn, rejected)
+def _field(cell: CellBodies, name: str) -> TrackerField:
+    if cell.field is None:
+        raise InputError(f"plan: arm {name}: the cell has no tracker that could see its SMR; give tracker.pose")
+    return cell.field
 
 
 def body_margins(cell: CellBodies, field: TrackerField, name: str) -> Mapping[str, Callable[[Placed], Array]]:
@@ -386,13 +285,11 @@ def exclusions(cell: CellBodies, profile: Profile, name: str) -> tuple[Constrain
     InputError
         If the cell has no tracker.
     """
-    if cell.field is None:
-        raise InputError(f"plan: arm {name}: the cell has no tracker that could see its SMR; give tracker.pose")
-    arm, (low, high) = cell.arms[name], joint_ranges(cell, profile, name).T
+    arm, field, (low, high) = cell.arms[name], _field(cell, name), joint_ranges(cell, profile, name).T
     placed = place(arm, np.random.default_rng(_SEED).uniform(low, high, size=(_EXAMINED, len(low))))
-    sight = sight_of(cell.field.T_C_M, placed)
-    examined = _sight_examined(cell.field, sight, arm.acceptance)
-    for constraint, margin in body_margins(cell, cell.field, name).items():
+    sight = sight_of(field.T_C_M, placed)
+    examined = _sight_examined(field, sight, arm.acceptance)
+    for constraint, margin in body_margins(cell, field, name).items():
         metres = margin(placed)
         examined.append(_Examined(constraint, metres > 0.0, -1e3 * metres, "mm"))
     failed = np.sum([~one.holds for one in examined], axis=0)
@@ -400,7 +297,7 @@ def exclusions(cell: CellBodies, profile: Profile, name: str) -> tuple[Constrain
     for one in examined:
         fails = ~one.holds
         decisive = fails & (failed == 1)
-        extent = _extent(cell.field, one, sight, decisive if decisive.any() else fails)
+        extent = _extent(field, one, sight, decisive if decisive.any() else fails)
         found.append(
             ConstraintShare(
                 constraint=one.name,

@@ -41,7 +41,7 @@ from cellapp.estimation.design.block_design import (
     gap_limits,
     information_of,
     largest_gaps,
-    most_informative_first,
+    least_informative_last,
     reference_errors,
     without_turns,
 )
@@ -275,7 +275,7 @@ def _select(
     chosen = choose_blocks(candidates, count, criterion, rng, cancel=cancel, told=told)
     limits = gap_limits(q, len(chosen) + len(kept), profile.plan.largest_gap)
     chosen = close_gaps(candidates, q, chosen, criterion, limits, without_turns(kept, q), rng, cancel)
-    return most_informative_first(candidates, chosen, criterion)
+    return least_informative_last(candidates, chosen, criterion)
 
 
 # -- Selection of the candidates of an arm that are easy to reach: straight motions from home and others are free -----

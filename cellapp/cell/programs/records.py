@@ -157,15 +157,6 @@ class CorrectedTarget(Record):
     reason: str = ""
 
 
-class LeftLine(Record):
-    """A motion that stays as it is; ``refused`` if it has a target that could not be corrected."""
-
-    line: int
-    command: str
-    reason: str
-    refused: bool
-
-
 class CorrectResult(Result, schema="cellapp-correct"):
     """``correct``: every target and what was assumed; ``out`` is None where nothing was written."""
 
@@ -173,7 +164,7 @@ class CorrectResult(Result, schema="cellapp-correct"):
     out: str | None
     arm: str
     targets: tuple[CorrectedTarget, ...]
-    left: tuple[LeftLine, ...]
+    left: tuple[LeftMotion, ...]
     assumptions: tuple[str, ...]
     notes: tuple[str, ...] = ()
     common: tuple[CommonUncertainty, ...] = ()

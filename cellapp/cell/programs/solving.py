@@ -11,13 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from cellapp.cell.programs.records import (
-    CorrectedTarget,
-    CorrectResult,
-    Place,
-    ProgramTarget,
-    ReadProgram,
-)
+from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, Place, ProgramTarget, ReadProgram
 from cellapp.cell.programs.script_targets import six
 from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
@@ -264,14 +258,7 @@ def _refused(target: ProgramTarget, reason: str) -> CorrectedTarget:
     )
 
 
-def _corrected(
-    target: ProgramTarget,
-    *,
-    q_new: Array,
-    meant: Array,
-    told: Array,
-    nearest_to: str,
-) -> CorrectedTarget:
+def _corrected(target: ProgramTarget, *, q_new: Array, meant: Array, told: Array, nearest_to: str) -> CorrectedTarget:
     shift = float(np.linalg.norm(told[:3, 3] - meant[:3, 3]))
     turn = float(np.linalg.norm(rotation_vectors((meant[:3, :3].T @ told[:3, :3])[None])[0]))
     new = six(q_new.tolist())

@@ -172,10 +172,7 @@ def _check_joint_columns(cells: ArmCells, arm: str, joints: int) -> None:
 
 
 def _check_once(
-    cells: ArmCells,
-    configuration: NDArray[np.int64],
-    arm: str,
-    words: Mapping[str, tuple[str | None, ...] | None],
+    cells: ArmCells, configuration: NDArray[np.int64], arm: str, words: Mapping[str, tuple[str | None, ...] | None]
 ) -> None:
     """Check that an arm has one row per stop, or one per SMR and station where these are named."""
     named = [its for name in ("smr", "station") if (its := words[name]) is not None]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from cellapp.cell.run.file import RunFile
 from cellapp.ground.errors import InputError
@@ -33,17 +34,6 @@ class ControllerIdentity:
 
 
 STORED_CONTROLLERS = TypeAdapter(dict[str, ControllerIdentity])
-
-
-class _Controller(BaseModel):
-    """The part of a recorded controller that tells arms apart."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-    serial: str = ""
-
-
-_CONTROLLERS = TypeAdapter(dict[str, _Controller])
 
 
 @dataclass(frozen=True)
@@ -75,25 +65,16 @@ def arm_identities(run: RunFile) -> Mapping[str, ArmIdentity]:
 
     A simulated arm has no serial number of its own: all of them report the same one.
     """
-    controllers = _recorded(run)
-    found = {}
+    controllers, found = dict[str, ControllerIdentity](), dict[str, ArmIdentity]()
+    with suppress(InputError):  # a damaged record: names then identify the arms
+        controllers = recorded_controllers(run)
     for name, arm in run.profile.arms.items():
         controller = controllers.get(name)
         given = run.profile.traceability.arms.get(name)
-        names = ArmIdentity(f"{run.profile.name}, {name} ({arm.type.model})", "names")
         if controller is not None and controller.serial and not arm.driver.needs_plant:
             found[name] = ArmIdentity(controller.serial, "controller", controller.serial)
         elif given is not None and given.serial:
             found[name] = ArmIdentity(given.serial, "profile", given.serial)
         else:
-            found[name] = names
+            found[name] = ArmIdentity(f"{run.profile.name}, {name} ({arm.type.model})", "names")
     return found
-
-
-def _recorded(run: RunFile) -> Mapping[str, _Controller]:
-    """Return controllers by arm; empty if the record is missing or damaged, as names then identify the arms."""
-    text = run.read_result(CONTROLLERS_RESULT)
-    try:
-        return {} if text is None else _CONTROLLERS.validate_json(text)
-    except ValidationError:
-        return {}

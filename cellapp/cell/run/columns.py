@@ -45,7 +45,13 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
         **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanos", "nanoseconds"), 1e-9),
     },
     "angle": {**dict.fromkeys(("deg", "degree", "degrees", "°", "grad"), math.pi / 180.0), "rad": 1.0, "radians": 1.0},
-    "length": {"m": 1.0, "metre": 1.0, "meter": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6},
+    "length": {
+        **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
+        **dict.fromkeys(("mm", "millimetre", "millimeter", "millimetres", "millimeters"), 1e-3),
+        **dict.fromkeys(("um", "µm", "μm"), 1e-6),
+        **dict.fromkeys(("in", "inch", "inches"), 0.0254),
+        "cm": 1e-2,
+    },
 }
 _SPEED_UNIT = re.compile(r"(deg|°|rad)\s*(?:/\s*s|s-1|s\^-1|_?per_?s|_s)")
 _OF_UNIT = re.compile(r"\s*(?:\[\s*([^\]]+?)\s*\]|\(\s*([^)]+?)\s*\)|(?:^|[ _.])([a-zA-Zµμ°]+(?:/s|_per_s)?))\s*$")
@@ -60,6 +66,8 @@ _TORQUES = {"tau", "torque", "torques", "effort", "efforts", "moment", "moments"
 _POSITION = {"q", "joint", "joints", "axis", "axes", "theta", "rax", "ax", "j", "a", "position", "positions", "pos"}
 _POSITION |= {"angle", "angles", "achse", "gelenk"}
 _MEASURED = {"actual", "act", "measured", "meas", "feedback", "fb", "ist", "current", "msr"}
+_TRACKER = {"tracker", "lasertracker", "laser", "leica", "lt"}
+"""Points of these are measured, as the first ones are."""
 _COMMANDED = {"target", "desired", "commanded", "command", "cmd", "ref", "reference", "setpoint", "soll", "planned"}
 _COMPUTED = _COMMANDED | {"nominal", "nom", "theoretical", "theo", "design", "model", "cad", "calculated", "calc"}
 _COMPUTED |= {"computed", "predicted", "ideal", "fit", "fitted", "sim", "simulated"}
@@ -97,6 +105,8 @@ _LAST_NUMBER = re.compile(r"(.*?)(\d+)([^\d]*)")
 _NAME_OF_JOINT = re.compile(r"(?:.*[^a-z])?names?\W*(\d+)\W*")
 _PENDANT = ("base", "shoulder", "elbow", "wrist_1", "wrist_2", "wrist_3")
 """Joints of a UR arm in its controller's order, as on the pendant; messages of ROS name them in another order."""
+_MOTOMAN = "slurbt"
+"""Axes of Yaskawa's six-axis arms, in order: swivel, lower, upper, rotate, bend, twist."""
 _OF_ROBOT = {"tcp", "robot", "flange", "tool"}
 """Points of these belong to the controller, not to the tracker."""
 
@@ -180,6 +190,10 @@ def understood(
     left out, unless a column of one of them is among ``taken``. ``row`` are the cells of the first row: messages of ROS
     name their joints there.
     """
+    again = [name[-4:] if re.search(r" \(\d\)$", name) and name[:-4] in names else "" for name in names]
+    plain = [name.removesuffix(number) for name, number in zip(names, again)]
+    if {*_MOTOMAN} <= {re.split(r"\W", name.lower())[0] for name in plain}:
+        plain = [re.sub(rf"^[{_MOTOMAN}]\b", _of_motoman, name.lower()) for name in plain]
     if any(re.fullmatch(r"(?:q|qd)0", name.lower()) for name in names):
         own = [name for name in own if name.rstrip("0123456789") == name]  # names of joints from 0 are not cellapp's
     elsewhere, last = ((), ()) if written is None else (written.columns, written.position)
@@ -188,18 +202,18 @@ def understood(
         if name in elsewhere
         else _Read("p", last.index(name), "matrix")
         if name in last
-        else _own(name)
-        if name in own
-        else _read(name, kind) or _NOTHING
-        for name in names
+        else _own(its)
+        if its in own
+        else _read(its, kind) or _NOTHING
+        for name, its in zip(names, plain)
     ]
     if kind != "points" and not any(one.quantity == "q" for one in read):
-        numbered = _family(names)
+        numbered = _family([name for name in names if name not in elsewhere])
         read = [_read(numbered[n], kind) or _NOTHING if n in numbered else one for n, one in zip(names, read)]
     families: dict[str, dict[tuple[int, str], _Family]] = {}
     for place, one in enumerate(read):
         if one is not _NOTHING:
-            its = families.setdefault(one.quantity, {}).setdefault((one.rank, one.family), {})
+            its = families.setdefault(one.quantity, {}).setdefault((one.rank, one.family + again[place]), {})
             its.setdefault(one.number, []).append(place)
     order, called = _named_order(names, row), dict[int, str]()
     doubled, commanded, smrs = dict[str, tuple[str, ...]](), list[str](), dict[str, tuple[str, ...]]()
@@ -233,6 +247,10 @@ def understood(
         smrs,
         {column: name for _, column, name in sorted(order.values())} if "q1" in others else {},
     )
+
+
+def _of_motoman(letter: re.Match[str]) -> str:
+    return f"joint {_MOTOMAN.index(letter[0]) + 1}"
 
 
 def _own(name: str) -> _Read:
@@ -362,11 +380,11 @@ def _point(stem: str, factor: float | None) -> _Read | None:
         axis = (stem[: sigma.start()] + stem[sigma.end() :]).strip(" _.()")
         place = "xyz".find(axis) if len(axis) == 1 else 3 * (axis in ("", "point", "position"))
         return _Read("expanded" if sigma[1] else "sigma", place, "", factor) if axis in (*"xyz", "", "point") else None
-    stem = _GLUED.sub(r"\1 \2", stem)
+    stem = _GLUED.sub(r"\1 \2", stem).replace("坐标", "")  # coordinate
     words = set(_words(stem))
-    marks = words & (_MEASURED | _COMPUTED)
+    marks = words & (_MEASURED | _TRACKER | _COMPUTED | _OF_ROBOT)
     bare = re.sub(rf"[ _.(\[]*\b({'|'.join(marks)})\b[ _.)\]]*", " ", stem.replace("_", " ")).strip() if marks else stem
-    if words & _NO_COORDINATE or _NO_POINT.search(bare) or (match := _POINT.fullmatch(bare)) is None:
+    if "±" in stem or words & _NO_COORDINATE or _NO_POINT.search(bare) or (match := _POINT.fullmatch(bare)) is None:
         return None
     rank = _COMMAND if words & (_COMPUTED | _OF_ROBOT) else 0 if marks else 1
     family = re.sub(r"[^a-z0-9]+", "", match[1] + match[3]) + " ".join(sorted(marks))
@@ -648,7 +666,7 @@ def _speed_unit(columns: Columns, names: tuple[str, ...], q: NDArray[np.float64]
 
 _DEG = math.pi / 180.0
 AngleUnit = Literal["rad", "deg"]
-LengthUnit = Literal["m", "mm", "um"]
+LengthUnit = Literal["m", "mm", "um", "cm", "in"]
 _SURELY_RAD, _SURELY_DEG = 2.0 * math.pi + 0.05, 4.0 * math.pi + 0.05
 """Joint positions within the first limit [rad] and over more than ``_WIDE`` are radians, beyond the second degrees."""
 _WIDE = 0.3

@@ -16,12 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.arm_cells import ArmCells, is_known, not_per_joint, read_arm, stem_and_joint
-from cellapp.cell.run.csv_text import (
-    CsvTable,
-    Problems,
-    check_names,
-    read_csv_table,
-)
+from cellapp.cell.run.csv_text import CsvTable, Problems, check_names, read_csv_table
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measurement_order import in_measured_order, order_fault, order_sentences, write_in_order
 from cellapp.cell.run.orientation_columns import names_with_quaternion, with_quaternions
@@ -101,12 +96,7 @@ def readings_from_csv(
 
 
 def readings_of_table(
-    profile: Profile,
-    table: CsvTable,
-    *,
-    in_order: bool = False,
-    recorded: Collection[str] = (),
-    smr: str | None = None,
+    profile: Profile, table: CsvTable, *, in_order: bool = False, recorded: Collection[str] = (), smr: str | None = None
 ) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
     """Check the readings of a cell, from a file or from ``table_in_memory``; all readings pass here.
 
@@ -224,10 +214,7 @@ def joint_limits(profile: Profile) -> dict[str, NDArray[np.float64]]:
 
 
 def arms_of_table(
-    table: CsvTable,
-    joint_counts: Mapping[str, int],
-    in_order: bool,
-    limits: Mapping[str, NDArray[np.float64]],
+    table: CsvTable, joint_counts: Mapping[str, int], in_order: bool, limits: Mapping[str, NDArray[np.float64]]
 ) -> tuple[dict[str, Readings], dict[str, ArmOrder], set[int], list[str]]:
     """Read the readings of each arm that occurs, ordered by configuration; unknown columns are in ``extras``.
 

@@ -18,6 +18,7 @@ import io
 import itertools
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -270,14 +271,31 @@ _INDEX = "index"
 _LOOKED_AT_BYTES = 1_000_000
 _LOOKED_AT = 80
 """Number of lines at the beginning of a file within which header and first numbers must be."""
-_UNIT_ALONE = re.compile(r"|-|\[[^\]]*\]|\([^)]*\)|s|ms|us|ns|deg|rad|mm?|(?:deg|rad)/s|A|Nm|°C?")
+_UNIT_ALONE = re.compile(
+    r"|-|\[[^\]]*\]|\([^)]*\)|s|ms|us|ns|deg|rad|mm?|cm|in|(?:deg|rad)/s|A|Nm|°C?"
+    r"|degrees?|radians?|(?:milli)?met(?:er|re)s?|inch(?:es)?|seconds?",
+    re.IGNORECASE,
+)
 """A cell of a row of units below the header."""
 _AXES = re.compile(r"AXES\s*=\s*CARTESIAN:?\s*X,\s*Y,\s*Z\s*\((\w+)\)", re.IGNORECASE)
 """Comment of a SpatialAnalyzer export, which has no row of names."""
+_MINUS = "\N{MINUS SIGN}"
+_FIGURES = re.compile(rf"[+{_MINUS}-]?(?:[0-9][0-9.,'’]*|[.,][0-9]+)(?:[eE][+-]?[0-9]+|[dD][+-][0-9]+)?")
+"""A number in any country's form, or Fortran's."""
+_THOUSANDS = {sign: re.compile(rf"[+{_MINUS}-]?[0-9]{{1,3}}(?:{re.escape(sign)}[0-9]{{3}})+") for sign in ",.'’"}
+_NO_TABLES = {
+    "a program of an ABB controller (RAPID)": r"^\s*MODULE\b|:=\s*\[\[",
+    "a program of a KUKA controller (KRL)": r"\bE6(?:AXIS|POS)\b|^&ACCESS|\{\s*A1\s",
+    "a program of a Fanuc controller (LS)": r"^/PROG\b|^\s*J1\s*=",
+    "a job of a Yaskawa controller (INFORM)": r"^/JOB\b|^//POS\b",
+    "JSON": r"^[\s\[{]*\"\w+\"\s*:",
+    "YAML": r"^-?\s*\w+:\s*\[\s*[-\d.]",
+}
+"""What people give for a table, by a line of it."""
 _DATED = re.compile(r"(\d{1,2})([./])(\d{1,2})\2(\d{4}|\d\d)[ T]+")
 """Day, month and year; with slashes the month comes first, where it can be one."""
 _OF_DAY = re.compile(r"(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(?: ?([aApP][mM]))?")
-_EMPTY = ("", "nan", "null", "none", "na", "n/a", "-")
+_EMPTY = ("", "nan", "null", "none", "na", "n/a", "#n/a", "-", "--", "---")
 """Texts that programs write for a missing value."""
 
 
@@ -294,37 +312,50 @@ class CsvFile:
     trailing: int = 0
     """Number of empty columns without a name at the end of each row."""
     encoding: str = "utf-8-sig"
+    thousands: str = ""
+    """Sign between the thousands of its numbers."""
 
     @property
     def plain(self) -> bool:
         """Whether it is plain CSV from its first line on."""
-        return (self.separator, self.head, self.trailing, self.encoding) == (",", 1, False, "utf-8-sig")
+        form = (self.separator, self.head, self.trailing, self.encoding, self.decimal_comma, self.thousands)
+        return form == (",", 1, 0, "utf-8-sig", False, "")
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Yield line and cells of each row below the header. Raises as ``csv_rows``."""
+        """Yield line and cells of each row below the header, which may be repeated. Raises as ``csv_rows``."""
         if self.plain:
             below = itertools.islice(csv_rows(self.path, self.what, ROW), 1, None)
-            yield from ((line, row) for line, row in below if not row[0].lstrip().startswith(COMMENTS))
-            return
-        for line, text in self._numbered():
-            cells = split_row(text, self.separator)
-            if len(cells) != len(self.names) + self.trailing or any(cells[len(self.names) :]):
+            rows = ((line, row) for line, row in below if not row[0].lstrip().startswith(COMMENTS))
+        else:
+            rows = ((line, split_row(text, self.separator)) for line, text in self._numbered())
+        for line, cells in rows:
+            if cells[0].strip() == self.names[0] and tuple(map(str.strip, cells)) == self.names:
+                continue
+            if len(cells) < len(self.names) or any(cells[len(self.names) :]):
                 raise InputError(
                     f"{self.path}:{line}: the row has {len(cells)} cells, the header has {len(self.names)}"
                 )
-            yield line, cells[: len(self.names)]
+            yield line, [plain_number(cell, self.decimal_comma, self.thousands) for cell in cells[: len(self.names)]]
 
     def texts(self) -> Iterator[str]:
         """Yield the rows below the header as text for numpy."""
         for _, text in self._numbered():
-            yield text
+            if self.thousands or (self.decimal_comma and self.separator == ","):
+                cells = (
+                    plain_number(one, self.decimal_comma, self.thousands) for one in split_row(text, self.separator)
+                )
+                yield self.separator.join(f'"{one}"' if self.separator in one else one for one in cells)
+            else:
+                yield (text.replace(",", ".") if self.decimal_comma else text).replace(_MINUS, "-")
 
     def _numbered(self) -> Iterator[tuple[int, str]]:
+        head = ""
         with opened_text(self.path, self.what, self.encoding) as file:
             for line, text in enumerate(file, start=1):
                 kept = text.strip("\r\n")
-                if line > self.head and kept.strip() and not kept.lstrip().startswith(COMMENTS):
-                    yield line, kept.replace(",", ".") if self.decimal_comma else kept
+                head = kept if line == self.head else head
+                if line > self.head and kept.strip() and kept != head and not kept.lstrip().startswith(COMMENTS):
+                    yield line, kept
 
 
 def read_header(path: Path, what: str, example: str) -> CsvFile:
@@ -333,12 +364,19 @@ def read_header(path: Path, what: str, example: str) -> CsvFile:
     Raises
     ------
     InputError
-        If it cannot be read, is not text, has no header row, or a name is missing or there twice.
+        If it cannot be read, is not text or a program, has no header row, or a name is missing. One that is there
+        again gets its number: ``X (2)``.
     """
     encoding = _encoding(path, what)
     with opened_text(path, what, encoding) as file:
         lines = [(n, line.strip("\r\n")) for n, line in enumerate(itertools.islice(file, _LOOKED_AT), start=1)]
         lines = [(n, line) for n, line in lines if line]
+    for its_kind, pattern in _NO_TABLES.items():
+        if line := next((n for n, text in lines if re.search(pattern, text)), 0):
+            raise InputError(
+                f"{path}:{line}: {its_kind}, no table of {what}: write a row for each position, below a row of names"
+                f" such as {example}"
+            )
     found = _written(path, what, lines, example)
     if found is None:
         line, names = next(csv_rows(path, what, ROW))
@@ -346,6 +384,11 @@ def read_header(path: Path, what: str, example: str) -> CsvFile:
     found = replace(found, encoding=encoding)
     if len(found.names) > 2 and not found.names[0]:
         found = replace(found, names=(_INDEX, *found.names[1:]))
+    names, seen = list[str](), Counter[str]()
+    for name in found.names:
+        seen[name] += 1
+        names.append(f"{name} ({seen[name]})" if name and seen[name] > 1 else name)
+    found = replace(found, names=tuple(names))
     problems = Problems(lambda _: f"{path}:{found.head}")
     check_names(CsvTable(path, found.names, (), {}), problems)
     problems.check()
@@ -371,10 +414,10 @@ def _encoding(path: Path, what: str) -> str:
 def _written(path: Path, what: str, lines: Sequence[tuple[int, str]], example: str) -> CsvFile | None:
     """Detect the format of the first row of numbers and the header above it; None for plain CSV or without numbers."""
     for place, (line, text) in enumerate(lines):
-        separator, comma = _separator(text)
+        separator = _separator(text)
         cells = split_row(text, separator)
-        filled = [cell.replace(",", ".") if comma else cell for cell in cells if not is_empty(cell)]
-        texts = sum(not is_number(cell) for cell in filled)
+        filled = [cell for cell in cells if not is_empty(cell)]
+        texts = sum(not _FIGURES.fullmatch(cell) for cell in filled)
         if text.lstrip().startswith(COMMENTS) or len(cells) < 2 or 2 * texts >= len(cells) or texts == len(filled):
             continue
         above = [(n, split_row(its.lstrip("#%/ "), separator)) for n, its in lines[:place]]
@@ -383,6 +426,7 @@ def _written(path: Path, what: str, lines: Sequence[tuple[int, str]], example: s
         ]  # a row with dates is no header
         axes = [match[1] for _, its in lines[:place] if (match := _AXES.search(its))]
         above = [(n, row) for n, row in above if len(row) == len(cells)] or ([] if axes else above[-1:])
+        comma, thousands = _number_form(cell for _, its in lines[place:] for cell in split_row(its, separator))
         if not above and axes and (names := _measured_points(cells, axes[-1])):
             return CsvFile(path, what, line - 1, names, separator, comma)
         if not above:
@@ -391,11 +435,38 @@ def _written(path: Path, what: str, lines: Sequence[tuple[int, str]], example: s
                 f" as {example}"
             )
         head, row = above[-1]
-        if len(above) > 1 and all(_UNIT_ALONE.fullmatch(name) for name in row):
+        if len(above) > 1 and all(_UNIT_ALONE.fullmatch(name) for name in row) and any(row):
             row = [f"{name} {unit}".strip() for name, unit in zip(above[-2][1], row, strict=True)]
         kept = _named(row)
-        return CsvFile(path, what, head, tuple(kept), separator, comma, len(row) - len(kept))
+        trailing = (len(row) if any(cells[len(row) :]) else max(len(row), len(cells))) - len(kept)
+        return CsvFile(path, what, head, tuple(kept), separator, comma, trailing, thousands=thousands)
     return None
+
+
+def _number_form(cells: Iterable[str]) -> tuple[bool, str]:
+    """Return whether numbers have decimal commas, and the sign between their thousands, by all of these cells."""
+    figures = [cell for cell in cells if _FIGURES.fullmatch(cell)]
+    commas, points = [one for one in figures if "," in one], [one for one in figures if NUMBER.fullmatch(one)]
+    points = [one for one in points if "." in one]
+    if apostrophe := next((sign for sign in "'’" for one in figures if sign in one), ""):
+        return bool(commas), apostrophe
+    if both := next((one for one in commas if "." in one), ""):
+        comma = both.rfind(",") > both.rfind(".")
+        return comma, "." if comma else ","
+    grouped = {sign: all(map(_THOUSANDS[sign].fullmatch, its)) for sign, its in ((",", commas), (".", points))}
+    if commas and points and grouped[","] != grouped["."]:
+        return grouped["."], "." if grouped["."] else ","
+    return bool(commas), ""
+
+
+def plain_number(cell: str, decimal_comma: bool = False, thousands: str = "") -> str:
+    """Return a number in the form that ``NUMBER`` describes; any other text as it is."""
+    if not _FIGURES.fullmatch(cell) or (not decimal_comma and NUMBER.fullmatch(cell)):
+        return cell
+    if thousands and (thousands in "'’" or _THOUSANDS[thousands].match(cell)):
+        cell = cell.replace(thousands, "")
+    cell = cell.replace(",", ".") if decimal_comma else cell
+    return cell.replace(_MINUS, "-").replace("D", "E").replace("d", "e")
 
 
 def _measured_points(cells: Sequence[str], unit: str) -> tuple[str, ...]:
@@ -409,17 +480,14 @@ def _measured_points(cells: Sequence[str], unit: str) -> tuple[str, ...]:
     return (*before, *(f"{axis} [{unit}]" for axis in "XYZ"), *(["time"] * len(match[2])), *after)
 
 
-def _separator(text: str) -> tuple[str, bool]:
-    """Detect the separator in a row of numbers, and whether these have decimal commas."""
+def _separator(text: str) -> str:
+    """Detect the separator in a row of numbers."""
     for sign in (";", "\t", "|"):
         if sign in text:
-            return sign, "," in text
+            return sign
     blanks = text.split()
-    if "," not in text:
-        return " ", False
-    if len(blanks) > 1 and all(_DECIMAL_COMMA.fullmatch(cell) or is_number(cell) for cell in blanks):
-        return " ", True
-    return ",", False
+    decimal_commas = len(blanks) > 1 and all(_DECIMAL_COMMA.fullmatch(cell) or is_number(cell) for cell in blanks)
+    return "," if "," in text and not decimal_commas else " "
 
 
 def stamp_seconds(cell: str) -> float:

@@ -18,7 +18,7 @@ import sqlite3
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -35,31 +35,20 @@ from cellapp.cell.run.sqlite_file import (
     ReferenceRow,
     Session,
     SessionEnd,
+    SessionRequest,
     StageRow,
     check_header,
     check_integrity,
     connect,
     damage_as_sentence,
-    delete_outcomes,
-    end_session,
     insert_document,
-    insert_event,
     insert_outcome,
-    insert_reference,
-    insert_request,
-    insert_session,
-    insert_stage,
     make_empty_folder,
     read_meta,
     read_profile,
     reading_columns,
     schema_version,
     select_document,
-    select_events,
-    select_outcomes,
-    select_references,
-    select_sessions,
-    select_stages,
     sentences,
     stored_columns,
     sync_folder,
@@ -83,33 +72,8 @@ def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings
     names = reading_columns()
     places = ", ".join("?" * len(names))
     connection.executemany(
-        f"INSERT INTO reading ({', '.join(names)}) VALUES ({places})",
-        ((arm, *row) for row in _table_rows(readings)),
+        f"INSERT INTO reading ({', '.join(names)}) VALUES ({places})", ((arm, *row) for row in _table_rows(readings))
     )
-
-
-def count_splits(connection: sqlite3.Connection) -> dict[str, dict[str | None, int]]:
-    """Count the readings of each arm, by split; None is no split."""
-    counts: dict[str, dict[str | None, int]] = {}
-    for arm, split, n in connection.execute(
-        "SELECT arm, split, COUNT(DISTINCT configuration) FROM reading GROUP BY arm, split"
-    ):
-        counts.setdefault(arm, {})[split] = n
-    return counts
-
-
-def mean_temperatures(connection: sqlite3.Connection) -> dict[str, dict[str, float]]:
-    """Return mean temperatures [degC] of each arm's readings: of the "air", "joint 1" and so on, where known."""
-    air = connection.execute("SELECT arm, 'air', AVG(temperature_c) FROM reading GROUP BY arm")
-    joints = connection.execute(
-        "SELECT arm, 'joint ' || (joint.key + 1), AVG(joint.value)"
-        " FROM reading, json_each(reading.joint_temperature_c) AS joint GROUP BY arm, joint.key"
-    )
-    means: dict[str, dict[str, float]] = {}
-    for arm, where, mean in (*air, *joints):
-        if mean is not None:
-            means.setdefault(arm, {})[where] = float(mean)
-    return means
 
 
 def select_readings(
@@ -149,17 +113,6 @@ def former_arrays(readings: Readings) -> dict[str, NDArray[np.float64]]:
     return found
 
 
-def select_removed_kinds(connection: sqlite3.Connection) -> dict[str, str]:
-    """Return each arm whose readings are of a removed kind, with what to say of them."""
-    several = f"SELECT arm FROM reading GROUP BY arm HAVING COUNT(DISTINCT IFNULL({OF_SEVERAL}, '')) > 1"
-    in_sockets = f"SELECT DISTINCT arm FROM reading WHERE {OF_SOCKETS} IS NOT NULL"
-    found = dict[str, str]()
-    for since, column, asked in ((8, OF_SEVERAL, several), (7, OF_SOCKETS, in_sockets)):
-        if schema_version(connection) >= since:
-            found |= dict.fromkeys((arm for (arm,) in connection.execute(asked)), removed_readings(column))
-    return found
-
-
 def select_stops_done(connection: sqlite3.Connection) -> set[int]:
     """Return the numbers of the stored configurations."""
     return {stop for (stop,) in connection.execute("SELECT DISTINCT configuration FROM reading")}
@@ -190,14 +143,6 @@ def check_splits(words: Sequence[str | None]) -> None:
     for word in words:
         if word is not None and word not in SPLITS:
             raise ValueError(f"'{word}' is not a split; splits are {', '.join(SPLITS)}")
-
-
-def update_splits(connection: sqlite3.Connection, arm: str, names: Mapping[int, str | None]) -> None:
-    """Store the split of all rows of an arm at each stop."""
-    connection.executemany(
-        "UPDATE reading SET split = ? WHERE arm = ? AND configuration = ?",
-        ((name, arm, stop) for stop, name in names.items()),
-    )
 
 
 def vectors_from_json(texts: Sequence[str]) -> NDArray[np.float64]:
@@ -263,6 +208,8 @@ def _extras_from_cells(cells: Sequence[str | None]) -> dict[str, tuple[str, ...]
 
 
 _BLOCK = bytes(65536)
+_SESSIONS = 4
+"""Version of the schema since which sessions of collecting are recorded."""
 
 
 class RunFile:
@@ -416,8 +363,14 @@ class RunFile:
                     f"{self.path}: stop {min(measured)} is measured already and differs in the new plan;"
                     " plan into a new run folder instead"
                 )
-            replace_plan(connection, plans)
-            delete_outcomes(connection, changed)
+            connection.execute("DELETE FROM plan")
+            rows = (
+                (arm, stop, json.dumps(row))
+                for arm, q in plans.items()
+                for stop, row in enumerate(np.asarray(q, float).tolist())
+            )
+            connection.executemany("INSERT INTO plan VALUES (?, ?, ?)", rows)
+            connection.executemany("DELETE FROM outcome WHERE stop = ?", ((stop,) for stop in changed))
             for name, text in (documents or {}).items():
                 insert_document(connection, name, text)
 
@@ -434,18 +387,12 @@ class RunFile:
 
     def planned_counts(self) -> dict[str, int]:
         """Return the number of planned stops of each arm, reserves included; empty without a plan."""
-        with self.look() as connection:
-            counts = dict(connection.execute("SELECT arm, COUNT(*) FROM plan GROUP BY arm").fetchall())
+        counts = dict(self._select("SELECT arm, COUNT(*) FROM plan GROUP BY arm"))
         return {arm: counts[arm] for arm in self._in_profile_order(set(counts))}
 
     # -- readings ----------------------------------------------------------------------------------------------------
 
-    def add_stop(
-        self,
-        configuration: int,
-        rows: Mapping[str, Reading],
-        outcomes: Sequence[Outcome] = (),
-    ) -> None:
+    def add_stop(self, configuration: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
         """Store one stop of all arms, and why arms have no reading there, in one transaction; on return it is on disk.
 
         Raises
@@ -502,8 +449,12 @@ class RunFile:
 
     def removed_kinds(self) -> dict[str, str]:
         """Return each arm whose readings are of a removed kind, which nothing is estimated from, with what to say."""
-        with self.look() as connection:
-            return select_removed_kinds(connection)
+        several = f"SELECT arm FROM reading GROUP BY arm HAVING COUNT(DISTINCT IFNULL({OF_SEVERAL}, '')) > 1"
+        in_sockets = f"SELECT DISTINCT arm FROM reading WHERE {OF_SOCKETS} IS NOT NULL"
+        found = dict[str, str]()
+        for since, column, asked in ((8, OF_SEVERAL, several), (7, OF_SOCKETS, in_sockets)):
+            found |= dict.fromkeys((arm for (arm,) in self._select(asked, since)), removed_readings(column))
+        return found
 
     def _in_one_frame(self, readings: Readings) -> Readings:
         if readings.station is None:
@@ -513,14 +464,24 @@ class RunFile:
 
     def split_counts(self) -> dict[str, dict[str | None, int]]:
         """Count the readings of each arm that has some, by split; None is no split."""
-        with self.look() as connection:
-            counts = count_splits(connection)
+        counts: dict[str, dict[str | None, int]] = {}
+        asked = "SELECT arm, split, COUNT(DISTINCT configuration) FROM reading GROUP BY arm, split"
+        for arm, split, n in self._select(asked):
+            counts.setdefault(arm, {})[split] = n
         return {arm: counts[arm] for arm in self._in_profile_order(set(counts))}
 
     def mean_temperatures(self) -> dict[str, dict[str, float]]:
         """Return mean temperatures [degC] of each arm's readings: of the "air" and of each "joint N", where known."""
-        with self.look() as connection:
-            return mean_temperatures(connection)
+        air = self._select("SELECT arm, 'air', AVG(temperature_c) FROM reading GROUP BY arm")
+        joints = self._select(
+            "SELECT arm, 'joint ' || (joint.key + 1), AVG(joint.value)"
+            " FROM reading, json_each(reading.joint_temperature_c) AS joint GROUP BY arm, joint.key"
+        )
+        means: dict[str, dict[str, float]] = {}
+        for arm, where, mean in (*air, *joints):
+            if mean is not None:
+                means.setdefault(arm, {})[where] = float(mean)
+        return means
 
     @property
     def created(self) -> str:
@@ -530,8 +491,7 @@ class RunFile:
 
     def arms(self) -> list[str]:
         """Return the names of the arms that have readings, in the profile's order."""
-        with self.look() as connection:
-            return self._in_profile_order({name for (name,) in connection.execute("SELECT DISTINCT arm FROM reading")})
+        return self._in_profile_order({name for (name,) in self._select("SELECT DISTINCT arm FROM reading")})
 
     def stops_done(self) -> set[int]:
         """Return the numbers of the stored configurations; each was stored for all of its arms at once."""
@@ -545,7 +505,10 @@ class RunFile:
         if len(stops) != len(names):
             raise ValueError(f"{len(names)} splits for the {counted(len(stops), 'reading')} of arm {arm}")
         with self.change() as connection:
-            update_splits(connection, arm, dict(zip(stops, names, strict=True)))
+            connection.executemany(
+                "UPDATE reading SET split = ? WHERE arm = ? AND configuration = ?",
+                ((name, arm, stop) for stop, name in dict(zip(stops, names, strict=True)).items()),
+            )
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -555,20 +518,20 @@ class RunFile:
 
     def keep_columns(self, names: Sequence[str]) -> None:
         """Store the columns of an imported file, so that the export has the same ones."""
-        with self.change() as connection:
-            connection.execute("INSERT OR REPLACE INTO meta VALUES ('columns', ?)", (json.dumps(list(names)),))
+        self._change("INSERT OR REPLACE INTO meta VALUES ('columns', ?)", json.dumps(list(names)))
 
     # -- events, documents and stages --------------------------------------------------------------------------------
 
     def log(self, level: str, text: str, time_s: float | None = None) -> None:
         """Add a line to the run's log; ``level`` is info, warning, error or note."""
-        with self.change() as connection:
-            insert_event(connection, level, text, time_s)
+        asked = "INSERT INTO event (written, time_s, level, text) VALUES (?, ?, ?, ?)"
+        self._change(asked, utc_now(), time_s, level, text)
 
     def events(self) -> list[Event]:
         """Return the run's log, oldest entry first."""
-        with self.look() as connection:
-            return select_events(connection)
+        return [
+            Event(*row) for row in self._select("SELECT number, written, time_s, level, text FROM event ORDER BY 1")
+        ]
 
     def write_result(self, name: str, json_text: str) -> None:
         """Store a document that is not the result of a verb; it replaces an earlier one of that name."""
@@ -587,13 +550,13 @@ class RunFile:
 
     def append_stage(self, name: str, basis: str | None, text: str, model: str | None) -> None:
         """Append what a verb produced: its result, its model (JSON) if it made one, and what they rest on."""
-        with self.change() as connection:
-            insert_stage(connection, name, program_of(self.profile), basis, text, model)
+        asked = "INSERT INTO stage (name, written, program, basis, text, model) VALUES (?, ?, ?, ?, ?, ?)"
+        self._change(asked, name, utc_now(), program_of(self.profile), basis, text, model)
 
     def stage_rows(self) -> list[StageRow]:
         """Return all stages, oldest first; none in a file of schema 1 or 2."""
-        with self.look() as connection:
-            return [] if schema_version(connection) < 3 else select_stages(connection)
+        asked = "SELECT number, name, written, program, basis, text, model FROM stage ORDER BY number"
+        return [StageRow(*row) for row in self._select(asked, since=3)]
 
     # -- collecting --------------------------------------------------------------------------------------------------
 
@@ -618,40 +581,70 @@ class RunFile:
 
     def begin_session(self, again: str = "") -> int:
         """Record that collecting begins, or measuring the stops ``again`` once more; return the session's number."""
-        with self.change() as connection:
-            return insert_session(connection, utc_now(), again)
+        return self._change("INSERT INTO session (began, again) VALUES (?, ?)", utc_now(), again or None)
 
     def record_request(self, session: int, kind: str, reason: str) -> None:
         """Record a request of a person, or an event that suspended or resumed a session."""
-        with self.change() as connection:
-            insert_request(connection, session, utc_now(), kind, reason)
+        self._change("INSERT INTO request VALUES (?, ?, ?, ?)", session, utc_now(), kind, reason)
 
     def end_session(self, session: int, outcome: SessionEnd, reason: str) -> None:
         """Record how a session ended."""
-        with self.change() as connection:
-            end_session(connection, session, utc_now(), outcome, reason)
+        asked = "UPDATE session SET ended = ?, outcome = ?, reason = ? WHERE number = ?"
+        self._change(asked, utc_now(), outcome, reason, session)
 
     def add_reference(self, row: ReferenceRow) -> None:
         """Store a reference measurement; on return it is on disk."""
-        with self.change() as connection:
-            insert_reference(connection, row)
+        values = row.name, row.stops_done, row.time_s, json.dumps(row.p_M.tolist()), row.session
+        self._change("INSERT INTO reference VALUES (?, ?, ?, ?, ?)", *values)
 
     def sessions(self) -> list[Session]:
         """Return all sessions of collecting, oldest first."""
+        asked = "SELECT session, written, kind, reason FROM request ORDER BY rowid"
+        requests = grouped((session, SessionRequest(*request)) for session, *request in self._select(asked, _SESSIONS))
         with self.look() as connection:
-            return select_sessions(connection)
+            again = "COALESCE(again, '')" if schema_version(connection) >= 9 else "''"
+        asked = f"SELECT number, began, ended, outcome, reason, {again} FROM session ORDER BY number"
+        return [
+            Session(number, began, ended, outcome, reason, tuple(requests.get(number, ())), again)
+            for number, began, ended, outcome, reason, again in self._select(asked, _SESSIONS)
+        ]
 
     def outcomes(self) -> list[Outcome]:
         """Return why arms have no reading at stops that were tried, by stop."""
-        with self.look() as connection:
-            return select_outcomes(connection)
+        asked = (
+            "SELECT stop, arm, kind, reason FROM outcome WHERE NOT EXISTS"
+            " (SELECT 1 FROM reading WHERE reading.configuration = outcome.stop AND reading.arm = outcome.arm)"
+            " ORDER BY stop, arm"
+        )
+        return [Outcome(*row) for row in self._select(asked, _SESSIONS)]
+
+    def late(self) -> set[tuple[int, str]]:
+        """Return stops and arms that have a reading now and had none when they were visited before."""
+        asked = (
+            "SELECT stop, outcome.arm FROM outcome JOIN reading"
+            " ON reading.configuration = outcome.stop AND reading.arm = outcome.arm WHERE kind = 'not measured'"
+        )
+        return {(stop, arm) for stop, arm in self._select(asked, _SESSIONS)}
 
     def references(self) -> list[ReferenceRow]:
         """Return all reference measurements, oldest first."""
-        with self.look() as connection:
-            return select_references(connection)
+        rows = self._select("SELECT name, stops_done, time_s, p_m, session FROM reference ORDER BY rowid", _SESSIONS)
+        return [
+            ReferenceRow(name, done, time_s, np.array(json.loads(p_M)), session)
+            for name, done, time_s, p_M, session in rows
+        ]
 
     # -- inside ------------------------------------------------------------------------------------------------------
+
+    def _select(self, asked: str, since: int = 1) -> list[tuple[Any, ...]]:
+        """Return the rows of a question; none in a file of a schema before ``since``."""
+        with self.look() as connection:
+            return connection.execute(asked).fetchall() if schema_version(connection) >= since else []
+
+    def _change(self, asked: str, *values: object) -> int:
+        """Change the file by one statement; return the number of the row that it added, if any."""
+        with self.change() as connection:
+            return int(connection.execute(asked, values).lastrowid or 0)
 
     @contextlib.contextmanager
     def look(self) -> Iterator[sqlite3.Connection]:
@@ -727,18 +720,6 @@ def select_plan(connection: sqlite3.Connection, arms: Sequence[str]) -> dict[str
     """Read the plan of those of ``arms`` that have one."""
     texts: dict[str, list[str]] = grouped(connection.execute("SELECT arm, q FROM plan ORDER BY arm, stop"))
     return {arm: vectors_from_json(texts[arm]) for arm in arms if arm in texts}
-
-
-def replace_plan(connection: sqlite3.Connection, plans: Plan) -> None:
-    """Store a plan in place of the one before."""
-    connection.execute("DELETE FROM plan")
-    connection.executemany("INSERT INTO plan VALUES (?, ?, ?)", _rows(plans))
-
-
-def _rows(plans: Plan) -> Iterable[tuple[str, int, str]]:
-    for arm, q in plans.items():
-        for stop, row in enumerate(np.asarray(q, dtype=np.float64).tolist()):
-            yield arm, stop, json.dumps(row)
 
 
 _STORED = "profile file"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.run.file import RunFile, check_readings, insert_readings, select_readings
 from cellapp.cell.run.records import MissingReading, ReferenceDrift
-from cellapp.cell.run.sqlite_file import Outcome, insert_outcome, schema_version, select_late, stored_columns, utc_now
+from cellapp.cell.run.sqlite_file import Outcome, insert_outcome, schema_version, stored_columns, utc_now
 from cellapp.estimation.readings.readings import Reading, Readings
 
 _SINCE = 9
@@ -36,12 +36,7 @@ class Earlier:
     replaced: tuple[str, ...]
 
 
-def replace_stop(
-    run: RunFile,
-    stop: int,
-    rows: Mapping[str, Reading],
-    outcomes: Sequence[Outcome] = (),
-) -> None:
+def replace_stop(run: RunFile, stop: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
     """Store one stop that was measured again, in one transaction; on return it is on disk.
 
     The previous reading is kept, and the new one takes its split: measuring again moves no stop between identification
@@ -148,9 +143,3 @@ def reference_drifts(run: RunFile) -> tuple[ReferenceDrift, ...]:
         )
         for row in run.references()
     )
-
-
-def late_readings(run: RunFile) -> set[tuple[int, str]]:
-    """Return the stops and arms that were only measured at a later visit; the number of visits is not stored."""
-    with run.look() as connection:
-        return select_late(connection)

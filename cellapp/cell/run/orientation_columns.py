@@ -166,6 +166,8 @@ def written_orientation(names: Sequence[str]) -> tuple[Written | None, list[str]
         whole = [own for own in sets.values() if own.keys() >= {*form.parts}]
         if len(whole) == 1 and len({unit for _, unit in whole[0].values()}) == 1:
             columns, units = zip(*(whole[0][part] for part in form.parts), strict=True)
+            if again := next((name for name in columns if f"{name} (2)" in names), ""):
+                raise InputError(f"{again}: the column is there twice; keep one")
             if form.needs_unit and not units[0]:
                 return None, [f"{', '.join(columns)}: no orientation, as no unit is in the names: write _deg or _rad"]
             beside = [f"{row[0]}{int(row[1]) + 1}" for row in form.parts[2::3]] if len(form.parts) == 9 else []

@@ -9,7 +9,6 @@ from __future__ import annotations
 import itertools
 import math
 import re
-import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,14 +33,14 @@ from cellapp.cell.run.columns import (
     with_sigma,
 )
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, is_number, read_header, short, stamp_seconds
-from cellapp.cell.run.orientation_columns import with_quaternions, written_orientation
+from cellapp.cell.run.orientation_columns import Written, with_quaternions, written_orientation
 from cellapp.estimation.readings.columns import OF_SOCKETS
 from cellapp.estimation.readings.readings import lost_points
 from cellapp.ground.errors import InputError
 
 _SEPARATORS: Mapping[str, str] = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}
 _ANGLES: Mapping[AngleUnit, float] = {"rad": 1.0, "deg": math.pi / 180.0}
-_LENGTHS: Mapping[LengthUnit, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
+_LENGTHS: Mapping[LengthUnit, float] = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "cm": 1e-2, "in": 0.0254}
 _Unit = TypeVar("_Unit")
 Choose = Callable[[str, tuple[str, ...]], str]
 """(question, possible answers) -> the answer of a person; "" if nobody can be asked."""
@@ -51,6 +50,12 @@ _LEAST_ROWS = 3
 _RIGID, _APART = 0.05, 0.01
 """Largest scatter of the distance of two SMRs on a flange, as a share of it; least distance, of the points' spread."""
 _SAME_STOP_RAD = 1e-3
+_LIST = re.compile(r"p?[\[(]([^\[\]()]*,[^\[\]()]*)[\])]")
+_WITH_UNIT = re.compile(r"([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(°|deg|rad|mm|cm|m|in)")
+_MOST_NAMED = 5
+"""Most rows that a sentence names."""
+_UNIT_LENGTH = 0.01
+"""Largest deviation of a quaternion's length from one that a program with few digits writes."""
 _MADE = {FRACTION, *(f"{kind}_{axis}" for kind in ("sigma", "expanded") for axis in "xyzm")}
 """Parts of ``time_s`` and ``sigma_m`` in files of other programs."""
 
@@ -151,10 +156,13 @@ def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody
     rows = [(line, row) for line, row in stripped if any(row)]
     if len(rows) < _LEAST_ROWS:
         raise InputError(f"{path}: expected a row of names and at least {_LEAST_ROWS} rows of readings")
-    columns = zip(*(row for _, row in rows), strict=True)
-    table = CsvTable(path, file.names, tuple(line for line, _ in rows), dict(zip(file.names, columns, strict=True)))
+    cells = _plain_columns(dict(zip(file.names, zip(*(row for _, row in rows), strict=True), strict=True)))
+    table = CsvTable(path, tuple(cells), tuple(line for line, _ in rows), cells)
     written, _ = written_orientation(table.names)
-    table, notes = with_quaternions(table)
+    if written is not None and _are_joints(table, written):
+        written, notes = None, list[str]()
+    else:
+        table, notes = with_quaternions(table)
     where, names, row = f"{path}:{file.head}", table.names, [its[0] for its in table.cells.values()]
     known = understood(names, "readings", _OWN, written, taken, row)
     while (name := next((name for name in known.doubled if name in POINT or name.startswith("q")), None)) is not None:
@@ -167,11 +175,14 @@ def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody
         known = understood(names, "readings", _OWN, written, taken, row)
     _check_joints(path, file.head, file.names, known)
     table = CsvTable(path, known.names, table.lines, dict(zip(known.names, table.cells.values(), strict=True)))
-    if known.smrs:
-        table, said = _row_per_smr(table, known)
-        notes.append(said)
     joints = _joints(table.names)
     points = POINT if set(POINT) <= {*table.names} else ()
+    if known.smrs:
+        table, of_smrs = _row_per_smr(table, known)
+        notes.append(of_smrs)
+    elif points:
+        table, said = _with_points(table)
+        notes += said
     if most is None:
         _check_numbers(table, (*joints, *points))
     lost = lost_points(_values(table, joints), _values(table, POINT)) if points else {}
@@ -194,6 +205,13 @@ def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody
     )
 
 
+def _are_joints(table: CsvTable, written: Written) -> bool:
+    """Return whether q0 to q3 are joint positions: there are no others, and their squares do not add up to one."""
+    if len(written.columns) != 4 or _joints([*understood(table.names, "readings", _OWN, written).others]):
+        return False
+    return not np.allclose(np.linalg.norm(_values(table, written.columns), axis=1), 1.0, atol=_UNIT_LENGTH)
+
+
 def _clock(table: CsvTable, known: Understood) -> tuple[NDArray[np.float64] | None, float | None]:
     """Return the times of the rows, and their unit where names or their size since 1970 decide it."""
     cells = table.cells.get("time_s")
@@ -208,6 +226,37 @@ def _clock(table: CsvTable, known: Understood) -> tuple[NDArray[np.float64] | No
     found = time_unit(stamps) if len(stamps) > 1 else None
     since_1970 = UNITS_OF_TIME[found[0]] if found is not None and "1970" in found[1] else None
     return stamps, known.factors.get("time_s", since_1970 if "time_s" in known.others else 1.0)
+
+
+def _plain_columns(columns: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
+    """Give each number of a list, as ``[0.1, 0.2]``, a column of its own, and move units from cells to names."""
+    found = dict[str, tuple[str, ...]]()
+    for name, cells in columns.items():
+        lists = [match[1].split(",") for cell in cells if (match := _LIST.fullmatch(cell))]
+        units = {match[2] for cell in cells if (match := _WITH_UNIT.fullmatch(cell))}
+        if len(lists) == len(cells) and len({*map(len, lists)}) == 1:
+            ends = "xyz" if len(lists[0]) == 3 else range(1, len(lists[0]) + 1)
+            parts = (tuple(map(str.strip, its)) for its in zip(*lists, strict=True))
+            found |= {f"{name} {end}": its for end, its in zip(ends, parts, strict=True)}
+        elif len(units) == 1 and all(map(_WITH_UNIT.fullmatch, cells)):
+            (unit,) = units
+            found[f"{name} [{unit}]"] = tuple(cell.removesuffix(unit).strip() for cell in cells)
+        else:
+            found[name] = cells
+    return found
+
+
+def _with_points(table: CsvTable) -> tuple[CsvTable, list[str]]:
+    """Leave out rows whose point is no number at all, as programs write NaN or stars for a lost beam; say so."""
+    kept, lost = list[int](), list[int]()
+    for row, cells in enumerate(zip(*(table.cells[name] for name in POINT), strict=True)):
+        (kept if any(map(re.compile(r"\d").search, cells)) else lost).append(row)
+    if not lost:
+        return table, []
+    listed = ", ".join(table.place(table.lines[row]) for row in lost[:_MOST_NAMED])
+    what = " ".join(short(table.cells[name][lost[0]] or "nothing", 8) for name in POINT)
+    more = f" and {len(lost) - _MOST_NAMED} more" if len(lost) > _MOST_NAMED else ""
+    return table.take(kept), [f"{listed}{more}: {what} for a point: left out"]
 
 
 def _row_per_smr(table: CsvTable, known: Understood) -> tuple[CsvTable, str]:
@@ -299,8 +348,8 @@ def _check_joints(path: Path, line: int, there: Sequence[str], known: Understood
         text = f"expected columns such as q1, q2, ... without a gap; the file has {seen}"
         if points and not joints:
             text += (
-                ". Points of a motion are given with the file of its joints: 'cellapp init --readings JOINTS.csv', then"
-                f" 'cellapp import PROFILE --joints JOINTS.csv --points {shlex.quote(str(path))} --run DIR'"
+                ". Points of a motion are imported with the file of its joints: give that one to 'cellapp init"
+                " --readings'; its next command takes these points, too, where they lie beside it"
             )
         problems.add(1, "joint positions", text)
     for name in POINT:

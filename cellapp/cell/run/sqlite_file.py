@@ -10,11 +10,10 @@ Rows that collecting adds to a run besides readings: sessions, outcomes of stops
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import sqlite3
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,7 +25,6 @@ from numpy.typing import NDArray
 from cellapp.cell.profile import profile_from_json, profile_to_json
 from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError
-from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.shell import shell_word
 from cellapp.robot.plugins import program_of
@@ -78,34 +76,6 @@ def select_document(connection: sqlite3.Connection, name: str) -> Document | Non
 def insert_document(connection: sqlite3.Connection, name: str, text: str) -> None:
     """Store a document; it replaces an earlier one of that name."""
     connection.execute("INSERT OR REPLACE INTO result VALUES (?, ?, ?)", (name, utc_now(), text))
-
-
-def insert_event(connection: sqlite3.Connection, level: str, text: str, time_s: float | None) -> None:
-    """Add a line to the log."""
-    values = (utc_now(), time_s, level, text)
-    connection.execute("INSERT INTO event (written, time_s, level, text) VALUES (?, ?, ?, ?)", values)
-
-
-def select_events(connection: sqlite3.Connection) -> list[Event]:
-    """Return the log, oldest line first."""
-    rows = connection.execute("SELECT number, written, time_s, level, text FROM event ORDER BY number")
-    return [Event(*row) for row in rows]
-
-
-def insert_stage(
-    connection: sqlite3.Connection, name: str, program: str, basis: str | None, text: str, model: str | None
-) -> None:
-    """Append a stage."""
-    values = (name, utc_now(), program, basis, text, model)
-    connection.execute(
-        "INSERT INTO stage (name, written, program, basis, text, model) VALUES (?, ?, ?, ?, ?, ?)", values
-    )
-
-
-def select_stages(connection: sqlite3.Connection) -> list[StageRow]:
-    """Return all stages, oldest first."""
-    rows = connection.execute("SELECT number, name, written, program, basis, text, model FROM stage ORDER BY number")
-    return [StageRow(*row) for row in rows]
 
 
 APPLICATION_ID = 0x43656C6C
@@ -410,7 +380,15 @@ def sync_folder(folder: Path) -> None:
 SessionEnd = Literal["complete", "accurate enough", "stopped", "aborted", "failed"]
 """How a collecting session ended; "accurate enough": the required standard errors were reached early."""
 OutcomeKind = Literal["not measured", "left out"]
-_SINCE, _SINCE_AGAIN = 4, 9
+
+
+@dataclass(frozen=True)
+class SessionRequest:
+    """What a person asked in a session, or what suspended or resumed it; ``written`` is UTC."""
+
+    written: str
+    kind: str
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -426,7 +404,7 @@ class Session:
     ended: str | None
     outcome: SessionEnd | None
     reason: str | None
-    requests: tuple[tuple[str, str, str], ...]
+    requests: tuple[SessionRequest, ...]
     again: str = ""
 
 
@@ -451,88 +429,8 @@ class ReferenceRow:
     session: int
 
 
-def insert_session(connection: sqlite3.Connection, began: str, again: str = "") -> int:
-    """Add a session that begins; return its number."""
-    row = connection.execute("INSERT INTO session (began, again) VALUES (?, ?)", (began, again or None))
-    return int(row.lastrowid or 0)
-
-
-def insert_request(connection: sqlite3.Connection, session: int, written: str, kind: str, reason: str) -> None:
-    """Add a request or an event of a session."""
-    connection.execute("INSERT INTO request VALUES (?, ?, ?, ?)", (session, written, kind, reason))
-
-
-def end_session(connection: sqlite3.Connection, number: int, ended: str, outcome: SessionEnd, reason: str) -> None:
-    """Record how a session ended."""
-    connection.execute(
-        "UPDATE session SET ended = ?, outcome = ?, reason = ? WHERE number = ?", (ended, outcome, reason, number)
-    )
-
-
 def insert_outcome(connection: sqlite3.Connection, outcome: Outcome) -> None:
     """Add an outcome; it replaces an earlier one of the same stop and arm."""
     connection.execute(
-        "INSERT OR REPLACE INTO outcome VALUES (?, ?, ?, ?)",
-        (outcome.stop, outcome.arm, outcome.kind, outcome.reason),
+        "INSERT OR REPLACE INTO outcome VALUES (?, ?, ?, ?)", (outcome.stop, outcome.arm, outcome.kind, outcome.reason)
     )
-
-
-def delete_outcomes(connection: sqlite3.Connection, stops: Iterable[int]) -> None:
-    """Remove the outcomes of stops."""
-    connection.executemany("DELETE FROM outcome WHERE stop = ?", ((stop,) for stop in stops))
-
-
-def insert_reference(connection: sqlite3.Connection, row: ReferenceRow) -> None:
-    """Add a reference measurement."""
-    connection.execute(
-        "INSERT INTO reference VALUES (?, ?, ?, ?, ?)",
-        (row.name, row.stops_done, row.time_s, json.dumps(row.p_M.tolist()), row.session),
-    )
-
-
-def select_sessions(connection: sqlite3.Connection) -> list[Session]:
-    """Read all sessions, oldest first; none in a file of an older schema."""
-    version = schema_version(connection)
-    if version < _SINCE:
-        return []
-    again = "COALESCE(again, '')" if version >= _SINCE_AGAIN else "''"
-    requests = grouped(
-        (session, (request[0], request[1], request[2]))
-        for session, *request in connection.execute("SELECT session, written, kind, reason FROM request ORDER BY rowid")
-    )
-    rows = connection.execute(f"SELECT number, began, ended, outcome, reason, {again} FROM session ORDER BY number")
-    return [
-        Session(number, began, ended, outcome, reason, tuple(requests.get(number, ())), stops)
-        for number, began, ended, outcome, reason, stops in rows
-    ]
-
-
-def select_outcomes(connection: sqlite3.Connection) -> list[Outcome]:
-    """Read the outcomes of stops and arms without a reading, by stop; none in a file of an older schema."""
-    if schema_version(connection) < _SINCE:
-        return []
-    rows = connection.execute(
-        "SELECT stop, arm, kind, reason FROM outcome WHERE NOT EXISTS"
-        " (SELECT 1 FROM reading WHERE reading.configuration = outcome.stop AND reading.arm = outcome.arm)"
-        " ORDER BY stop, arm"
-    )
-    return [Outcome(*row) for row in rows]
-
-
-def select_late(connection: sqlite3.Connection) -> set[tuple[int, str]]:
-    """Return stops and arms that have a reading now and had none when they were visited before."""
-    if schema_version(connection) < _SINCE:
-        return set()
-    rows = connection.execute(
-        "SELECT stop, outcome.arm FROM outcome JOIN reading"
-        " ON reading.configuration = outcome.stop AND reading.arm = outcome.arm WHERE kind = 'not measured'"
-    )
-    return {(stop, arm) for stop, arm in rows}
-
-
-def select_references(connection: sqlite3.Connection) -> list[ReferenceRow]:
-    """Read all reference measurements, oldest first; none in a file of an older schema."""
-    if schema_version(connection) < _SINCE:
-        return []
-    rows = connection.execute("SELECT name, stops_done, time_s, p_m, session FROM reference ORDER BY rowid")
-    return [ReferenceRow(row[0], row[1], row[2], np.array(json.loads(row[3])), row[4]) for row in rows]

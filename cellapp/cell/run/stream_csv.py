@@ -54,12 +54,7 @@ class _Codes(dict[str, int]):
 
 
 def read_stream_table(
-    file: CsvFile,
-    names: Sequence[str],
-    *,
-    numbers: Collection[str],
-    required: Collection[str],
-    texts: Collection[str],
+    file: CsvFile, names: Sequence[str], *, numbers: Collection[str], required: Collection[str], texts: Collection[str]
 ) -> StreamTable:
     """Read a file whose columns ``numbers`` hold numbers, in every row if ``required``, and ``texts`` hold texts.
 

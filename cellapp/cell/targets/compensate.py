@@ -44,14 +44,7 @@ from cellapp.robot.kinematics.inverse import all_branches, errors_and_jacobian, 
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 
-__all__ = [
-    "Command",
-    "compensate",
-    "compensate_result",
-    "invert_model",
-    "with_approach",
-    "without_effects",
-]
+__all__ = ["Command", "compensate", "compensate_result", "invert_model", "with_approach", "without_effects"]
 
 _TOGETHER_ROUNDS = 2
 """Iterations for two arms that act on each other: in the second one their interaction changes by a thousandth."""
@@ -135,8 +128,7 @@ class _Group:
         goals = {name: goals_of_arm(model, targets, name) for name in names}
         stated = {
             name: replace(
-                stated_conditions(profile, targets, name),
-                record=ranges[name].record if name in ranges else None,
+                stated_conditions(profile, targets, name), record=ranges[name].record if name in ranges else None
             )
             for name in names
         }
@@ -253,15 +245,7 @@ def _refusals(group: _Group, chosen: Chosen) -> dict[int, str]:
         )
         missed[name] = dict(zip(rows.tolist(), words, strict=True))
     return {
-        row: refusal(
-            group.cell,
-            group.homes,
-            group.model.arms,
-            group.branches,
-            chosen,
-            row,
-            {name: words.get(row, "") for name, words in missed.items()},
-        )
+        row: refusal(group, chosen, row, {name: words.get(row, "") for name, words in missed.items()})
         for row in np.flatnonzero(~chosen.accepted).tolist()
     }
 
@@ -277,33 +261,25 @@ _SAME_POSE = 1e-6
 """Residual [m, rad] below which a pose counts as reachable, although no start of the search reached it."""
 
 
-def refusal(
-    cell: CellBodies,
-    homes: Mapping[str, Array],
-    arms: Mapping[str, ArmModel],
-    branches: Mapping[str, Branches],
-    chosen: Chosen,
-    row: int,
-    missed: Mapping[str, str],
-) -> str:
+def refusal(group: _Group, chosen: Chosen, row: int, missed: Mapping[str, str]) -> str:
     """Return the reason of the best branch of a target; ``missed`` says how far arms without a solution are off."""
-    for name, one in branches.items():
-        of = f"arm {name}: " if len(branches) > 1 else ""
+    for name, one in group.branches.items():
+        of = f"arm {name}: " if len(group.branches) > 1 else ""
         if not one.exists[row].any():
             return of + missed[name]
         if not one.within[row].any():
-            return of + _beyond_limits(one, row, cell.arms[name].limits)
+            return of + _beyond_limits(one, row, group.cell.arms[name].limits)
     best = {name: q[row] for name, q in chosen.nominal.items()}
     if any(np.isnan(q).any() for q in best.values()):
-        best = {name: _nearest(one, row) for name, one in branches.items()}
-    if words := refuse_stop(cell, {**homes, **best}):
+        best = {name: _nearest(one, row) for name, one in group.branches.items()}
+    if words := refuse_stop(group.cell, {**group.homes, **best}):
         return words
     for name, found in chosen.compensated.items():
-        of = f"arm {name}: " if len(branches) > 1 else ""
-        if words := _singular(arms[name], best[name], found.q[row], reached=bool(found.reached[row])):
+        of = f"arm {name}: " if len(group.branches) > 1 else ""
+        if words := _singular(group.model.arms[name], best[name], found.q[row], reached=bool(found.reached[row])):
             return of + words
     solved = {name: found.q[row] for name, found in chosen.compensated.items()}
-    return refuse_stop(cell, {**homes, **solved}) or "the gate does not admit it"
+    return refuse_stop(group.cell, {**group.homes, **solved}) or "the gate does not admit it"
 
 
 def missed_poses(geometry: Geometry, position_M: Array, rotation_M: Array, home: Array) -> list[str]:

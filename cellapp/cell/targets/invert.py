@@ -121,10 +121,7 @@ def invert_model(arm: ArmModel, position_M: Array, rotation_M: Array, start: Arr
 
 
 def without_effects(
-    arm: ArmModel,
-    true: Array,
-    approach: Array | None = None,
-    conditions: MeasurementConditions | None = None,
+    arm: ArmModel, true: Array, approach: Array | None = None, conditions: MeasurementConditions | None = None
 ) -> Array:
     """Return controller readings (n, N) [rad] that put the real joints at ``true`` (n, N), arriving as ``approach``.
 

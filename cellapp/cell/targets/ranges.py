@@ -645,9 +645,7 @@ def _times(ranges: ConditionRanges) -> _Change | None:
     def change(conditions: MeasurementConditions, place: float, n: int) -> MeasurementConditions:
         low, high = ranges.time_s or (np.nan, np.nan)
         return replace(
-            conditions,
-            time_s=np.full(n, low + place * (high - low)),
-            order=np.full(n, place * (ranges.stops - 1)),
+            conditions, time_s=np.full(n, low + place * (high - low)), order=np.full(n, place * (ranges.stops - 1))
         )
 
     return change

@@ -252,6 +252,7 @@ class VerifyResult(Result, schema="cellapp-verify"):
     ``rule`` is that by which tolerances were decided, ``not_given`` what is missing for an expanded uncertainty; in
     results of earlier versions errors alone were compared. ``cooperative`` summarises the pairs. ``stopped`` says why
     not all targets were visited; empty if they were. ``notes`` also say where the model that was used was out of date.
+    ``common`` is as in ``CompensateResult``.
     """
 
     arms: Mapping[str, ArmVerification]
@@ -262,6 +263,7 @@ class VerifyResult(Result, schema="cellapp-verify"):
     rule: DecisionRule = "simple"
     not_given: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    common: Mapping[str, CommonUncertainty] = {}
 
     def complaints(self) -> list[str]:
         """Return why the verification failed: stopped, no improvement, or out of tolerance; empty if it did not.

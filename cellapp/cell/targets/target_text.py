@@ -56,10 +56,7 @@ FIELDS = (
         "by what angle the flange may be off: 0.5 mrad; may be empty",
     ),
     FormField(
-        "approach",
-        "vector",
-        "Approach",
-        "sign of each joint's last motion, 0 for any: 1, 0, -1, 0, 0, 0; may be empty",
+        "approach", "vector", "Approach", "sign of each joint's last motion, 0 for any: 1, 0, -1, 0, 0, 0; may be empty"
     ),
     FormField(
         "partner",

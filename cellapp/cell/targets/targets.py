@@ -330,6 +330,11 @@ def load_targets(path: Path, profile: Profile) -> tuple[Target, ...]:
         return targets_of(_source(Path(path), joints), profile)
 
 
+def named_targets(profile: Profile, path: Path) -> tuple[Target, ...]:
+    """Read the targets that the profile at ``path`` names, none if it names none. Raise as ``load_targets``."""
+    return () if profile.targets is None else load_targets(path.parent / profile.targets, profile)
+
+
 def targets_of(source: TargetSource, profile: Profile) -> tuple[Target, ...]:
     """Return the targets of a source, checked against each other and the cell. Raise as ``load_targets``."""
     try:

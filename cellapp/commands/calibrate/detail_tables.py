@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from cellapp.commands.calibrate.view import MM, batches_words, merged_words
-from cellapp.commands.view.table import Cell, Column, Number, Table, number_column
+from cellapp.commands.view.table import Cell, Number, Table, columns_of
 from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, NetworkResult, NetworkTrial
 from cellapp.ground.results import METHODS, Estimate
@@ -15,12 +15,8 @@ from cellapp.robot.model import CellModel
 
 def pair_tables(calibrate: CalibrateResult) -> list[Table]:
     """Show the inter-base transform that each method identified, beside its value from the common tracker frame."""
-    columns = (
-        Column("parameter"),
-        number_column("by distances", ".5f"),
-        number_column("standard error", ".5f"),
-        number_column("by the tracker frame", ".5f"),
-        Column("unit"),
+    columns = columns_of(
+        "parameter", ("by distances", ".5f"), ("standard error", ".5f"), ("by the tracker frame", ".5f"), "unit"
     )
     tables = []
     for method in METHODS:
@@ -39,13 +35,8 @@ def pair_tables(calibrate: CalibrateResult) -> list[Table]:
 
 def nominal_and_identified_tables(calibrate: CalibrateResult, model: CellModel) -> list[Table]:
     """Show identified parameters beside their nominal values and the difference, one table for each arm."""
-    columns = (
-        Column("parameter"),
-        number_column("nominal", ".5f"),
-        number_column("value", ".5f"),
-        number_column("delta", "+.5f"),
-        number_column("standard error", ".5f"),
-        Column("unit"),
+    columns = columns_of(
+        "parameter", ("nominal", ".5f"), ("value", ".5f"), ("delta", "+.5f"), ("standard error", ".5f"), "unit"
     )
     tables = []
     for name, arm in calibrate.arms.items():
@@ -65,18 +56,12 @@ def _difference_cells(nominal: float, estimate: Estimate) -> tuple[Cell, ...]:
     if estimate.unit == "rad":
         delta = math.remainder(delta, 2.0 * math.pi)
     error = estimate.standard_error
-    return (
-        nominal * factor,
-        estimate.value * factor,
-        delta * factor,
-        None if error is None else error * factor,
-        unit,
-    )
+    return (nominal * factor, estimate.value * factor, delta * factor, None if error is None else error * factor, unit)
 
 
 def merged_tables(calibrate: CalibrateResult) -> list[Table]:
     """Show the parameters that the data cannot separate from others, and those that stand for them."""
-    columns = (Column("parameter"), Column("merged into"))
+    columns = columns_of("parameter", "merged into")
     return [
         Table(
             f"Arm {name}: parameters that act like others",
@@ -93,7 +78,7 @@ def calibration_facts(calibrate: CalibrateResult) -> Table:
     facts = [_arm_facts(arm) for arm in calibrate.arms.values()]
     every = dict.fromkeys(what for arm in facts for what in arm)
     rows = tuple((what, *(arm.get(what) for arm in facts)) for what in every)
-    columns = (Column(""), *(Column(f"arm {name}") for name in calibrate.arms))
+    columns = columns_of("", *(f"arm {name}" for name in calibrate.arms))
     return Table("Identification and network training", columns, rows)
 
 
@@ -134,7 +119,7 @@ def _network_words(network: NetworkResult | None) -> str:
 
 def network_tables(calibrate: CalibrateResult) -> list[Table]:
     """Show the network shapes that were compared within the training split."""
-    columns = (Column("number"), Column("inputs, hidden layers"), number_column("left-out rms", MM, "mm"))
+    columns = columns_of("number", "inputs, hidden layers", ("left-out rms", MM, "mm"))
     tables = []
     for name, arm in calibrate.arms.items():
         if arm.network is not None and arm.network.tried:
@@ -156,11 +141,7 @@ def _network_shape(network: NetworkResult | NetworkTrial) -> str:
 
 def base_table(model: CellModel) -> Table:
     """Show positions of the bases in the tracker frame."""
-    columns = (
-        Column("arm"),
-        *(number_column(axis, ".5f") for axis in "xyz"),
-        number_column("distance from the tracker", ".3f"),
-    )
+    columns = columns_of("arm", *((axis, ".5f") for axis in "xyz"), ("distance from the tracker", ".3f"))
     rows = []
     for name, arm in model.arms.items():
         x, y, z = arm.geometry.T_M_B()[:3, 3].tolist()

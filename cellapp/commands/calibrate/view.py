@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from cellapp.commands.calibrate.request import CalibrateRequest
 from cellapp.commands.record import Request, View
-from cellapp.commands.view.table import Cell, Column, Interval, Table, number_column
+from cellapp.commands.view.table import Cell, Interval, Table, columns_of
 from cellapp.commands.view.words import METHOD_WORDS, display_unit, geometry_unit
 from cellapp.estimation.calibration.records import (
     ArmCalibrationResult,
@@ -24,14 +24,9 @@ from cellapp.robot.effects import EFFECTS
 MM = ".4f"
 """Number format of errors in mm: a tenth of a micrometre, below the tracker's resolution."""
 
-ERROR_COLUMNS = (
-    *(number_column(title, MM) for title in ("mean", "rms", "std", "max")),
-    number_column("n", "d"),
-)
-_DETAILED_COLUMNS = (
-    *(number_column(title, MM) for title in ("mean", "95 % of mean", "rms", "std", "p50", "p95", "max")),
-    number_column("n", "d"),
-)
+ERROR_COLUMNS = (*((title, MM) for title in ("mean", "rms", "std", "max")), ("n", "d"))
+_DETAILED = ("mean", "95 % of mean", "rms", "std", "p50", "p95", "max")
+_DETAILED_COLUMNS = (*((title, MM) for title in _DETAILED), ("n", "d"))
 _TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame"}
 _PAIRS = "between arms"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
@@ -54,14 +49,14 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
     tables = []
     for name, arm in result.arms.items():
         rows = [(label, *error_cells(summary)) for label, _, summary in _stage_summaries(arm)]
-        tables.append(Table(_arm_title(name, arm), (Column("stage, measure"), *ERROR_COLUMNS), tuple(rows)))
+        tables.append(Table(_arm_title(name, arm), columns_of("stage, measure", *ERROR_COLUMNS), tuple(rows)))
     if result.pair:
         rows = [
             (METHOD_WORDS[method], *error_cells(result.pair[method].cooperative_mm))
             for method in METHODS
             if method in result.pair
         ]
-        tables.append(Table(_PAIR_TITLE, (Column("method"), *ERROR_COLUMNS), tuple(rows)))
+        tables.append(Table(_PAIR_TITLE, columns_of("method", *ERROR_COLUMNS), tuple(rows)))
     return [*tables, *_tables_of_kinds(result)]
 
 
@@ -76,7 +71,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
 
     The ratio is the rms error over the rms error that the tracker's stated uncertainty alone would cause.
     """
-    columns = (*_DETAILED_COLUMNS, number_column("rms / tracker", ".1f"))
+    columns = (*_DETAILED_COLUMNS, ("rms / tracker", ".1f"))
     tables = []
     for name, arm in result.arms.items():
         noise_mm = {"position": arm.tracker_mm or None, "distance": distance_mm(arm.tracker_mm, arm.tracker_mm)}
@@ -84,14 +79,14 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
             (label, *_detailed_cells(summary), _ratio(summary, noise_mm.get(measure)))
             for label, measure, summary in _stage_summaries(arm)
         ]
-        tables.append(Table(_arm_title(name, arm), (Column("stage, measure"), *columns), tuple(rows)))
+        tables.append(Table(_arm_title(name, arm), columns_of("stage, measure", *columns), tuple(rows)))
     if result.pair:
         noise = cooperative_noise_mm(result)
         summaries = {method: result.pair[method].cooperative_mm for method in METHODS if method in result.pair}
         rows = [
             (METHOD_WORDS[key], *_detailed_cells(errors), _ratio(errors, noise)) for key, errors in summaries.items()
         ]
-        tables.append(Table(_PAIR_TITLE, (Column("method"), *columns), tuple(rows)))
+        tables.append(Table(_PAIR_TITLE, columns_of("method", *columns), tuple(rows)))
     return [*tables, *_tables_of_kinds(result)]
 
 
@@ -105,18 +100,13 @@ def transform_tables(result: CalibrateResult) -> list[Table]:
     ]
     if not rows:
         return []
-    columns = (Column("method, transform"), *_DETAILED_COLUMNS)
+    columns = columns_of("method, transform", *_DETAILED_COLUMNS)
     return [Table("Pair: cooperative errors by either transform [mm]", columns, tuple(rows))]
 
 
 def parameter_tables(result: CalibrateResult) -> list[Table]:
     """Show identified parameters with standard errors, one table for each arm."""
-    columns = (
-        Column("parameter"),
-        number_column("value", ".5f"),
-        number_column("standard error", ".5f"),
-        Column("unit"),
-    )
+    columns = columns_of("parameter", ("value", ".5f"), ("standard error", ".5f"), "unit")
     tables = []
     for name, arm in result.arms.items():
         rows: list[tuple[Cell, ...]] = []
@@ -240,13 +230,7 @@ def prior_sentences(result: CalibrateResult) -> list[str]:
 
 
 def _part_table(name: str, prior: ArmPriorResult) -> Table:
-    columns = (
-        Column("part"),
-        number_column("values", "d"),
-        number_column("may have drifted", ".3g"),
-        Column("unit"),
-        Column("believed"),
-    )
+    columns = columns_of("part", ("values", "d"), ("may have drifted", ".3g"), "unit", "believed")
     rows = [
         (part, one.parameters, *_drift(one), "yes" if one.used else "no: the readings contradict it")
         for part, one in prior.parts.items()
@@ -263,15 +247,15 @@ def _drift(one: PartDrift) -> tuple[Cell, Cell]:
 
 
 def _change_table(name: str, prior: ArmPriorResult) -> Table:
-    columns = (
-        Column("what"),
-        number_column("change", "+.3f"),
-        number_column("standard error", ".3f"),
-        Column("unit"),
-        number_column("sigmas", ".1f"),
-        number_column("evidence", ".0f"),
-        number_column("at the SMR", ".3f", "mm"),
-        Column("as likely"),
+    columns = columns_of(
+        "what",
+        ("change", "+.3f"),
+        ("standard error", ".3f"),
+        "unit",
+        ("sigmas", ".1f"),
+        ("evidence", ".0f"),
+        ("at the SMR", ".3f", "mm"),
+        "as likely",
     )
     rows: list[tuple[Cell, ...]] = []
     for one in prior.changes:
@@ -285,33 +269,28 @@ def _change_table(name: str, prior: ArmPriorResult) -> Table:
 # -- Results of recordings of motion for people: clocks, weight of the points, lost motion, what is not determined ----
 
 
-_CLOCKS = (
-    Column("arm"),
-    Column("recording"),
-    number_column("offset [s]", ".6f"),
-    number_column("standard error [ms]", ".4f"),
-    number_column("rate [ppm]", ".3f"),
-    number_column("standard error [ppm]", ".3f"),
-    number_column("clock steps", "d"),
+_CLOCKS = columns_of(
+    "arm",
+    "recording",
+    ("offset [s]", ".6f"),
+    ("standard error [ms]", ".4f"),
+    ("rate [ppm]", ".3f"),
+    ("standard error [ppm]", ".3f"),
+    ("clock steps", "d"),
 )
-_RECORDINGS = (
-    Column("arm"),
-    Column("recording"),
-    number_column("points", "d"),
-    number_column("learnt", "d"),
-    number_column("worth", ".0f"),
-    number_column("held out", "d"),
-    number_column("gross", "d"),
-    number_column("in gaps", "d"),
-    number_column("scatter [mm]", ".4f"),
-    number_column("held-out rms [mm]", ".4f"),
+_RECORDINGS = columns_of(
+    "arm",
+    "recording",
+    ("points", "d"),
+    ("learnt", "d"),
+    ("worth", ".0f"),
+    ("held out", "d"),
+    ("gross", "d"),
+    ("in gaps", "d"),
+    ("scatter [mm]", ".4f"),
+    ("held-out rms [mm]", ".4f"),
 )
-_PLAY = (
-    Column("arm"),
-    Column("joint"),
-    number_column("half play [urad]", ".1f"),
-    number_column("standard error [urad]", ".1f"),
-)
+_PLAY = columns_of("arm", "joint", ("half play [urad]", ".1f"), ("standard error [urad]", ".1f"))
 _SURE = 2.0
 """Lost motion is shown as found from this many standard errors on."""
 
@@ -365,12 +344,7 @@ def _in_motion(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
             for stage, errors in arm.motion.validate_.items():
                 its = errors.position_mm
                 rows.append((name, stage, its.mean, its.rms, its.std, its.max, its.n))
-    columns = (
-        Column("arm"),
-        Column("stage"),
-        *(number_column(title, ".4f") for title in ("mean", "rms", "std", "max")),
-        number_column("n", "d"),
-    )
+    columns = columns_of("arm", "stage", *((title, ".4f") for title in ("mean", "rms", "std", "max")), ("n", "d"))
     return [Table("In motion: errors of held-out blocks of time [mm]", columns, tuple(rows))] if rows else []
 
 

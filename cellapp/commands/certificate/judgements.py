@@ -18,7 +18,7 @@ import numpy as np
 
 from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
 from cellapp.commands.certificate.iso9283_judgements import TEST_OF, judge_characteristics
-from cellapp.commands.run_results import StageResults, evidence_of
+from cellapp.commands.run_results import RunResults, evidence_of
 from cellapp.estimation.iso9283.norm import NORM_CYCLES
 from cellapp.estimation.uncertainty.budget import (
     MeasuredConditions,
@@ -30,17 +30,12 @@ from cellapp.estimation.uncertainty.budget import (
     position_budget,
     turn_budget,
 )
-from cellapp.estimation.uncertainty.records import (
-    Characteristic,
-    Judgement,
-    TurnContribution,
-    UncertaintyContribution,
-)
+from cellapp.estimation.uncertainty.records import Characteristic, Judgement, TurnContribution, UncertaintyContribution
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Tolerances
-from cellapp.ground.results import BEST_METHODS, CALIBRATE, COMPENSATE, ISO9283, VERIFY, ErrorSummary, StageName
+from cellapp.ground.results import BEST_METHODS, CALIBRATE, ISO9283, VERIFY, ErrorSummary, StageName
 
 Budget = Sequence[UncertaintyContribution]
 
@@ -57,7 +52,7 @@ class _Measured:
 
 
 def judge_run(
-    profile: Profile, results: StageResults, measured: Mapping[str, MeasuredConditions] | None = None
+    profile: Profile, results: RunResults, measured: Mapping[str, MeasuredConditions] | None = None
 ) -> tuple[Judgement, ...]:
     """Judge the results of a run by the tolerances of a profile; empty if it gives none.
 
@@ -85,7 +80,7 @@ def judge_run(
 # -- what was measured ------------------------------------------------------------------------------------------------
 
 
-def _position(results: StageResults, arm: str, budget: Budget) -> _Measured:
+def _position(results: RunResults, arm: str, budget: Budget) -> _Measured:
     verify = held_verification(results)
     targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
     errors = [one.final_mm for one in targets if one.final_mm is not None]
@@ -94,7 +89,7 @@ def _position(results: StageResults, arm: str, budget: Budget) -> _Measured:
     return _Measured("position", arm, errors, _verified(verify, len(errors), len(targets), "targets"), budget)
 
 
-def _distance(results: StageResults, arm: str, budget: Budget) -> _Measured:
+def _distance(results: RunResults, arm: str, budget: Budget) -> _Measured:
     """Collect all pairs of verified targets with compensated commands; a corrected target has no measured position."""
     verify = held_verification(results)
     targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
@@ -106,7 +101,7 @@ def _distance(results: StageResults, arm: str, budget: Budget) -> _Measured:
     return _Measured("distance", arm, errors, source, distance_budget(budget))
 
 
-def _cooperative(tolerances: Tolerances, results: StageResults, budgets: Mapping[str, Budget]) -> list[_Measured]:
+def _cooperative(tolerances: Tolerances, results: RunResults, budgets: Mapping[str, Budget]) -> list[_Measured]:
     """Collect each pair of arms with verified cooperative targets; also the only pair of a cell without any."""
     verify = held_verification(results)
     pairs = () if verify is None else verify.pairs
@@ -125,13 +120,13 @@ def _cooperative(tolerances: Tolerances, results: StageResults, budgets: Mapping
     tested = any(one.characteristic == "cooperative" for one in _held_iso(tolerances, results))
     if len(budgets) != 2 or tested:
         return []
-    calibrate = None if CALIBRATE in results.out_of_date else results.calibrate
+    calibrate = results.held.calibrate
     computed = {} if calibrate is None else calibrate.pair
     best = next((computed[method].cooperative_mm for method in BEST_METHODS if method in computed), None)
     return [_Measured("cooperative", _both(list(budgets)), (), _unverified(results, "cooperative", best))]
 
 
-def _orientations(profile: Profile, results: StageResults) -> Iterator[Judgement]:
+def _orientations(profile: Profile, results: RunResults) -> Iterator[Judgement]:
     """Yield each probe arm's largest error of orientation at verified targets; of every arm if none has a probe."""
     limit, rule = profile.tolerances.orientation, profile.tolerances.decision
     if limit is None:
@@ -164,10 +159,11 @@ def _orientations(profile: Profile, results: StageResults) -> Iterator[Judgement
         )
 
 
-def orientation_budget(profile: Profile, results: StageResults, arm: str) -> tuple[TurnContribution, ...]:
+def orientation_budget(profile: Profile, results: RunResults, arm: str) -> tuple[TurnContribution, ...]:
     """Return the contributions to an arm's uncertainty of orientation, at the command with the model's largest one;
     empty if no orientation was predicted."""
-    commands = () if COMPENSATE in results.out_of_date or results.compensate is None else results.compensate.targets
+    compensate = results.held.compensate
+    commands = () if compensate is None else compensate.targets
     turns = [one.orientation for one in commands if one.arm == arm and one.orientation is not None]
     if not turns:
         return ()
@@ -176,7 +172,7 @@ def orientation_budget(profile: Profile, results: StageResults, arm: str) -> tup
     return turn_budget(profile, arm, worst.model_mrad, worst.noise_mrad, basis)
 
 
-def _iso(profile: Profile, results: StageResults) -> list[Judgement | None]:
+def _iso(profile: Profile, results: RunResults) -> list[Judgement | None]:
     """Return the judgements of measured characteristics, and those with a tolerance that were not measured."""
     held = _held_iso(profile.tolerances, results)
     why = _outdated(results, ISO9283, "the test by ISO 9283") or "not measured (cellapp iso9283)"
@@ -223,28 +219,28 @@ def _undecided(one: Judgement, why: str) -> Judgement:
     return one.model_copy(update={"conformity": "cannot say", "source": f"{one.source}; {why}"})
 
 
-def _held_iso(tolerances: Tolerances, results: StageResults) -> tuple[Judgement, ...]:
+def _held_iso(tolerances: Tolerances, results: RunResults) -> tuple[Judgement, ...]:
     """Return the results of the test by ISO 9283 judged by these tolerances; empty if it no longer holds."""
-    stored = None if ISO9283 in results.out_of_date else results.iso9283
+    stored = results.held.iso9283
     if stored is None:
         return ()
     cycles = NORM_CYCLES["pose"] if stored.conditions is None else stored.conditions.cycles
     return judge_characteristics(tolerances, stored.arms, stored.pairs, cycles)
 
 
-def held_verification(results: StageResults) -> VerifyResult | None:
+def held_verification(results: RunResults) -> VerifyResult | None:
     """Return the newest verification; None if it no longer holds or measured no target."""
-    verify = None if VERIFY in results.out_of_date else results.verify
+    verify = results.held.verify
     return None if verify is None or not verify.arms else verify
 
 
-def other_arms_found(results: StageResults) -> str:
+def other_arms_found(results: RunResults) -> str:
     """State the change of arms that the last check found, if it still holds; empty if none."""
-    checked = results.held_check
+    checked = results.held.check
     return f"a later check found: {checked.verdict}" if checked is not None and checked.found_other_arms else ""
 
 
-def _outdated(results: StageResults, name: StageName, what: str) -> str:
+def _outdated(results: RunResults, name: StageName, what: str) -> str:
     reason = results.out_of_date.get(name)
     return f"{what} is out of date ({reason})" if reason else ""
 
@@ -254,7 +250,7 @@ def _verified(verify: VerifyResult, measured: int, asked: int, what: str) -> str
     return f"verification, {count}" + (f" ({verify.stopped})" if verify.stopped else "")
 
 
-def _unverified(results: StageResults, characteristic: Characteristic, held_out: ErrorSummary | None) -> str:
+def _unverified(results: RunResults, characteristic: Characteristic, held_out: ErrorSummary | None) -> str:
     """Say why nothing is verified, and the calibration's error at held-out stops."""
     verify = results.verify
     if (reason := _outdated(results, VERIFY, "the verification")) == "":
@@ -265,8 +261,8 @@ def _unverified(results: StageResults, characteristic: Characteristic, held_out:
     return f"{reason}; predicted at {held_out.n} held-out values: {p95}largest {held_out.max:.3f} mm"
 
 
-def _held_out(results: StageResults, arm: str, error: Literal["position_mm", "distance_mm"]) -> ErrorSummary | None:
-    calibrate = None if CALIBRATE in results.out_of_date else results.calibrate
+def _held_out(results: RunResults, arm: str, error: Literal["position_mm", "distance_mm"]) -> ErrorSummary | None:
+    calibrate = results.held.calibrate
     found = None if calibrate is None else calibrate.arms.get(arm)
     if found is None:
         return None

@@ -6,12 +6,7 @@ from collections.abc import Mapping
 
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.records import IsoLine
-from cellapp.estimation.uncertainty.records import (
-    Characteristic,
-    Judgement,
-    TurnContribution,
-    UncertaintyContribution,
-)
+from cellapp.estimation.uncertainty.records import Characteristic, Judgement, TurnContribution, UncertaintyContribution
 from cellapp.ground.results import ErrorSummary, Record, Result
 
 Range = tuple[float, float]

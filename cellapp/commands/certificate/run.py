@@ -5,9 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import tempfile
-from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -19,9 +17,9 @@ from cellapp.cell.run.recordings import recording_states
 from cellapp.cell.run.samples import all_known_readings
 from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.certificate.result import CertificateResult
-from cellapp.commands.certificate.statement import CertificateInput, Controller, certificate_of
+from cellapp.commands.certificate.statement import CertificateInput, certificate_of
 from cellapp.commands.record import Work
-from cellapp.commands.run_results import read_stage_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import (
     CERTIFICATE_FILE,
     Basis,
@@ -33,7 +31,7 @@ from cellapp.commands.stages import (
 )
 from cellapp.estimation.uncertainty.budget import measured_conditions
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs
+from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, CERTIFICATE, ISO9283, VERIFY, StageName
 from cellapp.ground.shell import shell_word
@@ -50,58 +48,18 @@ CERTIFIED_STAGES: tuple[StageName, ...] = (VERIFY, ISO9283)
 _LONGEST_NUMBER, _LONGEST_NAME = 60, 30
 _NUMBER = re.compile(rf"(?=.{{1,{_LONGEST_NUMBER}}}$)[\w./+-]+(?: [\w./+-]+)*", re.ASCII)
 """Pattern of a number that fits into a file name and a heading."""
-PageOf = Callable[[CertificateResult], str]
-"""Draws the page of a certificate as HTML."""
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """The request: number (empty for a new one), time, names of the files, hashes of those that it rests on."""
-
-    number: str
-    written: datetime
-    files: tuple[str, ...]
-    rests_on: Mapping[str, str]
 
 
 def run(request: CertificateRequest, work: Work) -> CertificateResult:
     """Write the certificate of a run."""
     with RunFile.open(request.folder, write=True) as opened:
-        return certificate_run(
-            opened,
-            work.certificate_page,
-            out=request.out,
-            number=request.number,
-            data=request.data,
-            outputs=work.outputs,
-        )
+        return certify(opened, request, work)
 
 
-def certificate_run(
-    run: RunFile,
-    page: PageOf,
-    *,
-    out: Path | None = None,
-    number: str | None = None,
-    data: Path | None = None,
-    now: datetime | None = None,
-    outputs: Outputs = NEW_ONLY,
-) -> CertificateResult:
+def certify(run: RunFile, request: CertificateRequest, work: Work, now: datetime | None = None) -> CertificateResult:
     """Write the certificate of a run with all that it rests on and the sums of these files; store it as a stage.
 
-    Parameters
-    ----------
-    page : callable
-        Draws the page that shows the certificate to people.
-    out : path, optional
-        Folder of the files; the run's own if not given.
-    number : str, optional
-        Of the certificate; by default made of profile, day and data.
-    data : path, optional
-        YAML with the profile's sections ``tolerances`` and ``traceability``; its keys override the profile's.
-    outputs : Outputs
-        Which files in a folder ``out`` may be replaced; none by default. In the run's folder those without a signature
-        beside their sums may be.
+    In the run's folder, files without a signature beside their sums may be replaced.
 
     Raises
     ------
@@ -111,11 +69,11 @@ def certificate_run(
     """
     if not run.writable:
         raise InputError(f"{run.path} is open for reading only; open it for writing")
-    allowed = RENEWED if out is None else outputs
-    folder = out or run.folder
+    allowed = RENEWED if request.out is None else work.outputs
+    folder = request.out or run.folder
     allowed.check_file(folder / SUMS_FILE)
     shown = (CERTIFICATE_FILE, PAGE_FILE)
-    profile = run.profile if data is None else with_sections(run.profile, data, DATA_SECTIONS)
+    profile = run.profile if request.data is None else with_sections(run.profile, request.data, DATA_SECTIONS)
     stages = read_stages(run)
     if not any(name in stages.current for name in (CALIBRATE, *CERTIFIED_STAGES)):
         raise InputError(
@@ -126,19 +84,28 @@ def certificate_run(
     basis = certified_basis(run, stages)
     with tempfile.TemporaryDirectory(prefix="cellapp-certificate-") as temporary:
         made = Path(temporary)
-        certified = _certified_files(run, stages, data, made)
-        asked = _Asked(
-            number=_checked_number(number),
-            written=now or datetime.now(UTC),
+        certified = _certified_files(run, stages, request.data, made)
+        written_at = now or datetime.now(UTC)
+        rests_on = {name: _sum(made / name) for name in certified}
+        given = CertificateInput(
+            number=_checked_number(request.number) or _new_number(run, profile, written_at, basis),
+            run=str(run.folder),
+            issued=written_at.astimezone(UTC).isoformat(timespec="seconds"),
+            program=program_of(profile),
+            profile=profile,
+            results=read_results(run, stages),
+            conditions=measured_conditions(all_known_readings(run)),
+            controllers=recorded_controllers(run),
+            measured=_times_of_measuring(run, stages),
+            rests_on=rests_on,
             files=(*shown, SUMS_FILE),
-            rests_on={name: _sum(made / name) for name in certified},
         )
-        result = certificate_of(_input(run, profile, basis, stages, asked))
+        result = certificate_of(given)
         RENEWED.write_text(made / CERTIFICATE_FILE, result.to_json(indent=1) + "\n")
-        RENEWED.write_text(made / PAGE_FILE, page(result))
-        sums = {**{name: _sum(made / name) for name in shown}, **asked.rests_on}
+        RENEWED.write_text(made / PAGE_FILE, work.certificate_page(result))
+        sums = {**{name: _sum(made / name) for name in shown}, **rests_on}
         RENEWED.write_text(made / SUMS_FILE, "".join(f"{digest}  {name}\n" for name, digest in sums.items()))
-        written = (*certified, *asked.files)
+        written = (*certified, *given.files)
         for name in written:
             allowed.check_file(folder / name)
         _make(folder / DATA_FOLDER)
@@ -180,25 +147,6 @@ def _make(folder: Path) -> None:
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _input(run: RunFile, profile: Profile, basis: Basis, stages: RunStages, asked: _Asked) -> CertificateInput:
-    readings = all_known_readings(run)
-    return CertificateInput(
-        number=asked.number or _new_number(run, profile, asked.written, basis),
-        run=str(run.folder),
-        issued=asked.written.astimezone(UTC).isoformat(timespec="seconds"),
-        program=program_of(profile),
-        profile=profile,
-        results=read_stage_results(run, stages),
-        conditions=measured_conditions(readings),
-        controllers={
-            name: Controller(one.model, one.serial, one.software) for name, one in recorded_controllers(run).items()
-        },
-        measured=_times_of_measuring(run, stages),
-        rests_on=asked.rests_on,
-        files=asked.files,
-    )
 
 
 def certified_basis(run: RunFile, stages: RunStages) -> Basis:

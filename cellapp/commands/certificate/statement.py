@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 
+from cellapp.cell.run.arm_identity import ControllerIdentity
 from cellapp.cell.targets.records import ArmVerification, VerifyResult
 from cellapp.commands.certificate.judgements import held_verification, judge_run, orientation_budget
 from cellapp.commands.certificate.result import (
@@ -18,8 +19,7 @@ from cellapp.commands.certificate.result import (
     CertifiedTarget,
     CertifiedTests,
 )
-from cellapp.commands.run_results import StageResults, evidence_of
-from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.commands.run_results import RunResults, evidence_of
 from cellapp.estimation.iso9283.records import CommandedTests, IsoValue
 from cellapp.estimation.uncertainty.budget import (
     MeasuredConditions,
@@ -32,7 +32,7 @@ from cellapp.estimation.uncertainty.records import Characteristic, UncertaintyCo
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Instrument
-from cellapp.ground.results import BEST_METHODS, CALIBRATE, CERTIFICATE, COMPENSATE, ISO9283, VERIFY
+from cellapp.ground.results import BEST_METHODS, CERTIFICATE, VERIFY
 from cellapp.ground.times import day_of
 
 _METHOD = (
@@ -42,15 +42,6 @@ _METHOD = (
 )
 _MOST_NAMED = 5
 """Most targets that a sentence names; further ones are counted."""
-
-
-@dataclass(frozen=True)
-class Controller:
-    """A controller as the run recorded it; fields are empty if it did not report them."""
-
-    model: str = ""
-    serial: str = ""
-    software: str = ""
 
 
 @dataclass(frozen=True)
@@ -70,9 +61,9 @@ class CertificateInput:
     issued: str
     program: str
     profile: Profile
-    results: StageResults
+    results: RunResults
     conditions: Mapping[str, MeasuredConditions]
-    controllers: Mapping[str, Controller]
+    controllers: Mapping[str, ControllerIdentity]
     measured: tuple[str, ...]
     rests_on: Mapping[str, str]
     files: tuple[str, ...] = ()
@@ -125,24 +116,24 @@ def _arm(
     given: CertificateInput, arm: str, expanded_position_mm: float | None, expanded_turn_mrad: float | None
 ) -> CertifiedArm:
     stated = given.profile.traceability.arms.get(arm)
-    controller = given.controllers.get(arm, Controller())
+    controller = given.controllers.get(arm)
     conditions = given.conditions.get(arm, MeasuredConditions(readings=0))
     return CertifiedArm.like(
         conditions,
         type=given.profile.arms[arm].type.model,
         serial="" if stated is None else stated.serial,
         asset="" if stated is None else stated.asset,
-        controller_model=controller.model,
-        controller_serial=controller.serial,
-        controller_software=controller.software,
+        controller_model="" if controller is None else controller.model,
+        controller_serial="" if controller is None else controller.serial,
+        controller_software="" if controller is None else controller.software,
         errors=_errors(given.results, arm),
         expanded_mm=expanded_position_mm,
         expanded_mrad=expanded_turn_mrad,
     )
 
 
-def _errors(results: StageResults, arm: str) -> CertifiedErrors:
-    verify, calibrate = held_verification(results), _calibration(results)
+def _errors(results: RunResults, arm: str) -> CertifiedErrors:
+    verify, calibrate = held_verification(results), results.held.calibrate
     calibrated = None if calibrate is None else calibrate.arms.get(arm)
     predicted = {} if calibrated is None else calibrated.validate_
     return _measured(None if verify is None else verify.arms.get(arm)).model_copy(
@@ -155,8 +146,8 @@ def _errors(results: StageResults, arm: str) -> CertifiedErrors:
     )
 
 
-def _pair(results: StageResults) -> CertifiedErrors:
-    verify, calibrate = held_verification(results), _calibration(results)
+def _pair(results: RunResults) -> CertifiedErrors:
+    verify, calibrate = held_verification(results), results.held.calibrate
     predicted = {} if calibrate is None else calibrate.pair
     best = next((predicted[method].cooperative_mm for method in BEST_METHODS if method in predicted), None)
     return _measured(None if verify is None else verify.cooperative).model_copy(
@@ -193,9 +184,9 @@ def _targets(verify: VerifyResult | None) -> tuple[CertifiedTarget, ...]:
     )
 
 
-def _tests(results: StageResults) -> CertifiedTests | None:
+def _tests(results: RunResults) -> CertifiedTests | None:
     """Return the largest value of each characteristic that the test by ISO 9283 measured, while it holds."""
-    tested = None if ISO9283 in results.out_of_date else results.iso9283
+    tested = results.held.iso9283
     if tested is None:
         return None
     return CertifiedTests(
@@ -227,14 +218,10 @@ def _largest(tests: CommandedTests) -> dict[Characteristic, IsoValue]:
     return {name: max(found, key=lambda one: abs(one.value_mm)) for name, found in measured.items() if found}
 
 
-def _calibration(results: StageResults) -> CalibrateResult | None:
-    return None if CALIBRATE in results.out_of_date else results.calibrate
-
-
 # -- words ------------------------------------------------------------------------------------------------------------
 
 
-def _unverified(profile: Profile, results: StageResults) -> list[str]:
+def _unverified(profile: Profile, results: RunResults) -> list[str]:
     if VERIFY in results.out_of_date:
         why = results.out_of_date[VERIFY]
         return [f"not verified: the verification is out of date ({why}); its figures are left out"]
@@ -247,7 +234,7 @@ def _unverified(profile: Profile, results: StageResults) -> list[str]:
     ]
 
 
-def _limits(results: StageResults, verify: VerifyResult | None) -> list[str]:
+def _limits(results: RunResults, verify: VerifyResult | None) -> list[str]:
     """Say for what the as-left figures hold, and what they do not cover."""
     if verify is None:
         return []
@@ -278,13 +265,13 @@ def _not_measured(arm: str, names: Sequence[str], count: int) -> list[str]:
     ]
 
 
-def _conditions(results: StageResults, arm: str) -> list[str]:
+def _conditions(results: RunResults, arm: str) -> list[str]:
     """State the working conditions of the commands, and by how much other conditions move the SMR."""
-    if results.compensate is None or COMPENSATE in results.out_of_date:
+    if (compensate := results.held.compensate) is None:
         return []
     largest: dict[str, float] = {}
     effects: dict[str, list[str]] = {}
-    for command in results.compensate.targets:
+    for command in compensate.targets:
         for one in command.unknown if command.arm == arm else ():
             largest[one.condition] = max(one.mm, largest.get(one.condition, 0.0))
             effects[one.condition] = [*effects.get(one.condition, []), *one.effects]

@@ -14,14 +14,8 @@ from cellapp.commands.certificate.result import (
 )
 from cellapp.commands.record import View
 from cellapp.commands.view.parts import Facts, Section
-from cellapp.commands.view.table import Cell, Column, Field, Table, number_column, table_of
-from cellapp.commands.view.words import (
-    CHARACTERISTIC_WORDS,
-    RULE_WORDS,
-    Verdict,
-    judgement_table,
-    verdict_of,
-)
+from cellapp.commands.view.table import Cell, Field, Table, columns_of, table_of
+from cellapp.commands.view.words import CHARACTERISTIC_WORDS, RULE_WORDS, Verdict, judgement_table, verdict_of
 from cellapp.estimation.iso9283.coverage import not_done
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS
 from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm
@@ -49,20 +43,17 @@ _UNCERTAINTY = (
     " as stated. Of distances between two positions each contribution counts twice, of distances between two arms those"
     " of both arms. A contribution that is not given leaves the uncertainty unknown."
 )
-_ERROR_COLUMNS = (
-    Column("error"),
-    Column("from"),
-    number_column("as found: mean", ".3f"),
-    number_column("largest", ".3f"),
-    number_column("as left: mean", ".3f"),
-    number_column("95 %", ".3f"),
-    number_column("largest", ".3f"),
-    number_column("n", "d"),
+_ERROR_COLUMNS = columns_of(
+    "error",
+    "from",
+    ("as found: mean", ".3f"),
+    ("largest", ".3f"),
+    ("as left: mean", ".3f"),
+    ("95 %", ".3f"),
+    ("largest", ".3f"),
+    ("n", "d"),
 )
-_TURNED: tuple[Field, ...] = (
-    ("rotation as found [mrad]", "found_mrad", ".3f"),
-    ("as left [mrad]", "left_mrad", ".3f"),
-)
+_TURNED: tuple[Field, ...] = (("rotation as found [mrad]", "found_mrad", ".3f"), ("as left [mrad]", "left_mrad", ".3f"))
 _NOWHERE = (None, None, None)
 """Coordinates of a target whose position was not stored."""
 
@@ -204,7 +195,7 @@ def turn_budget_tables(result: CertificateResult) -> list[Table]:
         ("expanded, U", arm, _or_unknown(result.arms[arm].expanded_mrad), "", coverage)
         for arm in dict.fromkeys(one.where for one in lines)
     ]
-    columns = (Column("contribution"), Column("arm"), number_column("u", ".4f"), Column("type"), Column("basis"))
+    columns = columns_of("contribution", "arm", ("u", ".4f"), "type", "basis")
     return [Table("Uncertainty of a measured error of orientation [mrad]", columns, tuple(rows))] if rows else []
 
 
@@ -220,10 +211,11 @@ def iso_table(tests: CertifiedTests) -> Table:
         for name in dict.fromkeys(one.characteristic for one in tests.characteristics)
     ]
     titles = ("as found", "as left", "U (k = 2)", "cycles")
-    columns = [
-        number_column(f"{arm}: {title}", "d" if title == "cycles" else ".3f") for arm in arms for title in titles
-    ]
-    return Table("Tests by ISO 9283 [mm]", (Column("characteristic"), *columns), tuple(rows))
+    columns = columns_of(
+        "characteristic",
+        *((f"{arm}: {title}", "d" if title == "cycles" else ".3f") for arm in arms for title in titles),
+    )
+    return Table("Tests by ISO 9283 [mm]", columns, tuple(rows))
 
 
 def iso_sentence(tests: CertifiedTests) -> str:
@@ -249,12 +241,7 @@ def budget_table(result: CertificateResult) -> Table:
     expanded = [None if value is None else COVERAGE * value for value in combined.values()]
     coverage = f"k = {COVERAGE:g}, about 95 %"
     rows.append(("expanded, U", *(_or_unknown(value) for value in expanded), "", coverage))
-    columns = (
-        Column("contribution"),
-        *(number_column(f"arm {arm}", ".4f") for arm in by_arm),
-        Column("type"),
-        Column("basis"),
-    )
+    columns = columns_of("contribution", *((f"arm {arm}", ".4f") for arm in by_arm), "type", "basis")
     return Table("Uncertainty of a measured position error [mm]", columns, tuple(rows))
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,65 +17,48 @@ from cellapp.cell.driving.verification import measured_turn
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
-from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.commands.check.request import FEWEST_STOPS, STOPS, CheckRequest
-from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.check.request import CheckRequest
+from cellapp.commands.confirm import confirmation
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.locate.station import excess_of_readings, profile_at_station
 from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
 from cellapp.estimation.calibration.station_location import displacement_m, predicted_points
-from cellapp.estimation.monitoring.check import CheckBelief, Conclusion, SequentialTest, check_belief, choose_stops
-from cellapp.estimation.monitoring.check.belief import FALSE_ALARM, MISS
-from cellapp.estimation.monitoring.check.naming import SPENT_EARLY
+from cellapp.estimation.monitoring.check import CheckBelief, SequentialTest, check_belief, choose_stops, design_of
+from cellapp.estimation.monitoring.check.naming import Design
 from cellapp.estimation.monitoring.check.records import (
     CHANGES_OF_ARMS,
     CheckedPoint,
     CheckedStop,
     CheckResult,
     CheckVerdict,
-    WeakChange,
 )
 from cellapp.estimation.readings import Readings
-from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant
-from cellapp.ground.progress import Listener, ignore, with_eta
+from cellapp.ground.progress import with_eta
 from cellapp.ground.results import CHECK, LOCATE
 from cellapp.ground.shell import shell_word
-from cellapp.robot.kinematics.transforms import Array, invert, rows_of, xyz_of
+from cellapp.robot.kinematics.transforms import Array, invert, xyz_of
 from cellapp.robot.model import ArmModel, CellModel
 
 
 def run(request: CheckRequest, work: Work) -> CheckResult:
     """Measure whether the calibration still holds."""
     with RunFile.open(request.folder, write=True) as opened:
-        return check_run(
-            opened,
-            work.listener,
-            work.control,
-            stops=request.stops,
-            simulated_plant=None if request.simulated_plant is None else plant_of(request.simulated_plant),
-            ask=work.ask(opened.profile.name),
-        )
+        plant = None if request.simulated_plant is None else plant_of(request.simulated_plant)
+        return check_run(opened, request, work, plant)
 
 
 def check_run(
-    run: RunFile,
-    listener: Listener = ignore,
-    control: JobControl | None = None,
-    *,
-    stops: int = STOPS,
-    simulated_plant: Plant | None = None,
-    ask: Ask | None = None,
-    open_with: Opened | None = None,
+    run: RunFile, request: CheckRequest, work: Work, plant: Plant | None = None, open_with: Opened | None = None
 ) -> CheckResult:
-    """Measure at most ``stops`` stops of all arms, judge the model in force by them, and store the result.
+    """Measure stops of all arms, judge the model in force by them, and store the result.
 
-    The test ends early once it decides. ``simulated_plant`` replaces the simulated cell's hidden physics for this job,
-    to show a change. ``ask`` is called before the first motion of real arms, ``open_with`` opens the cell.
+    The test ends early once it decides. ``plant`` replaces the simulated cell's hidden physics for this job,
+    to show a change. ``open_with`` opens the cell.
 
     Raises
     ------
@@ -89,27 +71,26 @@ def check_run(
     Cancelled
         Nothing is stored.
     """
-    control = control or JobControl()
-    if stops < FEWEST_STOPS:
-        raise InputError(f"check: at least {FEWEST_STOPS} stops are needed, better {STOPS}; not {stops}")
+    control = work.control
     probed = [name for name, arm in run.profile.arms.items() if arm.smr.probe is not None]
     checked = _checked(run, probed)
-    chosen = _stops(run.profile, checked, stops)
-    profile = _with_plant(profile_at_station(run, checked.stages), simulated_plant)
+    design = design_of(checked.belief)
+    chosen = _stops(run.profile, checked, design, request.stops)
+    profile = _with_plant(profile_at_station(run, checked.stages), plant)
     task = CheckTask(profile, checked.model, chosen, excess_of_readings(run, checked.model))
-    test = SequentialTest(checked.belief, len(chosen))
+    test = SequentialTest(design, len(chosen))
     notes: list[str] = []
     if checked.stale:
         notes.append(f"the model in force, that of '{checked.used.name}', was checked although {checked.stale}")
 
     opened = noting_controllers(run, notes)
-    with running_job(run, control, "check", listener) as listener:
-        confirm = confirmation(run.profile, ask)
+    with running_job(run, control, "check", work.listener) as listener:
+        confirm = confirmation(run.profile, work.ask(run.profile.name))
         driven = drive_check(
             task, test, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with
         )
-        result = _result(run, checked, len(chosen), driven, test.conclusion())
-        result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": simulated_plant is not None})
+        result = _result(run, checked, driven, test.conclusion())
+        result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": plant is not None})
         _store(run, checked, result)  # before the end is reported: listeners then read the run
     return result
 
@@ -138,7 +119,6 @@ class _Checked:
     arms: StoredStage
     model: CellModel
     belief: CheckBelief
-    readings: Mapping[str, Readings]
     located_T: Array | None
 
     @property
@@ -163,7 +143,7 @@ def _checked(run: RunFile, turned: Collection[str] = ()) -> _Checked:
         station_free=located_T is not None,
         T_new_old=located_T,
     )
-    return _Checked(stages, used, arms, model_of(run, used), belief, readings, located_T)
+    return _Checked(stages, used, arms, model_of(run, used), belief, located_T)
 
 
 def _with_plant(profile: Profile, plant: Plant | None) -> Profile:
@@ -180,44 +160,36 @@ def _with_plant(profile: Profile, plant: Plant | None) -> Profile:
     return profile.model_copy(update={"plant": placed})
 
 
-def _stops(profile: Profile, checked: _Checked, count: int) -> list[dict[str, Array]]:
-    """Choose the stops to measure, arm -> joint positions (N,) [rad], in the order of driving."""
-    candidates = check_candidates(profile, checked.model, checked.readings)
-    free = len(next(iter(candidates.values())))
-    chosen = choose_stops(checked.belief, candidates, min(count, free), start=home_positions(profile))
-    return [{name: q[row] for name, q in candidates.items()} for row in chosen.order.tolist()]
+def _stops(profile: Profile, checked: _Checked, design: Design, count: int) -> list[dict[str, Readings]]:
+    """Choose the stops to measure, arm -> its reading of the calibration, in the order of driving."""
+    known = {name: arm.positions.readings for name, arm in checked.belief.arms.items()}
+    candidates = check_candidates(profile, checked.model, known)
+    order = choose_stops(design, candidates, count)
+    return [{name: its.take([row]) for name, its in candidates.items()} for row in order.tolist()]
 
 
-def _result(run: RunFile, checked: _Checked, planned: int, driven: DrivenCheck, found: Conclusion) -> CheckResult:
+def _result(run: RunFile, checked: _Checked, driven: DrivenCheck, found: CheckResult) -> CheckResult:
     verdict = _verdict(run.profile, checked, driven, found)
-    return CheckResult.like(
-        found,
-        verdict=verdict,
-        model=checked.used.name,
-        planned=planned,
-        false_alarm=FALSE_ALARM,
-        miss=MISS,
-        sure_change=-math.log(SPENT_EARLY * FALSE_ALARM),
-        sure_valid=-math.log(SPENT_EARLY * MISS),
-        weak=tuple(map(WeakChange.like, found.weak)),
-        T_new_old=None if found.T_new_old is None else rows_of(found.T_new_old),
-        moved_bases={name: rows_of(T) for name, T in found.moved_bases.items()},
-        smr_offsets_F={name: xyz_of(offset) for name, offset in found.smr_offsets_F.items()},
-        stops=tuple(_checked_stop(checked.model, stop) for stop in driven.stops),
-        seconds=driven.seconds,
-        stale=checked.stale,
-        next_step=_next_step(verdict, run.folder),
-        notes=(*driven.notes, *found.notes),
+    return found.model_copy(
+        update={
+            "verdict": verdict,
+            "model": checked.used.name,
+            "stops": tuple(_checked_stop(checked.model, stop) for stop in driven.stops),
+            "seconds": driven.seconds,
+            "stale": checked.stale,
+            "next_step": _next_step(verdict, run.folder),
+            "notes": (*driven.notes, *found.notes),
+        }
     )
 
 
-def _verdict(profile: Profile, checked: _Checked, driven: DrivenCheck, found: Conclusion) -> CheckVerdict:
+def _verdict(profile: Profile, checked: _Checked, driven: DrivenCheck, found: CheckResult) -> CheckVerdict:
     """Return the verdict: that of the test; if valid, a located tracker may have moved again, or an arm not be seen."""
     if found.verdict != "valid":
         return found.verdict
     if checked.located_T is not None and found.T_new_old is not None:
         points = points_of([one for stop in driven.stops for one in stop.found.values()])
-        since = found.T_new_old @ invert(checked.located_T)
+        since = np.array(found.T_new_old) @ invert(checked.located_T)
         if displacement_m(checked.model, points, since) > profile.collection.reference.drift:
             return "tracker moved"
     return "cannot say" if driven.lost else "valid"

@@ -197,7 +197,7 @@ def check_charts(result: CheckResult) -> tuple[Chart, ...]:
 
 
 def evidence_chart(result: CheckResult) -> Chart:
-    """Show the log likelihood ratios of a change and of none, with the limits at which the test decides."""
+    """Show how sure a change and none are after each stop, with the limits at which the test decides."""
     stops = np.arange(1.0, len(result.stops) + 1.0)
     drawn = (
         series("a change", stops, [stop.log_evidence for stop in result.stops], style=_CHANGE),
@@ -208,7 +208,7 @@ def evidence_chart(result: CheckResult) -> Chart:
     return Chart(
         "Check: evidence over the stops",
         _STOP,
-        Axis("log of the likelihood ratio"),
+        Axis("-log of the chance of an error"),
         drawn if result.stops else (),
         _evidence_message(result),
         limits,

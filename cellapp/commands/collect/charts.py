@@ -221,11 +221,11 @@ def _message(name: str, mean: Array, band: Array) -> str:
     """Say whether more bands exclude zero than by chance."""
     outside, total = int(np.count_nonzero(np.abs(mean) > band)), mean.size
     drifts = _chance_of_at_least(outside, total) < _RARE
-    verdict = "drift" if drifts else "do not drift"
+    verdict = "more than by chance: they drift" if drifts else "no more than by chance"
     return (
-        f"Residuals of arm {name} {verdict}: means of {len(mean)} successive blocks of stops stay within"
-        f" {mm(float(np.abs(mean).max()))}, and {outside} of {counted(total, 'band')} (95 %) leave zero out, where"
-        f" chance alone makes about {_EXPECTED * total:.0f}."
+        f"Residuals of arm {name}: means of {len(mean)} successive blocks of stops stay within"
+        f" {mm(float(np.abs(mean).max()))}; {outside} of {counted(total, 'band')} (95 %) leave zero out, {verdict}"
+        f" ({_EXPECTED * total:.1f})."
     )
 
 

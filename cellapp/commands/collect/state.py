@@ -8,35 +8,20 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from cellapp.cell.driving.live_model import LiveModel
-from cellapp.cell.driving.records import (
-    CollectedStop,
-    CollectionResult,
-    ReplacedReading,
-    ResidualRange,
-    SessionRecord,
-    SessionRequest,
-    SweepTrace,
-)
+from cellapp.cell.driving.records import CollectedStop, CollectionResult, ReplacedReading, ResidualRange, SweepTrace
 from cellapp.cell.planning.sweeps import read_sweeps
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.columns import POINT
-from cellapp.cell.run.measured_again import (
-    earlier_readings,
-    late_readings,
-    missing_readings,
-    missing_share,
-    reference_drifts,
-)
+from cellapp.cell.run.measured_again import earlier_readings, missing_readings, missing_share, reference_drifts
 from cellapp.cell.run.recordings import read_stream, recording_states
 from cellapp.cell.run.records import MissingReading
-from cellapp.commands.run_results import StageResults
+from cellapp.commands.run_results import RunResults
 from cellapp.estimation.calibration.online import Residuals
 from cellapp.estimation.calibration.records import ArmCalibrationResult
 from cellapp.estimation.readings import Readings
-from cellapp.ground.results import CALIBRATE
 
 
-def collection_state(run: RunFile, results: StageResults | None = None) -> CollectionResult | None:
+def collection_state(run: RunFile, results: RunResults | None = None) -> CollectionResult | None:
     """Return sessions, missing readings, reference drift, standard errors, stops; None if no session was recorded.
 
     ``results`` of the run give the residuals of the stops after calibration.
@@ -54,16 +39,7 @@ def collection_state(run: RunFile, results: StageResults | None = None) -> Colle
     replaced = tuple(_replaced(run, model))
     return CollectionResult(
         run=str(run.folder),
-        sessions=tuple(
-            SessionRecord.like(
-                session,
-                requests=tuple(
-                    SessionRequest(written=written, kind=kind, reason=reason)
-                    for written, kind, reason in session.requests
-                ),
-            )
-            for session in sessions
-        ),
+        sessions=tuple(sessions),
         missing=missing,
         missing_share=missing_share(run, missing),
         tolerated_share=settings.tolerated,
@@ -91,11 +67,10 @@ def _stop_by_stop(rows: Readings) -> Readings:
     return rows.take(np.unique(rows.configuration, return_index=True)[1])
 
 
-def _calibrated(results: StageResults | None) -> Mapping[str, ArmCalibrationResult]:
+def _calibrated(results: RunResults | None) -> Mapping[str, ArmCalibrationResult]:
     """Return the calibration of each arm, while it holds."""
-    if results is None or results.calibrate is None or CALIBRATE in results.out_of_date:
-        return {}
-    return results.calibrate.arms
+    calibrate = None if results is None else results.held.calibrate
+    return {} if calibrate is None else calibrate.arms
 
 
 def _stops(
@@ -107,7 +82,7 @@ def _stops(
 ) -> Iterator[CollectedStop]:
     """Yield the measured stops of each arm."""
     earlier = Counter((one.stop, one.arm) for one in replaced)
-    late = late_readings(run)
+    late = run.late()
     for name, stops in numbers.items():
         its, none = residuals.get(name), [None] * len(stops)
         lengths, sigmas = (none, none) if its is None else ((its.length_m * 1e3).tolist(), (its.sigma_m * 1e3).tolist())

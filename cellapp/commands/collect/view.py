@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.cell.driving.records import CollectedStop, CollectionResult, CollectResult, SessionRecord
+from cellapp.cell.driving.records import CollectedStop, CollectionResult, CollectResult
 from cellapp.cell.run.records import MissingReading
+from cellapp.cell.run.sqlite_file import Session
 from cellapp.commands.collect.charts import drift_by_reference, drift_chart, sweep_chart
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart, mm
 from cellapp.commands.view.parts import Section, section_of
-from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of, with_rows
+from cellapp.commands.view.table import Cell, Table, columns_of, table_of, with_rows
 from cellapp.ground.counting import counted
 from cellapp.ground.times import second_of
 
@@ -171,7 +172,7 @@ def _sessions(state: CollectionResult) -> Table:
     )
 
 
-def _outcome_words(session: SessionRecord) -> str:
+def _outcome_words(session: Session) -> str:
     again = f", stops {session.again} again" if session.again else ""
     return f"{session.outcome or 'the program died'}{again}"
 
@@ -188,7 +189,7 @@ def _requests(state: CollectionResult) -> Table:
 
 
 def _missing(state: CollectionResult) -> Table:
-    columns = (Column("stop"), Column("arm"), Column("what"), Column("reason"))
+    columns = columns_of("stop", "arm", "what", "reason")
     share = f"{state.missing_share:.1%} of the planned ones, tolerated {state.tolerated_share:.1%}"
     return Table(f"Missing readings: {len(state.missing)} ({share})", columns, tuple(_grouped(state.missing)))
 
@@ -212,7 +213,7 @@ def _drift(state: CollectionResult) -> Table:
     by_stop: dict[int, dict[str, float]] = {}
     for row in state.references:
         by_stop.setdefault(row.stops_done, {})[row.name] = row.drift_mm
-    columns = (number_column("stops done", "d"), *(number_column(name, ".4f") for name in names))
+    columns = columns_of(("stops done", "d"), *((name, ".4f") for name in names))
     rows: list[tuple[Cell, ...]] = [
         (stops, *(drift.get(name) for name in names)) for stops, drift in sorted(by_stop.items())
     ]
@@ -221,7 +222,7 @@ def _drift(state: CollectionResult) -> Table:
 
 
 def _standard_errors(state: CollectionResult) -> Table:
-    columns = (Column("arm"), number_column("standard error", ".4f", "mm"))
+    columns = columns_of("arm", ("standard error", ".4f", "mm"))
     return Table("Standard error of a predicted SMR position", columns, tuple(state.standard_error_mm.items()))
 
 

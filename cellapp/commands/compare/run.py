@@ -13,7 +13,7 @@ from cellapp.cell.run.arm_identity import arm_identities
 from cellapp.cell.run.file import RunFile
 from cellapp.commands.compare.request import CompareRequest
 from cellapp.commands.record import Request, View, Work
-from cellapp.commands.report.result import RunResults, read_results
+from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import comparable_arms
 from cellapp.commands.view.table import Table, table_of, with_rows
@@ -114,13 +114,7 @@ def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
         profile=tuple(_profile_differences(a.profile, b.profile)),
         arms=arms,
         pair=tuple(_of_pair(first.calibrate, second.calibrate)),
-        notes=(
-            *_other_arms(a, b),
-            *_other_types(a, b, common),
-            *others.values(),
-            *_missing(first),
-            *_missing(second),
-        ),
+        notes=(*_other_arms(a, b), *_other_types(a, b, common), *others.values(), *_missing(first), *_missing(second)),
     )
 
 

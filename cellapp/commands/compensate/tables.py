@@ -9,21 +9,14 @@ import math
 
 from cellapp.cell.targets.records import CompensateResult, MeasuredTarget, TargetCommand, VerifyResult
 from cellapp.commands.calibrate.view import ERROR_COLUMNS, MM, error_cells
-from cellapp.commands.compensate.words import (
-    PART_WORDS,
-    Measured,
-    all_measured,
-    arms_words,
-    shown_tolerance,
-)
+from cellapp.commands.compensate.words import PART_WORDS, Measured, all_measured, arms_words, shown_tolerance
 from cellapp.commands.view.table import (
     MOST_ROWS,
     Cell,
-    Column,
     Field,
     Table,
+    columns_of,
     most_urgent,
-    number_column,
     part_table,
     table_of,
     without_empty,
@@ -68,7 +61,7 @@ def command_tables(result: CompensateResult) -> list[Table]:
         ]
         if commands:
             joints = len(commands[0][1])
-            columns = (Column("target"), *(number_column(f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)))
+            columns = columns_of("target", *((f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)))
             rows: list[tuple[Cell, ...]] = [(name, *map(math.degrees, q)) for name, q in commands]
             tables.append(part_table(f"Arm {arm}: compensated commands", columns, rows[:MOST_ROWS], len(rows)))
     return tables
@@ -139,12 +132,7 @@ def measured_targets(verify: VerifyResult, arm: str) -> list[MeasuredTarget]:
 
 def measured_tables(verify: VerifyResult) -> list[Table]:
     """Show each target with its errors, one table for each arm; cooperative targets; targets without measurement."""
-    return [
-        *_arm_tables(verify),
-        *measured_turn_tables(verify),
-        *pair_tables(verify),
-        *not_measured_tables(verify),
-    ]
+    return [*_arm_tables(verify), *measured_turn_tables(verify), *pair_tables(verify), *not_measured_tables(verify)]
 
 
 def measured_turn_tables(verify: VerifyResult) -> list[Table]:
@@ -241,7 +229,7 @@ def verification_tables(result: VerifyResult) -> list[Table]:
     ]
     if not rows:
         return []
-    columns = (Column("arm, command"), *ERROR_COLUMNS)
+    columns = columns_of("arm, command", *ERROR_COLUMNS)
     turned = [
         (f"{name}, {label}", *error_cells(summary))
         for name, arm in result.arms.items()

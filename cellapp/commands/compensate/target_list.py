@@ -10,28 +10,20 @@ from typing import TypeVar
 from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, TargetCommand, TargetRecord
 from cellapp.cell.targets.targets import Target, same_target
 from cellapp.commands.compensate.words import Measured, arms_words, shown_tolerance
-from cellapp.commands.run_results import StageResults
-from cellapp.commands.stages import change_words
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.run_results import RunResults
+from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.estimation.uncertainty.budget import target_verdict
 from cellapp.ground.grouping import grouped
-from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, DecisionRule
+from cellapp.ground.results import DecisionRule
 
 R = TypeVar("R", bound=TargetRecord)
 J = TypeVar("J", MeasuredTarget, MeasuredPair)
 
-_COLUMNS = (
-    Column("target"),
-    Column("arm"),
-    number_column("tol.", "g", "mm"),
-    Column("state"),
-    Column("error", unit="mm"),
-    Column("frame"),
-    number_column("95 %", ".3f", "mm"),
-    number_column("uncertainty", ".4f", "mm"),
-    number_column("rounds", "d"),
-    *(number_column(axis, ".1f", "mm") for axis in ("x", "y", "z")),
-    *(number_column(angle, ".2f", "°") for angle in ("roll", "pitch", "yaw")),
+_COLUMNS = columns_of(
+    *("target", "arm", ("tol.", "g", "mm"), "state", "error [mm]", "frame"),
+    *(("95 %", ".3f", "mm"), ("uncertainty", ".4f", "mm"), ("rounds", "d")),
+    *((axis, ".1f", "mm") for axis in ("x", "y", "z")),
+    *((angle, ".2f", "°") for angle in ("roll", "pitch", "yaw")),
 )
 _MEASURED_WORDS = {
     "in": "within tolerance, by its uncertainty",
@@ -96,7 +88,7 @@ class TargetState:
         return bool(self.refusals or self.notes) or self.verdict in ("out", "cannot say")
 
 
-def stored_state(results: StageResults, name: str) -> TargetState | None:
+def stored_state(results: RunResults, name: str) -> TargetState | None:
     """Return the newest results of a run for the target of this name; None if there are none."""
     pushed = results.verify or results.push
     commands = () if results.compensate is None else _named(results.compensate.targets, name)
@@ -113,12 +105,12 @@ def _named(stored: Sequence[R], name: str) -> tuple[R, ...]:
     return tuple(entry for entry in stored if entry.name == name)
 
 
-def target_state(target: Target, results: StageResults | None) -> TargetState:
+def target_state(target: Target, results: RunResults | None) -> TargetState:
     """Return what the run knows about one target."""
     return target_states((target,), results)[0]
 
 
-def target_states(targets: Sequence[Target], results: StageResults | None) -> list[TargetState]:
+def target_states(targets: Sequence[Target], results: RunResults | None) -> list[TargetState]:
     """Return what the run knows about each target; a result counts only if the target has not changed since.
 
     A measurement also counts after a change of the tolerance and is then judged by the new one, as the SMR's position
@@ -148,12 +140,12 @@ def target_states(targets: Sequence[Target], results: StageResults | None) -> li
     return states
 
 
-def target_list(targets: Sequence[Target], results: StageResults | None) -> Table:
+def target_list(targets: Sequence[Target], results: RunResults | None) -> Table:
     """Show each target with its state."""
     return Table("Targets", _COLUMNS, tuple(map(_row, targets, target_states(targets, results))))
 
 
-def target_words(target: Target, results: StageResults | None) -> str:
+def target_words(target: Target, results: RunResults | None) -> str:
     """State what the run knows about one target, and its position."""
     x, y, z = (f"{value * 1e3:.1f}" for value in target.position)
     rotation = "any rotation"
@@ -162,20 +154,6 @@ def target_words(target: Target, results: StageResults | None) -> str:
     frame = "" if target.frame == "base" else f" in frame {target.frame}"
     state = _state_words(target, target_state(target, results))
     return f"{target.name}: {state}.\nx {x}, y {y}, z {z} mm{frame}; {rotation}"
-
-
-def stale_model(results: StageResults) -> str:
-    """Say why the model in force should not be used; empty if it holds."""
-    located = results.locate
-    if located is not None and located.verdict != "located":
-        return "no motion of the tracker explains the points of the last 'locate'"
-    asked = (CALIBRATE, DISCOVER, LOCATE) if located is not None and located.moved else (CALIBRATE, DISCOVER)
-    reasons = [
-        f"'{name}' is out of date ({results.out_of_date[name]})" for name in asked if name in results.out_of_date
-    ]
-    if (checked := results.held_check) is not None and checked.found_change:
-        reasons.append(change_words(checked.verdict))
-    return "; ".join(reasons)
 
 
 def _state_words(target: Target, state: TargetState) -> str:

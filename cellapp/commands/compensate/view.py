@@ -25,7 +25,7 @@ from cellapp.commands.compensate.words import (
     verify_summary,
 )
 from cellapp.commands.record import Request, View
-from cellapp.commands.run_results import StageResults
+from cellapp.commands.run_results import RunResults
 from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Table, table_of
 
@@ -38,7 +38,7 @@ def view(result: CompensateResult | PathResult, request: Request | None = None) 
     return View((*tables, *compensate_lines(result), *parts_charts(result)))
 
 
-def target_parts(results: StageResults, state: TargetState) -> list[Table | str]:
+def target_parts(results: RunResults, state: TargetState) -> list[Table | str]:
     """Show what a run knows about one target: commands, predictions, unknown conditions, measurements."""
     parts: list[Table | str] = []
     if results.compensate is not None and state.commands:

@@ -91,7 +91,7 @@ def unknown_conditions(targets: Sequence[TargetCommand]) -> list[Unknown]:
 def compensate_lines(result: CompensateResult) -> list[str]:
     """Return the lines that ``compensate`` prints: the summary, unknown conditions, refusals, notes."""
     lines = [*unknown_lines(result.targets), *note_lines(result.targets), *refusal_lines(result), *result.notes]
-    return [*compensate_summary(result), *_common_words(result), *dict.fromkeys(lines)]
+    return [*compensate_summary(result), *common_words(result), *dict.fromkeys(lines)]
 
 
 def compensate_summary(result: CompensateResult) -> list[str]:
@@ -170,7 +170,7 @@ def _bound_words(result: CompensateResult) -> list[str]:
     return [f"95 % bound of the measured error: median {median:.3f} mm, largest {largest:.3f} mm at {name}{sided}"]
 
 
-def _common_words(result: CompensateResult) -> list[str]:
+def common_words(result: CompensateResult | VerifyResult) -> list[str]:
     """State what is common to all targets of an arm, and each target's own part."""
     return [
         f"arm {name}: of the model's uncertainty the targets' own part is {one.own_mm:.3f} mm (median of a coordinate);"
@@ -237,14 +237,15 @@ def push_lines(pushed: VerifyResult) -> list[str]:
     notes = {target.name: target.note for target in reversed(pushed.targets) if target.note}
     count = len({target.name for target in pushed.targets})
     missing = [f"target {target.name}: {target.note}" for target in pushed.targets if target.note]
-    return [f"{count - len(notes)} of {counted(count, 'target')} reached", *dict.fromkeys([*missing, *pushed.notes])]
+    reached = f"{count - len(notes)} of {counted(count, 'target')} reached"
+    return [reached, *common_words(pushed), *dict.fromkeys([*missing, *pushed.notes])]
 
 
 def verify_lines(verify: VerifyResult) -> list[str]:
     """Return the lines that ``push --verify`` prints: the summary, what was not measured, notes."""
     missing = [f"target {target.name}: {target.note}" for target in verify.targets if target.note]
     missing += [f"target {pair.name}, both arms: {pair.note}" for pair in verify.pairs if pair.note]
-    return [*verify_summary(verify), *dict.fromkeys([*missing, *verify.notes])]
+    return [*verify_summary(verify), *common_words(verify), *dict.fromkeys([*missing, *verify.notes])]
 
 
 def verify_summary(verify: VerifyResult) -> list[str]:

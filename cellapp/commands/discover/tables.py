@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from operator import itemgetter
 
-from cellapp.commands.view.table import Cell, Column, Interval, Table, number_column, table_of, with_rows, without_empty
+from cellapp.commands.view.table import Cell, Interval, Table, columns_of, table_of, with_rows, without_empty
 from cellapp.commands.view.words import interval_95, law_words, place_words, probability_words, short_reason
 from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult, CycleBand, DiscoverResult
 from cellapp.ground.results import Estimate
@@ -16,12 +16,12 @@ _SAME = 0.005
 
 
 _SIZE_COLUMNS = (
-    Column("where"),
-    Column("parameter"),
-    number_column("value", ".3f"),
-    number_column("95 % interval", ".3f"),
-    Column("unit"),
-    number_column("moves the SMR", _MM, "mm rms"),
+    "where",
+    "parameter",
+    ("value", ".3f"),
+    ("95 % interval", ".3f"),
+    "unit",
+    ("moves the SMR", _MM, "mm rms"),
 )
 
 
@@ -68,7 +68,7 @@ def _motion_table(name: str, arm: ArmDiscoveryResult) -> Table:
         if found.effect not in accepted
         for parameter, estimate in found.parameters.items()
     ]
-    columns = (Column("effect"), *_SIZE_COLUMNS[1:5])
+    columns = columns_of("effect", *_SIZE_COLUMNS[1:5])
     return without_empty(Table(f"Arm {name}: what its recordings of motion show besides", columns, tuple(rows)))
 
 
@@ -133,7 +133,7 @@ def size_tables(name: str, arm: ArmDiscoveryResult) -> list[Table]:
     for one in sorted(arm.accepted, key=lambda one: one.movements[0].moves_mm if one.movements else 0.0, reverse=True):
         order = "the largest first" if one.movements is None else "what moves the SMR most first"
         title = f"Arm {name}: size of {one.effect}, {order}"
-        tables.append(without_empty(Table(title, _SIZE_COLUMNS, tuple(_size_rows(one)))))
+        tables.append(without_empty(Table(title, columns_of(*_SIZE_COLUMNS), tuple(_size_rows(one)))))
     return with_rows(*tables, _motion_table(name, arm))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from cellapp.cell.driving.controller_tables import controller_files, factory_findings, factory_tables
@@ -10,10 +11,12 @@ from cellapp.cell.driving.examination import examine
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import write_new
+from cellapp.cell.targets.targets import named_targets
 from cellapp.commands.doctor.bundle import bundle, newest_run, run_log
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.commands.doctor.result import ControllerCalibration, DoctorResult
 from cellapp.commands.record import Work
+from cellapp.estimation.calibration.calibrate import planned_splits
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.device_plugins import device_plugins
@@ -21,7 +24,6 @@ from cellapp.robot.effects import EFFECTS
 from cellapp.robot.plugins import in_words
 from drivers.arms.protocol import ArmError
 from drivers.findings import Finding
-from drivers.plugins import Plugin
 
 
 def run(request: DoctorRequest, work: Work) -> DoctorResult:
@@ -34,6 +36,7 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
     result = examine_run(profile, request.reference_nests)
     if _end_left_programs(profile, result, work):
         result = examine_run(profile, request.reference_nests)
+    result = result.model_copy(update={"findings": (*result.findings, *run_findings(profile, request.profile))})
     seconds = time.monotonic() - began_s
     if request.bundle is not None:
         work.outputs.write(request.bundle, bundle(request.profile, profile, result, log, seconds))
@@ -96,14 +99,23 @@ def _reports(result: DoctorResult) -> dict[str, tuple[tuple[tuple[float, ...], .
     }
 
 
-def installed_plugins() -> tuple[Plugin, ...]:
-    """Return every entry point in a group of this program, including unusable ones."""
-    return (*device_plugins(), *EFFECTS.plugins, *all_formats().plugins)
+def run_findings(profile: Profile, path: Path) -> Iterator[Finding]:
+    """Yield what the verb ``run`` would refuse before it measures, or do otherwise, by the functions that it calls."""
+    if not any(arm.driver.has_device for arm in profile.arms.values()):
+        return
+    try:
+        named_targets(profile, path)
+    except InputError as error:
+        yield Finding("targets", "failed", str(error))
+    try:
+        yield from (Finding("splits", "warning", note) for note in planned_splits(profile).notes)
+    except InputError as error:
+        yield Finding("plan", "failed", str(error))
 
 
 def installed_findings() -> list[Finding]:
     """Return what each installed plug-in adds; unusable plug-ins are only warnings and stop no job."""
-    installed = installed_plugins()
+    installed = (*device_plugins(), *EFFECTS.plugins, *all_formats().plugins)
     added = in_words(one for one in installed if not one.problem)
     findings = [Finding(f"plug-in {name}", "ok", f"adds {words}") for name, words in added.items()]
     refused = dict.fromkeys(one.refusal for one in installed if one.problem)  # an unreadable list has no group

@@ -9,7 +9,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.commands.doctor.result import ControllerCalibration, DoctorResult
 from cellapp.commands.record import View
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Arm, Pose, Profile
 from cellapp.ground.profile.sections import (
@@ -22,7 +22,7 @@ from cellapp.ground.profile.sections import (
 )
 from cellapp.robot.kinematics.chain import ROW_NAMES
 
-_COLUMNS = (Column("what"), Column("in the profile"))
+_COLUMNS = columns_of("what", "in the profile")
 _NO_DEVICE = "no device: readings come from a file"
 
 
@@ -167,10 +167,7 @@ def view(result: DoctorResult, request: DoctorRequest | None = None) -> View:
 
 def _controller_table(name: str, its: ControllerCalibration) -> Table:
     """Show what the factory calibration changes at each joint of an arm."""
-    columns = (
-        Column("joint"),
-        *(number_column(f"{key} [{unit}]", "+.3f") for key, unit in zip(ROW_NAMES, _UNITS, strict=True)),
-    )
+    columns = columns_of("joint", *((f"{key} [{unit}]", "+.3f") for key, unit in zip(ROW_NAMES, _UNITS, strict=True)))
     rows: list[tuple[Cell, ...]] = [
         (str(i), *(1e3 * value for value in row)) for i, row in enumerate(its.near, start=1)
     ]

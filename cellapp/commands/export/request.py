@@ -44,16 +44,12 @@ class ExportRequest(Request):
             hint="empty: in force, or last",
         ),
     ] = None
-    geometry: Annotated[
-        Path | None,
-        Asked("The arms as one JSON file, for programs that read it.", "FILE", writes=Writes.FILE),
-    ] = None
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
-        """Refuse a format without a file, and a format beside readings, plan or geometry."""
+        """Refuse a format without a file, and a format beside readings or plan."""
         of_format = (self.form, self.out, self.arm, self.stage)
-        plain = any((self.csv, self.plan, self.geometry, self.joints, self.points))
+        plain = any((self.csv, self.plan, self.joints, self.points))
         if any(one is not None for one in of_format) and (self.form is None or self.out is None or plain):
             raise ValueError("--as FORMAT and --out FILE belong together, without the options of single files")
         return self

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 
 from cellapp.cell.exports.arm_commands import ArmCommands, exported_commands, final_commands, first_rates
 from cellapp.cell.exports.arm_export import ArmExport, Workspace, conversion_mm, lost_by, lost_parts, workspace
@@ -12,7 +11,6 @@ from cellapp.cell.exports.export_format import CellFormat, CommandFormat, Export
 from cellapp.cell.exports.formats import all_formats, export_lines, form_line, format_named, lost_sentences
 from cellapp.cell.exports.out_files import check_out, files_of_arms
 from cellapp.cell.exports.records import ArmFile, CommandFile, ExportResult
-from cellapp.cell.exports.urdf import geometry_export
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.cell.run.columns import Kind
@@ -34,17 +32,10 @@ from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, VERIFY
 from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.transforms import Array, xyz_of
 from cellapp.robot.model import CellModel
-from cellapp.robot.model.nominal import published_rows
 
 
 def export_commands(
-    run: RunFile,
-    stages: RunStages,
-    form: CommandFormat,
-    out: Path,
-    arm: str | None = None,
-    stage_name: str | None = None,
-    outputs: Outputs = NEW_ONLY,
+    run: RunFile, stages: RunStages, form: CommandFormat, out: Path, request: ExportRequest, outputs: Outputs
 ) -> ExportResult:
     """Write the commands of every arm that has some, one file each; see ``export_as_run``.
 
@@ -54,7 +45,7 @@ def export_commands(
         If nothing was compensated or verified, that is out of date, the arm has no commands, or none that the format
         allows.
     """
-    stage = _commands_stage(run, stages, stage_name or COMPENSATE)
+    stage = _commands_stage(run, stages, request.stage or COMPENSATE)
     if form.drives and is_unplaced(run.profile):
         raise InputError(
             f"export: '{form.name}' is a program that moves an arm, and the profile does not say where arms and tracker"
@@ -62,10 +53,10 @@ def export_commands(
         )
     records = _records(run, stages, stage)
     names = [name for name in run.profile.arms if any(record.arm == name for record in records)]
-    if arm is not None and arm not in names:
+    if request.arm is not None and request.arm not in names:
         there = f"arms with commands are {', '.join(names)}" if names else "no arm has any"
-        raise InputError(f"export: arm '{arm}' has no commands of '{stage.name}'; {there}; nothing was written")
-    chosen = [arm] if arm is not None else names
+        raise InputError(f"export: arm '{request.arm}' has no commands of '{stage.name}'; {there}; nothing was written")
+    chosen = [request.arm] if request.arm is not None else names
     files = files_of_arms(out, chosen)
     commands = {name: _of_arm(run, stages, stage, records, name) for name in chosen}
     texts = {files[name]: form.text(of_arm, _sentences(form, of_arm, run.profile)) for name, of_arm in commands.items()}
@@ -140,55 +131,18 @@ def _sentences(form: CommandFormat, commands: ArmCommands, profile: Profile) -> 
     return [" ".join(line.splitlines()) for line in lines]  # a line break in a name would end the comment
 
 
-_GEOMETRY_NOTE = (
-    "--geometry is kept for programs that read its JSON; --as writes a file for each program, and loses no geometry"
-)
-
-
 def run(request: ExportRequest, work: Work) -> ExportResult:
     """Write the requested files."""
     with RunFile.open(request.folder) as opened:
-        if request.form is None or request.out is None:  # the request has both or neither
-            streams: dict[Kind, Path | None] = {"joints": request.joints, "points": request.points}
-            recordings = {kind: path for kind, path in streams.items() if path is not None}
-            return export_run(opened, request.csv, request.geometry, request.plan, work.outputs, recordings=recordings)
-        return export_as_run(opened, request.form, request.out, request.arm, request.stage, work.outputs)
+        return export(opened, request, work.outputs)
 
 
-def export_as_run(
-    run: RunFile,
-    format_name: str,
-    out: Path,
-    arm: str | None = None,
-    stage_name: str | None = None,
-    outputs: Outputs = NEW_ONLY,
-) -> ExportResult:
-    """Write the calibrated arms, the cell or the commands at targets in one format.
-
-    Parameters
-    ----------
-    run : RunFile
-    format_name : str
-        One of ``formats.all_formats()``.
-    out : Path
-        The file. With several arms and no ``arm``, each arm's name is inserted before the suffix; a format for the
-        whole cell has one file.
-    arm : str or None
-        The arm; None means all.
-    stage_name : str or None
-        Stage whose geometry is written, ``calibrate`` or ``discover``; None means the model in force. For commands
-        ``compensate`` or ``verify``; None means the last compensation.
-    outputs : Outputs
-        Which files may be replaced; none by default.
-
-    Raises
-    ------
-    InputError
-        If there is no such format, arm or stage, the run is not calibrated, the format cannot represent an arm, a file
-        with another text exists, or a file cannot be written; also as ``export_commands``.
-    """
+def export(run: RunFile, request: ExportRequest, outputs: Outputs = NEW_ONLY) -> ExportResult:
+    """Write tables, or the calibrated arms, the cell or the commands at targets in one format."""
+    if request.form is None or request.out is None:  # the request has both or neither
+        return _export_tables(run, request, outputs)
     require_own_factory(run, "export")
-    form, stages = format_named(format_name), read_stages(run)
+    form, stages, out = format_named(request.form), read_stages(run), request.out
     others = {".json", *(one.suffix for one in all_formats().values())} - {form.suffix}
     if out.suffix.lower() in others:
         raise InputError(
@@ -196,25 +150,19 @@ def export_as_run(
             f" {out.with_suffix(form.suffix)}. Nothing was written"
         )
     if isinstance(form, CommandFormat):
-        return export_commands(run, stages, form, out, arm, stage_name, outputs)
+        return export_commands(run, stages, form, out, request, outputs)
     if isinstance(form, CellFormat):
-        return _export_cell(run, stages, form, out, arm, stage_name, outputs)
-    return _export_arms(run, stages, form, out, arm, stage_name, outputs)
+        return _export_cell(run, stages, form, out, request, outputs)
+    return _export_arms(run, stages, form, out, request, outputs)
 
 
 def _export_arms(
-    run: RunFile,
-    stages: RunStages,
-    form: ExportFormat,
-    out: Path,
-    arm: str | None,
-    stage_name: str | None,
-    outputs: Outputs,
+    run: RunFile, stages: RunStages, form: ExportFormat, out: Path, request: ExportRequest, outputs: Outputs
 ) -> ExportResult:
-    exports = calibrated_arms(run, stages, stage_name)
-    if arm is not None and arm not in exports:
-        raise InputError(f"export: {run.path} has no calibrated arm '{arm}'; arms are {', '.join(exports)}")
-    chosen = {name: export for name, export in exports.items() if arm in (None, name)}
+    exports = calibrated_arms(run, stages, request.stage)
+    if request.arm is not None and request.arm not in exports:
+        raise InputError(f"export: {run.path} has no calibrated arm '{request.arm}'; arms are {', '.join(exports)}")
+    chosen = {name: export for name, export in exports.items() if request.arm in (None, name)}
     files = files_of_arms(out, list(chosen))
     texts = {files[name]: form.text(export, sentences(form, export, run.profile)) for name, export in chosen.items()}
     notes = (*_stale_notes(stages.stale_arms()), *_rigid_notes(run, stages, chosen))
@@ -230,18 +178,12 @@ def _export_arms(
 
 
 def _export_cell(
-    run: RunFile,
-    stages: RunStages,
-    form: CellFormat,
-    out: Path,
-    arm: str | None,
-    stage_name: str | None,
-    outputs: Outputs,
+    run: RunFile, stages: RunStages, form: CellFormat, out: Path, request: ExportRequest, outputs: Outputs
 ) -> ExportResult:
-    if arm is not None:
+    if request.arm is not None:
         raise InputError(f"export: --as {form.name} writes all arms in one file; leave --arm out, or take --as urdf")
     check_out(out)
-    exports = calibrated_arms(run, stages, stage_name)
+    exports = calibrated_arms(run, stages, request.stage)
     arms = (line for export in exports.values() for line in _arm_sentences(export))
     lines = [form_line(form, simulated=run.profile.is_simulated), *arms]
     notes = (*_stale_notes(stages.stale_model()), *_rigid_notes(run, stages, exports))
@@ -332,57 +274,30 @@ def _arm_sentences(export: ArmExport, *, listed: bool = False) -> list[str]:
 
 def _arm_file(export: ArmExport, file: Path, smr: Array, off_mm: float) -> ArmFile:
     return ArmFile(
-        file=str(file),
-        smr_m=xyz_of(smr),
-        conversion_mm=off_mm,
-        lost=export.lost,
-        lost_together=export.lost_together,
+        file=str(file), smr_m=xyz_of(smr), conversion_mm=off_mm, lost=export.lost, lost_together=export.lost_together
     )
 
 
-def export_run(
-    run: RunFile,
-    csv: Path | None,
-    geometry: Path | None,
-    plan: Path | None = None,
-    outputs: Outputs = NEW_ONLY,
-    *,
-    recordings: Mapping[Kind, Path] = MappingProxyType({}),
-) -> ExportResult:
-    """Write readings, recordings of motion or the plan as CSV, the identified arms as one JSON file, or several of
-    these.
-
-    Raises
-    ------
-    InputError
-        If no file is given, there is nothing to write, or a file cannot or must not be written.
-    """
-    if csv is None and geometry is None and plan is None and not recordings:
+def _export_tables(run: RunFile, request: ExportRequest, outputs: Outputs) -> ExportResult:
+    """Write readings, recordings of motion or the plan as CSV, or several of these."""
+    streams: dict[Kind, Path | None] = {"joints": request.joints, "points": request.points}
+    recordings = {kind: path for kind, path in streams.items() if path is not None}
+    if request.csv is None and request.plan is None and not recordings:
         raise InputError(
             "export: say what to write: --csv FILE for the readings, --joints FILE and --points FILE for recordings,"
             " --plan FILE for the plan, --as FORMAT --out FILE for the arms; 'cellapp docs exports' lists the formats"
         )
-    if plan is not None:
-        export_plan(run, plan, outputs)
-    if csv is not None:
-        write_readings_csv(run, csv, outputs)
+    if request.plan is not None:
+        export_plan(run, request.plan, outputs)
+    if request.csv is not None:
+        write_readings_csv(run, request.csv, outputs)
     for kind, path in recordings.items():
         write_recordings_csv(run, kind, path, outputs)
-    lost = None
-    if geometry is not None:
-        require_own_factory(run, "export")
-        published = {name: published_rows(arm) for name, arm in run.profile.arms.items()}
-        content = geometry_export(model_of(run, stage_in_force(run, read_stages(run))), published)
-        outputs.write_text(geometry, content.to_json(indent=1) + "\n")
-        lost = {name: arm.ur_deltas.lost.position_mm.rms for name, arm in content.arms.items()}
     return ExportResult(
-        csv=None if csv is None else str(csv),
-        readings=None if csv is None else {name: sum(its.values()) for name, its in run.split_counts().items()},
+        csv=None if request.csv is None else str(request.csv),
+        readings=None if request.csv is None else {name: sum(its.values()) for name, its in run.split_counts().items()},
         recordings={kind: str(path) for kind, path in recordings.items()} or None,
-        plan=None if plan is None else str(plan),
-        geometry=None if geometry is None else str(geometry),
-        ur_lost_rms_mm=lost,
-        notes=() if geometry is None else (_GEOMETRY_NOTE,),
+        plan=None if request.plan is None else str(request.plan),
     )
 
 

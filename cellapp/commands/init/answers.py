@@ -17,6 +17,7 @@ from cellapp.cell.profile.files import path_exists, write_new
 from cellapp.cell.profile.loader import checked_profile, load_text
 from cellapp.cell.profile.messages import Document, KeyPath, dotted, value_message
 from cellapp.cell.profile.starters import FOLDER, SurveyPoint, arm_type_files, copies
+from cellapp.commands.init.own_data import InitResult
 from cellapp.estimation.calibration.registration import BaseFit, base_from_points
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Pose, Profile
@@ -37,14 +38,6 @@ _COMMENT = """\
 
 
 @dataclass(frozen=True)
-class Written:
-    """A profile that was written, and notes on it."""
-
-    path: Path
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class SurveyedBase:
     """A base pose in the cell frame, and the fit it comes from."""
 
@@ -52,7 +45,7 @@ class SurveyedBase:
     fit: BaseFit
 
 
-def write_answers(answers: Path, folder: Path) -> Written:
+def write_answers(answers: Path, folder: Path) -> InitResult:
     """Write the profile of an answers file into ``folder/profiles``.
 
     Raises
@@ -82,7 +75,7 @@ def write_answers(answers: Path, folder: Path) -> Written:
     text = _COMMENT + "".join(f"# Base from tracker points, {note}.\n" for note in notes)
     text += yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=110)
     write_new({**copies(_new_types(content, profiles), profiles), target: text})
-    return Written(target, tuple(notes))
+    return InitResult(profile=str(target), notes=tuple(notes))
 
 
 def _name_type_files(data: dict[str, Any]) -> None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import yaml
@@ -15,22 +15,45 @@ import yaml
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.profile.loader import arm_type_of_text
 from cellapp.cell.profile.starters import FOLDER, READINGS, arm_type_files
-from cellapp.cell.run.columns import UNITS_OF_TIME, AngleUnit, LengthUnit, usual_step
-from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short, table_text
+from cellapp.cell.run.columns import (
+    EXAMPLES,
+    KINDS,
+    POINT,
+    UNITS_OF_TIME,
+    AngleUnit,
+    LengthUnit,
+    understood,
+    usual_step,
+)
+from cellapp.cell.run.csv_text import (
+    NUMBER,
+    Problems,
+    read_header,
+    short,
+    table_text,
+)
 from cellapp.cell.run.recorded_csv import Choose, Recorded, converted, nobody, read_recorded
+from cellapp.commands.init.request import TABLES, InitRequest
 from cellapp.estimation.calibration.quantities import repeats_words
 from cellapp.estimation.calibration.registration import COMPUTED, Explained, better_reading, explained
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile.schema import ArmType
+from cellapp.ground.results import Result
 from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.chain import nominal_geometry
 from cellapp.robot.kinematics.transforms import Array
 
-_ANGLES, _LENGTHS = ("theta", "alpha"), ("d", "a")
-_DH_UNITS = {"deg": math.pi / 180.0, "rad": 1.0, "m": 1.0, "mm": 1e-3}
-_HEADING = re.compile(r"(theta|d|a|alpha)_(deg|rad|m|mm)")
+_ANGLES = ("theta", "alpha")
+_DH_UNITS = {
+    True: {"deg": math.pi / 180.0, "°": math.pi / 180.0, "rad": 1.0},
+    False: {"mm": 1e-3, "m": 1.0, "cm": 1e-2, "in": 0.0254},
+}
+"""Factors to SI by whether a quantity is an angle."""
+_USUAL = {True: ("deg", "rad"), False: ("mm", "m")}
+_LARGE = {True: 2.0 * math.pi + 0.01, False: 5.0}
+"""Angles and lengths beyond these, without a unit, are degrees and millimetres."""
 _FEWEST = 2
 _EXAMPLE = "theta_deg,d_mm,a_mm,alpha_deg"
 
@@ -50,18 +73,17 @@ def arm_type_text(path: Path, joints: int = 0, *, modified: bool = False) -> tup
     InputError
         If the file cannot be read, a heading is missing or has no unit, or a cell is no number.
     """
-    table = read_csv_table(path, "D-H rows", "a row per joint")
-    rows = _rows(table)
+    rows, said = _rows(path)
     if modified:
         after = [(a, alpha) for _, _, a, alpha in rows[1:]] + [(0.0, 0.0)]
         rows = [(theta, d, *link) for (theta, d, _, _), link in zip(rows, after, strict=True)]
-    notes: tuple[str, ...] = ()
+    notes = tuple(said)
     if len(rows) == joints + 1:
         theta, d, a, alpha = rows.pop()
         fixed = (
             f"theta {math.degrees(theta):g} deg, d {1e3 * d:g} mm, a {1e3 * a:g} mm, alpha {math.degrees(alpha):g} deg"
         )
-        notes = (f"{path}: row {joints + 1} of {joints} joints is the flange ({fixed}): taken as part of the tool",)
+        notes += (f"{path}: row {joints + 1} of {joints} joints is the flange ({fixed}): taken as part of the tool",)
     named = [dict(zip(("theta", "d", "a", "alpha"), map(float, row), strict=True)) for row in rows]
     content = {"model": path.stem, "source": f"D-H rows of {path.name}", "joints": named}
     head = (
@@ -71,35 +93,57 @@ def arm_type_text(path: Path, joints: int = 0, *, modified: bool = False) -> tup
     return head + yaml.safe_dump(content, sort_keys=False, allow_unicode=True), notes
 
 
-def _rows(table: CsvTable) -> list[tuple[float, float, float, float]]:
-    """Return theta, d, a, alpha of each joint [rad, m]."""
-    problems = Problems(table.place)
-    check_names(table, problems)
-    headings = {match.group(1): name for name in table.names if (match := _HEADING.fullmatch(name.lower()))}
-    for quantity in (*_ANGLES, *_LENGTHS):
-        if quantity not in headings:
-            units = "deg or rad" if quantity in _ANGLES else "mm or m"
-            problems.add(1, quantity, f"expected a column {quantity}_UNIT with {units}; write the header as {_EXAMPLE}")
+def _rows(path: Path) -> tuple[list[tuple[float, float, float, float]], list[str]]:
+    """Return theta, d, a, alpha of each joint [rad, m], and a sentence on units that the file does not say."""
+    file = read_header(path, "D-H rows", _EXAMPLE)
+    rows, problems = [*file.rows()], Problems(lambda line: f"{path}:{line}")
+    columns, large = dict[str, tuple[str, list[tuple[float, bool]]]](), {True: False, False: False}
+    for quantity in ("theta", "d", "a", "alpha"):
+        angle = quantity in _ANGLES
+        found = [(place, match[2]) for place, name in enumerate(file.names) if (match := _named(name, quantity))]
+        if len(found) != 1 or (found[0][1] or _USUAL[angle][0]) not in _DH_UNITS[angle]:
+            units = " or ".join(_USUAL[angle])
+            text = f"expected one column {quantity}_UNIT with {units}; write the header as {_EXAMPLE}"
+            problems.add(file.head, quantity, text)
+            continue
+        ((place, unit),) = found
+        values = [_value(cells[place], angle) for _, cells in rows]
+        for (line, cells), value in zip(rows, values, strict=True):
+            if value is None:
+                problems.add(line, file.names[place], f"expected a number, got '{short(cells[place])}'")
+        numbers = [value for value in values if value is not None]
+        large[angle] |= not unit and any(abs(one) > _LARGE[angle] for one, radians in numbers if not radians)
+        columns[quantity] = unit, numbers
     problems.check()
-    columns = {quantity: _numbers(table, name, problems) for quantity, name in headings.items()}
-    problems.check()
-    if len(table.lines) < _FEWEST:
-        raise InputError(f"{table.path}: expected a row for each of at least {_FEWEST} joints")
-    return list(zip(*(columns[quantity] for quantity in ("theta", "d", "a", "alpha")), strict=True))
+    if len(rows) < _FEWEST:
+        raise InputError(f"{path}: expected a row for each of at least {_FEWEST} joints")
+    taken, si = {angle: _USUAL[angle][not large[angle]] for angle in large}, list[list[float]]()
+    for quantity, (unit, numbers) in columns.items():
+        factor = _DH_UNITS[quantity in _ANGLES][unit or taken[quantity in _ANGLES]]
+        si.append([number * (1.0 if radians else factor) for number, radians in numbers])
+    unsaid = [f"{name} in {_UNITS[taken[name in _ANGLES]]}" for name, (unit, _) in columns.items() if not unit]
+    notes = [f"{path}: {', '.join(unsaid)}, by their size"] if unsaid else []
+    return list(zip(*si, strict=True)), notes
 
 
-def _numbers(table: CsvTable, name: str, problems: Problems) -> Sequence[float]:
-    factor = _DH_UNITS[name.lower().rpartition("_")[2]]
-    if (name.lower().partition("_")[0] in _ANGLES) != (name.lower().rpartition("_")[2] in ("deg", "rad")):
-        problems.add(1, name, "the unit does not fit the quantity")
-    values = []
-    for line, cell in zip(table.lines, table.cells[name], strict=True):
-        text = cell.strip()
-        if not NUMBER.fullmatch(text):
-            problems.add(line, name, f"expected a number, got '{short(text)}'")
-            return []
-        values.append(float(text) * factor)
-    return values
+def _named(name: str, quantity: str) -> re.Match[str] | None:
+    """Return a match with the unit in its second group if a heading, as ``α_{i-1} [deg]``, is of this quantity."""
+    plain = re.sub(r"[\\{}]|_?\(?i(?: ?- ?1)?\)?(?=[\W_]|$)", "", name.lower().replace("θ", "theta"))
+    return re.fullmatch(rf"({quantity})(?:[ _]*[ _\[(]\s*([a-z°]+)\s*[\])]?)?[ _]*", plain.replace("α", "alpha"))
+
+
+def _value(cell: str, angle: bool) -> tuple[float, bool] | None:
+    """Return a number, and whether it is in radians whatever the heading says; None if it is none.
+
+    An angle may be a fraction of pi, have a degree sign, and stand beside its joint's variable: ``θ1 - π/2``.
+    """
+    text = re.sub(r"[\s\\{}*]", "", cell.replace("\N{MINUS SIGN}", "-")).replace("π", "pi")
+    if angle:
+        text = re.sub(r"^\+?(?:theta|θ|q)_?[0-9i]\+?|\+(?:theta|θ|q)_?[0-9i]$", "", text).rstrip("°") or "0"
+        if match := re.fullmatch(rf"([+-]?)({NUMBER.pattern})?pi(?:/({NUMBER.pattern}))?", text):
+            number = float(match[2] or 1.0) * math.pi / float(match[3] or 1.0)
+            return (-number if match[1] == "-" else number), True
+    return (float(text), False) if NUMBER.fullmatch(text) else None
 
 
 ARM = "robot"
@@ -111,7 +155,8 @@ _LOOKED_AT, _SWIFT_ROWS = 2000, 50
 """Numbers of rows, at most and at least, that decide between a motion and stops."""
 _OTHER_WAY = 0.3
 """Share of the remaining error below which the other convention of D-H rows is named."""
-_UNITS = {"rad": "radians", "deg": "degrees", "m": "metres", "mm": "millimetres", "um": "micrometres"}
+_UNITS = {"rad": "radians", "deg": "degrees"} | {"m": "metres", "mm": "millimetres", "um": "micrometres"}
+_UNITS |= {"cm": "centimetres", "in": "inches"}
 
 _MOTION_S, _USUAL_MOTION_S, _STOPS_S = (5e-5, 0.2), (5e-4, 0.05), (0.5, 300.0)
 """Times from row to row [s] of a recording of motion, the same where the unit is not sure, and of readings at rest."""
@@ -119,63 +164,33 @@ _SMOOTH, _JUMPS = 0.02, 0.1
 """Steps of the joints from row to row, as a share of their range: below the first a motion, above the second stops."""
 
 
-@dataclass(frozen=True)
-class OwnData:
-    """What is known about recorded readings.
+class InitResult(Result, schema="cellapp-init"):
+    """``init``: the profile that was written, and what is to be known about it; ``readings`` are the converted ones,
+    ``joints`` and ``points`` the files of a recording of motion, ``smr`` the one of two SMRs that ``import`` takes."""
 
-    Attributes
-    ----------
-    readings : Path
-        A text file of joint positions and points, in any columns.
-    arm : str
-        Short name of an arm type of this program, or a file: an arm type (YAML) or D-H rows (CSV). Empty: ask for it.
-    modified : bool
-        Whether the D-H rows of a CSV file are modified ones (Craig).
-    angles, lengths : unit or ""
-        Units of joint positions and points if the file has none; empty: derived, else asked for.
-    name : str
-        Name of the profile; that of the file if empty.
-    columns : tuple of str
-        Columns that count where two may be meant.
-    rows : "stops", "motion" or ""
-        What the rows are; empty: derived, else asked for.
-    """
-
-    readings: Path
-    arm: str = ""
-    modified: bool = False
-    angles: AngleUnit | Literal[""] = ""
-    lengths: LengthUnit | Literal[""] = ""
-    name: str = ""
-    columns: tuple[str, ...] = ()
-    rows: Literal["stops", "motion", ""] = ""
-
-
-@dataclass(frozen=True)
-class OwnDataWritten:
-    """The written files, and how the data were understood; readings are None for recordings of motion, whose points may
-    be in the same file. ``smr`` is the one of two SMRs that the next command takes."""
-
-    profile: Path
-    readings: Path | None
-    notes: tuple[str, ...]
-    points_beside: bool = False
+    profile: str
+    notes: tuple[str, ...] = ()
+    readings: str | None = None
+    joints: str | None = None
+    points: str | None = None
     smr: str | None = None
+    omitted_when_none = frozenset({"readings", "joints", "points", "smr"})
 
 
-def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs: Outputs = NEW_ONLY) -> OwnDataWritten:
-    """Write profile, arm type and readings in SI units below ``folder``.
+def write_own_data(own: InitRequest, choose: Choose = nobody, outputs: Outputs = NEW_ONLY) -> InitResult:
+    """Write profile, arm type and readings in SI units below the folder of the request.
 
     Raises
     ------
     InputError
         If readings or rows cannot be understood, an answer is missing and nobody can be asked, or a file exists.
     """
-    looked = read_recorded(own.readings, own.columns, choose, most=_LOOKED_AT)
+    assert own.readings is not None
+    folder, looked = own.folder, read_recorded(own.readings, own.column, choose, most=_LOOKED_AT)
     rows, ground = _rows_are(own, looked, choose)
     types = _types(own, len(looked.joints))
     if rows == "motion":
-        return _for_recordings(own, looked, types, folder, outputs)
+        return _for_recordings(own, own.readings, looked, types, outputs)
     recorded = read_recorded(own.readings, looked.taken, choose)
     angles, lengths = _decided_units(own, recorded, types, choose)
     q, p_M = recorded.of_one_point(angles, lengths)
@@ -203,10 +218,11 @@ def write_own_data(own: OwnData, folder: Path, choose: Choose = nobody, outputs:
         *((words,) if (words := repeats_words(q, p_M)) else ()),
         _judged(arm_type, q, p_M, own.modified),
     )
-    return OwnDataWritten(profile, readings, notes, smr=names[0] if len(names) == 2 else None)
+    smr = names[0] if len(names) == 2 else None
+    return InitResult(profile=str(profile), notes=notes, readings=str(readings), smr=smr)
 
 
-def _rows_are(own: OwnData, recorded: Recorded, choose: Choose) -> tuple[str, tuple[str, ...]]:
+def _rows_are(own: InitRequest, recorded: Recorded, choose: Choose) -> tuple[str, tuple[str, ...]]:
     """Return whether the rows are "stops" or samples of a "motion", and a sentence on what was derived.
 
     Rows seconds apart are stops; rows without points are joint positions of a motion, whose points stand elsewhere.
@@ -215,10 +231,11 @@ def _rows_are(own: OwnData, recorded: Recorded, choose: Choose) -> tuple[str, tu
     if not recorded.points and stamps is None:
         raise InputError(
             f"{own.readings}: joint positions without points and without time; readings at rest need x, y, z in each"
-            " row, a recording of a motion needs a column of time, such as time_s"
+            " row, a recording of a motion needs a column of time, such as time_s; the file has"
+            f" {short(', '.join(recorded.known.others.get(one, one) for one in recorded.table.names), 200)}"
         )
     if own.rows or not recorded.points:
-        return own.rows if recorded.points else "motion", ()
+        return (own.rows if own.rows and recorded.points else "motion"), ()
     if stamps is None or len(stamps) < _SWIFT_ROWS or not (np.diff(stamps) >= 0.0).all():
         return "stops", ()
     step, units = usual_step(stamps), [recorded.clock] if recorded.clock else [*UNITS_OF_TIME.values()]
@@ -242,25 +259,46 @@ def _clock_of_stops(recorded: Recorded) -> float | None:
 
 
 def _for_recordings(
-    own: OwnData, recorded: Recorded, types: list[_Type], folder: Path, outputs: Outputs
-) -> OwnDataWritten:
+    own: InitRequest, joints: Path, recorded: Recorded, types: list[_Type], outputs: Outputs
+) -> InitResult:
     """Write the profile and arm type for recordings of motion; this file has the joints."""
     if not own.arm:
         words = ", ".join(one.name for one in types)
         raise InputError(
-            f"{own.readings}: joint positions of a motion; which arm? Give --arm NAME ({words}), the file of an arm"
+            f"{joints}: joint positions of a motion; which arm? Give --arm NAME ({words}), the file of an arm"
             " type, or one of D-H rows"
         )
-    name = own.name or own.readings.stem.lower().replace(" ", "-")
+    name = own.name or joints.stem.lower().replace(" ", "-")
+    folder = own.folder
     profile = folder / FOLDER / f"{name}.yaml"
     text = _profile_text(name, recorded.arms or (ARM,), types[0].file, 100, Path("READINGS.csv"), profile)
-    points = own.readings if recorded.points else "FILE"
-    streams = f"--joints {shell_word(own.readings)} --points {shell_word(points)}"
+    points = joints if recorded.points else _points_beside(joints)
+    streams = f"--joints {shell_word(joints)} --points {shell_word(points or 'FILE')}"
     head = f"# For recordings of motion: `cellapp import {shell_word(profile)} {streams} --run DIR`.\n"
     write_new({folder / FOLDER / types[0].file: types[0].text, profile: head + text}, outputs)
-    where = "the points of the tracker stand beside them" if recorded.points else "the points come from another file"
-    note = f"{own.readings}: joint positions of a motion, {len(recorded.joints)} joints; {where}"
-    return OwnDataWritten(profile, None, (note, *recorded.notes), recorded.points)
+    where = (
+        "the points of the tracker stand beside them"
+        if recorded.points
+        else f"the points come from {points}, the only file beside it that has points and their times"
+        if points
+        else "the points come from another file: 'cellapp import' takes both, with --joints and --points"
+    )
+    note = f"{joints}: joint positions of a motion, {len(recorded.joints)} joints; {where}"
+    notes = (note, *recorded.notes)
+    beside = None if points is None else str(points)
+    return InitResult(profile=str(profile), notes=notes, joints=str(joints), points=beside)
+
+
+def _points_beside(joints: Path) -> Path | None:
+    """Return the only file beside one of ``joints`` that holds points of a motion; None unless there is just one."""
+    found = []
+    for path in (one for one in joints.absolute().parent.iterdir() if one.suffix.lower() in TABLES):
+        with suppress(InputError):
+            names = read_header(path, "points", EXAMPLES["points"]).names
+            as_points, as_joints = (understood(names, kind, ("time_s", *POINT)).names for kind in KINDS[::-1])
+            if {"time_s", *POINT} <= {*as_points} and "q1" not in as_joints:
+                found.append(joints.parent / path.name)
+    return found[0] if len(found) == 1 else None
 
 
 # -- arm types --------------------------------------------------------------------------------------------------------
@@ -288,9 +326,10 @@ class _Type:
         return np.array([[joint.theta, joint.d, joint.a, joint.alpha] for joint in self.content.joints])
 
 
-def _types(own: OwnData, joints: int) -> list[_Type]:
+def _types(own: InitRequest, joints: int) -> list[_Type]:
     """Return the named type, else all types of this program with this number of joints."""
-    path = Path(own.arm)
+    arm = own.arm or ""
+    path = Path(arm)
     if own.arm and path.suffix.lower() in (".yaml", ".yml", ".csv"):
         notes, other = tuple[str, ...](), None
         if path.suffix.lower() == ".csv":
@@ -300,11 +339,11 @@ def _types(own: OwnData, joints: int) -> list[_Type]:
             text = _read(path)
         found = [_Type(path.stem, f"arms/{path.stem.lower()}.yaml", text, arm_type_of_text(text, path), notes, other)]
     else:
-        found = [one for one in _all_arms() if own.arm in ("", one.name)]
+        found = [one for one in _all_arms() if arm in ("", one.name)]
     if not found:
         known = ", ".join(file.stem for file in arm_type_files())
         raise InputError(
-            f"--arm: '{own.arm}' is no arm that comes with cellapp; there are {known}. Give the file of an arm type"
+            f"--arm: '{arm}' is no arm that comes with cellapp; there are {known}. Give the file of an arm type"
             " (.yaml), or of D-H rows (.csv)"
         )
     fitting = [one for one in found if len(one.content.joints) == joints]
@@ -333,7 +372,7 @@ def _read(path: Path) -> str:
         raise InputError(f"--arm: {path} is no text in UTF-8; give the file of an arm type") from None
 
 
-def _decided_type(own: OwnData, types: list[_Type], q: Array, p_M: Array, choose: Choose) -> _Type:
+def _decided_type(own: InitRequest, types: list[_Type], q: Array, p_M: Array, choose: Choose) -> _Type:
     """Return the named type; else ask a person, listing first the types that explain the readings."""
     if own.arm:
         return types[0]
@@ -353,7 +392,7 @@ def _decided_type(own: OwnData, types: list[_Type], q: Array, p_M: Array, choose
 
 
 def _decided_units(
-    own: OwnData, recorded: Recorded, types: list[_Type], choose: Choose
+    own: InitRequest, recorded: Recorded, types: list[_Type], choose: Choose
 ) -> tuple[AngleUnit, LengthUnit]:
     """Return the units: as given, as in the file, as the only ones that explain the points, or as a person says."""
     angles, lengths = own.angles or recorded.angles, own.lengths or recorded.lengths

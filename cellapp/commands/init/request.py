@@ -47,8 +47,7 @@ class InitRequest(Request):
         Asked("With --readings: unit of joint positions, if it is not found.", label="joint positions in"),
     ] = None
     lengths: Annotated[
-        Literal["m", "mm"] | None,
-        Asked("With --readings: unit of points, if it is not found.", label="points in"),
+        Literal["m", "mm"] | None, Asked("With --readings: unit of points, if it is not found.", label="points in")
     ] = None
     column: Annotated[
         tuple[str, ...], Asked("With --readings: the column that counts, where two may be meant.", "NAME")

@@ -9,14 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
 from cellapp.commands.record import Asked, OutOfDate, Request, Stored, Variant, Verb
-from cellapp.estimation.iso9283.norm import (
-    ISO_COMMANDS,
-    ISO_TESTS,
-    NORM_CYCLES,
-    NORM_DRIFT_MIN,
-    IsoCommands,
-    IsoTest,
-)
+from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands, IsoTest
 
 _HELP: Mapping[IsoTest, str] = {
     "pose": "Pose accuracy AP and repeatability RP at five poses of the norm's cube.",

@@ -21,14 +21,12 @@ from cellapp.cell.driving.iso9283.tests import (
     missing_words,
     pair_results,
 )
-from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.requests import running_job
-from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.csv_text import table_text
 from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
-from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.confirm import confirmation
 from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.locate.station import profile_at_station
 from cellapp.commands.plan.run import default_folder
@@ -39,12 +37,11 @@ from cellapp.estimation.iso9283.coverage import coverage
 from cellapp.estimation.iso9283.evaluate import HEADER, raw_rows
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS, NORM_CYCLES, NORM_DRIFT_MIN, IsoCommands
 from cellapp.estimation.iso9283.records import Iso9283Result, IsoConditions
-from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.outputs import NEW_ONLY
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
+from cellapp.ground.progress import Cancelled, with_eta
 from cellapp.ground.results import ISO9283
 from cellapp.ground.shell import shell_word
 
@@ -69,22 +66,14 @@ def run(request: Iso9283Request, work: Work) -> Iso9283Result:
         folder = default_folder(profile.name)
         work.say(f"stored in {folder}")
     with opened_run(folder, profile, new=request.nominal) as opened:
-        return iso9283_run(opened, request, work.listener, work.control, ask=work.ask(opened.profile.name))
+        return iso9283_run(opened, request, work)
 
 
-def iso9283_run(
-    run: RunFile,
-    request: Iso9283Request,
-    listener: Listener = ignore,
-    control: JobControl | None = None,
-    *,
-    ask: Ask | None = None,
-    open_with: Opened | None = None,
-) -> Iso9283Result:
+def iso9283_run(run: RunFile, request: Iso9283Request, work: Work) -> Iso9283Result:
     """Make tests of ISO 9283 in a run and store the result; of a stopped job, what was measured until then.
 
     By default commands are of both kinds in a calibrated run, else nominal; base and SMR of each arm are then found
-    first. ``ask`` is called before the first motion of real arms. ``open_with`` opens the cell.
+    first.
 
     Raises
     ------
@@ -97,7 +86,7 @@ def iso9283_run(
         If a device refused or failed.
     Cancelled
     """
-    control, stages = control or JobControl(), read_stages(run)
+    control, stages = work.control, read_stages(run)
     used = stages.in_force
     kinds = _commands(run, request, calibrated=used is not None)
     named = _arms(run.profile, request.arms)
@@ -106,11 +95,18 @@ def iso9283_run(
     if used is not None and not request.out_of_date:
         require_current_model(run, stages, "iso9283")
     task = _task(run, request, stages, kinds, named)
-    notes = _notes(task, stages, used)
-    with running_job(run, control, "iso9283", listener) as listener:
-        confirm = confirmation(run.profile, ask)
-        insist = request.out_of_date
-        return _driven(run, used, task, notes, with_eta(listener), control, confirm, open_with, insist=insist)
+    with running_job(run, control, "iso9283", work.listener) as listener:
+        confirm, report = confirmation(run.profile, work.ask(run.profile.name)), with_eta(listener)
+        findings, began = IsoFindings(notes=_notes(task, stages, used)), datetime.now(UTC).isoformat(timespec="seconds")
+        opened = noting_controllers(run, findings.notes, insist=request.out_of_date)
+        try:
+            drive_tests(task, findings, report, control, confirm=confirm, opened=opened)
+        except (CellappError, Cancelled) as error:
+            if findings.measured.visits or findings.paths:
+                with suppress(InputError):  # report the reason of the halt, not this error
+                    _store(run, used, _result(run.profile, task, findings, began, f"stopped: {error}"), findings)
+            raise
+        return _store(run, used, _result(run.profile, task, findings, began, ""), findings)
 
 
 def opened_run(folder: Path, profile: Profile | None, *, new: bool) -> RunFile:
@@ -155,31 +151,6 @@ def _task(
         drift_s=request.drift_minutes * 60.0,
         also_speeds=tuple(one / 100.0 for one in dict.fromkeys(request.also_speeds) if one != request.speed),
     )
-
-
-def _driven(
-    run: RunFile,
-    used: StoredStage | None,
-    task: IsoTask,
-    notes: Sequence[str],
-    listener: Listener,
-    control: JobControl,
-    confirm: Confirm | None,
-    open_with: Opened | None,
-    *,
-    insist: bool,
-) -> Iso9283Result:
-    """Drive the tests and store their result; if they are stopped, what was measured until then."""
-    findings, began = IsoFindings(notes=list(notes)), datetime.now(UTC).isoformat(timespec="seconds")
-    opened = noting_controllers(run, findings.notes, insist=insist)
-    try:
-        drive_tests(task, findings, listener, control, confirm=confirm, opened=opened, open_with=open_with)
-    except (CellappError, Cancelled) as error:
-        if findings.measured.visits or findings.paths:
-            with suppress(InputError):  # report the reason of the halt, not this error
-                _store(run, used, _result(run.profile, task, findings, began, f"stopped: {error}"), findings)
-        raise
-    return _store(run, used, _result(run.profile, task, findings, began, ""), findings)
 
 
 def _commands(run: RunFile, request: Iso9283Request, *, calibrated: bool) -> tuple[IsoCommands, ...]:

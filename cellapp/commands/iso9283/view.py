@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,19 +11,10 @@ from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
 from cellapp.commands.view.charts import Axis, Chart, Limit, Series, mm, series
 from cellapp.commands.view.parts import Part, Section, section_of
-from cellapp.commands.view.table import Cell, Column, Field, Table, number_column, table_of
+from cellapp.commands.view.table import Cell, Field, Table, columns_of, table_of
 from cellapp.commands.view.words import RULE_WORDS
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
-from cellapp.estimation.iso9283.records import (
-    CommandedTests,
-    DriftCharacteristics,
-    Iso9283Result,
-    IsoCube,
-    IsoValue,
-    PathCharacteristics,
-    PoseCharacteristics,
-    SpeedSeries,
-)
+from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result, IsoValue, PoseCharacteristics, SpeedSeries
 from cellapp.estimation.uncertainty.records import overall
 from cellapp.ground.counting import counted
 from cellapp.ground.results import Record
@@ -90,7 +81,11 @@ def iso9283_sentences(result: Iso9283Result) -> list[str]:
         *dict.fromkeys(RULE_WORDS[one.rule] for one in result.judgements),
         *_conditions(result),
         *_bases(result),
-        *(f"arm {name}: the cube is limited by: {cube.limited_by}" for name, cube in _cubes_of(result) if cube),
+        *(
+            f"arm {name}: the cube is limited by: {arm.cube.limited_by}"
+            for name, arm in result.arms.items()
+            if arm.cube
+        ),
         *_uncertain(result),
         *(f"missing: {words}" for words in result.missing),
         *_refused(result),
@@ -183,11 +178,6 @@ def _is_uncertain(pose: PoseCharacteristics) -> bool:
     return pose.tracker_rp_mm is not None and pose.tracker_rp_mm > _UNCERTAIN_SHARE * pose.repeatability.value_mm
 
 
-def _cubes_of(result: Iso9283Result) -> Iterator[tuple[str, IsoCube | None]]:
-    for name, arm in result.arms.items():
-        yield name, arm.cube
-
-
 # -- tables -----------------------------------------------------------------------------------------------------------
 
 
@@ -208,7 +198,7 @@ def _judgements(result: Iso9283Result) -> Table:
 def _poses(result: Iso9283Result) -> Table:
     return table_of(
         "Pose accuracy AP and repeatability RP [mm]",
-        _measured_poses(result),
+        _measured(result, "pose"),
         *_COMMANDED,
         ("pose", "one.pose"),
         *_pair_fields("AP", "RP"),
@@ -217,35 +207,20 @@ def _poses(result: Iso9283Result) -> Table:
 
 def _orientations(result: Iso9283Result) -> Table:
     """Show angles about the base axes at the poses where a probe measured the orientation."""
-    columns = (
-        Column("arm"),
-        Column("commands"),
-        Column("pose"),
-        *(number_column(f"{what} {axis}", ".3f") for what in ("AP", "RP") for axis in "xyz"),
-        number_column("U(AP)", ".3f"),
-        number_column("U(RP)", ".3f"),
-        number_column("n", "d"),
+    return table_of(
+        "Orientation accuracy AP and repeatability RP about the axes of the base [mrad]",
+        [row for row in _measured(result, "pose") if row.one.orientation is not None],
+        *_COMMANDED,
+        ("pose", "one.pose"),
+        *(
+            (f"{short} {axis}", lambda row, what=what, place=place: getattr(row.one.orientation, what)[place], ".3f")
+            for short, what in (("AP", "accuracy_mrad"), ("RP", "repeatability_mrad"))
+            for place, axis in enumerate("xyz")
+        ),
+        ("U(AP)", "one.orientation.accuracy_expanded_mrad", ".3f"),
+        ("U(RP)", "one.orientation.repeatability_expanded_mrad", ".3f"),
+        ("n", "one.orientation.n", "d"),
     )
-    rows = tuple(
-        (
-            name,
-            kind,
-            pose.pose,
-            *pose.orientation.accuracy_mrad,
-            *pose.orientation.repeatability_mrad,
-            pose.orientation.accuracy_expanded_mrad,
-            pose.orientation.repeatability_expanded_mrad,
-            pose.orientation.n,
-        )
-        for name, kind, tests in _tests_of(result)
-        for pose in tests.pose
-        if pose.orientation is not None
-    )
-    return Table("Orientation accuracy AP and repeatability RP about the axes of the base [mrad]", columns, rows)
-
-
-def _measured_poses(result: Iso9283Result) -> list[_Commanded]:
-    return [_Commanded(name, kind, pose) for name, kind, tests in _tests_of(result) for pose in tests.pose]
 
 
 def _series(result: Iso9283Result) -> Table:
@@ -260,21 +235,15 @@ def _series(result: Iso9283Result) -> Table:
 
 
 def _cooperative(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arms"),
-        Column("commands"),
-        Column("poses"),
-        *_pair_columns("AP", "RP"),
-        *_pair_columns("AD", "RD"),
-        number_column("n", "d"),
-    )
+    figures = ((title, ".3f") for name in ("AP", "RP", "AD", "RD") for title in (name, f"U({name})"))
+    columns = columns_of("arms", "commands", "poses", *figures, ("n", "d"))
     rows: list[tuple[Cell, ...]] = []
     for pair in result.pairs:
         for kind in ISO_COMMANDS:
             both = zip(pair.vector.get(kind, ()), pair.distance.get(kind, ()), strict=True)
             for vector, length in both:
                 values = (vector.accuracy, vector.repeatability, length.accuracy, length.repeatability)
-                cells = [cell for value in values for cell in _value_cells(value)]
+                cells = [cell for value in values for cell in (value.value_mm, value.expanded_mm)]
                 rows.append((" and ".join(pair.arms), kind, vector.pose, *cells, vector.accuracy.n))
     title = "Cooperative accuracy and repeatability [mm]: vector and distance between both SMRs"
     return Table(title, columns, tuple(rows))
@@ -283,7 +252,7 @@ def _cooperative(result: Iso9283Result) -> Table:
 def _directions(result: Iso9283Result) -> Table:
     return table_of(
         "Multi-directional pose accuracy variation vAP [mm]",
-        [_Commanded(name, kind, one) for name, kind, tests in _tests_of(result) for one in tests.multidirectional],
+        _measured(result, "multidirectional"),
         *_COMMANDED,
         ("pose", "one.pose"),
         ("vAP", "one.variation.value_mm", ".3f"),
@@ -295,7 +264,7 @@ def _directions(result: Iso9283Result) -> Table:
 def _distances(result: Iso9283Result) -> Table:
     return table_of(
         "Distance accuracy AD and repeatability RD [mm]",
-        [_Commanded(name, kind, one) for name, kind, tests in _tests_of(result) for one in tests.distance],
+        _measured(result, "distance"),
         *_COMMANDED,
         ("between", lambda row: " and ".join(row.one.between)),
         ("commanded", "one.commanded_mm", ".3f"),
@@ -307,7 +276,7 @@ def _drift(result: Iso9283Result) -> Table:
     *pairs, _ = _pair_fields("dAP", "dRP")
     return table_of(
         "Drift at P1 [mm]",
-        [_Commanded(*drift) for drift in _drifts(result)],
+        [_Commanded(name, kind, tests.drift) for name, kind, tests in _tests_of(result) if tests.drift is not None],
         *_COMMANDED,
         ("observed", "one.minutes", ".0f", "min"),
         *pairs,
@@ -319,7 +288,7 @@ def _drift(result: Iso9283Result) -> Table:
 def _paths(result: Iso9283Result) -> Table:
     return table_of(
         "Path accuracy AT and repeatability RT [mm]",
-        [_Commanded(*driven) for driven in _driven(result)],
+        _driven(result),
         *_COMMANDED,
         ("path", "one.path"),
         ("speed", "one.speed_mm_s", ".0f", "mm/s"),
@@ -329,47 +298,26 @@ def _paths(result: Iso9283Result) -> Table:
 
 
 def _velocities(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        Column("commands"),
-        Column("path"),
-        number_column("commanded", ".0f", "mm/s"),
-        number_column("AV", ".3f", "%"),
-        number_column("U(AV)", ".3f", "%"),
-        number_column("RV", ".3f", "%"),
-        number_column("FV", ".2f", "mm/s"),
-        number_column("tracker's FV", ".2f", "mm/s"),
-        number_column("n", "d"),
-        Column("programme"),
+    return table_of(
+        "Path velocity: accuracy AV, repeatability RV, fluctuation FV",
+        [row for row in _driven(result) if row.one.velocity is not None],
+        *_COMMANDED,
+        ("path", "one.path"),
+        ("commanded", "one.speed_mm_s", ".0f", "mm/s"),
+        ("AV [%]", "one.velocity.accuracy_percent", ".3f"),
+        ("U(AV) [%]", "one.velocity.expanded_percent", ".3f"),
+        ("RV [%]", "one.velocity.repeatability_percent", ".3f"),
+        ("FV", "one.velocity.fluctuation_mm_s", ".2f", "mm/s"),
+        ("tracker's FV", "one.velocity.tracker_fluctuation_mm_s", ".2f", "mm/s"),
+        ("n", "one.velocity.n", "d"),
+        ("programme", lambda row: row.one.slowed or "keeps the speed"),
     )
-    rows = [
-        (
-            name,
-            kind,
-            one.path,
-            one.speed_mm_s,
-            one.velocity.accuracy_percent,
-            one.velocity.expanded_percent,
-            one.velocity.repeatability_percent,
-            one.velocity.fluctuation_mm_s,
-            one.velocity.tracker_fluctuation_mm_s,
-            one.velocity.n,
-            one.slowed or "keeps the speed",
-        )
-        for name, kind, one in _driven(result)
-        if one.velocity is not None
-    ]
-    return Table("Path velocity: accuracy AV, repeatability RV, fluctuation FV", columns, tuple(rows))
 
 
-def _driven(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, PathCharacteristics]]:
-    """Yield every path with its arm and commands, at all speeds."""
-    for name, kind, tests in _tests_of(result):
-        for one in tests.path:
-            yield name, kind, one
-    for name, kind, at_speed in _series_of(result):
-        for one in at_speed.path:
-            yield name, kind, one
+def _driven(result: Iso9283Result) -> list[_Commanded]:
+    """Return every path with its arm and commands, at all speeds."""
+    series = [_Commanded(name, kind, one) for name, kind, at_speed in _series_of(result) for one in at_speed.path]
+    return [*_measured(result, "path"), *series]
 
 
 def _coverage(result: Iso9283Result) -> Table:
@@ -386,26 +334,19 @@ def _coverage(result: Iso9283Result) -> Table:
 
 
 def _cubes(result: Iso9283Result) -> Table:
-    columns = (
-        Column("arm"),
-        number_column("edge", ".0f", "mm"),
-        *(number_column(f"centre {axis}", ".3f", "m") for axis in "xyz"),
-        Column("plane"),
-        number_column("payload", ".3f", "kg"),
-        Column("limited by"),
+    return table_of(
+        "Test cubes, axes of the arm's base",
+        [(name, arm) for name, arm in result.arms.items() if arm.cube is not None],
+        ("arm", lambda row: row[0]),
+        ("edge", lambda row: row[1].cube.edge_mm, ".0f", "mm"),
+        *(
+            (f"centre {axis}", lambda row, place=place: row[1].cube.centre_B[place], ".3f", "m")
+            for place, axis in enumerate("xyz")
+        ),
+        ("plane", lambda row: row[1].cube.plane),
+        ("payload", lambda row: row[1].payload_kg, ".3f", "kg"),
+        ("limited by", lambda row: row[1].cube.limited_by),
     )
-    rows: list[tuple[Cell, ...]] = [
-        (name, cube.edge_mm, *cube.centre_B, cube.plane, result.arms[name].payload_kg, cube.limited_by)
-        for name, cube in _cubes_of(result)
-        if cube is not None
-    ]
-    return Table("Test cubes, axes of the arm's base", columns, tuple(rows))
-
-
-def _drifts(result: Iso9283Result) -> Iterator[tuple[str, IsoCommands, DriftCharacteristics]]:
-    for name, kind, tests in _tests_of(result):
-        if tests.drift is not None:
-            yield name, kind, tests.drift
 
 
 # -- cells -------------------------------------------------------------------------------------------------------------
@@ -431,8 +372,13 @@ class _Commanded(NamedTuple):
 
     arm: str
     commands: IsoCommands
-    one: Record
+    one: Any
     of: Record | None = None
+
+
+def _measured(result: Iso9283Result, what: str) -> list[_Commanded]:
+    """Return what one kind of test measured, by arm and commands."""
+    return [_Commanded(name, kind, one) for name, kind, tests in _tests_of(result) for one in getattr(tests, what)]
 
 
 def _pair_fields(first: str, second: str) -> Iterator[Field]:
@@ -441,16 +387,6 @@ def _pair_fields(first: str, second: str) -> Iterator[Field]:
         yield name, f"one.{attribute}.value_mm", ".3f"
         yield f"U({name})", f"one.{attribute}.expanded_mm", ".3f"
     yield "n", "one.accuracy.n", "d"
-
-
-def _pair_columns(first: str, second: str) -> tuple[Column, ...]:
-    """Build a column for each of two characteristics and its uncertainty."""
-    return tuple(number_column(title, ".3f") for name in (first, second) for title in (name, f"U({name})"))
-
-
-def _value_cells(value: IsoValue) -> tuple[Cell, Cell]:
-    """Return the cells of a characteristic and its uncertainty."""
-    return value.value_mm, value.expanded_mm
 
 
 def iso9283_charts(result: Iso9283Result) -> list[Chart]:

@@ -13,18 +13,17 @@ from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
-from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.confirm import confirmation
 from cellapp.commands.locate.request import LocateRequest
 from cellapp.commands.locate.result import LocatedPoint, LocateResult, StationPose
 from cellapp.commands.locate.station import excess_of_readings, last_location, profile_at_station
 from cellapp.commands.record import Work
 from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import arms_stage, model_of
-from cellapp.estimation.calibration.station_location import FEWEST_POINTS, displacement_m
-from cellapp.ground.control import JobControl
+from cellapp.estimation.calibration.station_location import displacement_m
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
-from cellapp.ground.progress import Listener, ignore, with_eta
+from cellapp.ground.progress import with_eta
 from cellapp.ground.results import LOCATE
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.effects.law import DriverVariable
@@ -33,44 +32,31 @@ from cellapp.robot.model import CellModel
 from cellapp.robot.model.model import relocated
 from cellapp.robot.model.nominal import pose_matrix
 
-POINTS = 4
-
 
 def run(request: LocateRequest, work: Work) -> LocateResult:
     """Measure where the tracker stands now."""
-    rough, simulated = (
+    tracker, simulated = (
         None if text is None else typed_pose(text, request.option_of(name))
         for name, text in (("tracker_pose", request.tracker_pose), ("simulated_pose", request.simulated_pose))
     )
     with RunFile.open(request.folder, write=True) as opened:
-        return locate_run(
-            opened,
-            request.points,
-            work.listener,
-            work.control,
-            tracker_pose=rough,
-            simulated_pose=simulated,
-            ask=work.ask(opened.profile.name),
-        )
+        return locate_run(opened, request, work, tracker_pose=tracker, simulated_pose=simulated)
 
 
 def locate_run(
     run: RunFile,
-    points: int = POINTS,
-    listener: Listener = ignore,
-    control: JobControl | None = None,
+    request: LocateRequest,
+    work: Work,
     *,
     tracker_pose: Pose | None = None,
     simulated_pose: Pose | None = None,
-    ask: Ask | None = None,
     open_with: Opened | None = None,
 ) -> LocateResult:
     """Measure points of the arms from the tracker's present station, and store the model in its frame.
 
-    ``points`` is the number over all arms. ``tracker_pose`` is the rough pose of the tracker in the cell frame, by
-    default the last located one, or that in the profile. ``simulated_pose`` first moves the tracker of a simulated
-    cell, for this and later jobs in this run. ``ask`` is called before the first motion of real arms, ``open_with``
-    opens the cell. If the points do not fit, the result says why and has no model.
+    ``tracker_pose`` is the rough pose of the tracker in the cell frame, by default the last located one, or that in
+    the profile. ``simulated_pose`` first moves the tracker of a simulated cell, for this and later jobs in this run.
+    ``open_with`` opens the cell. If the points do not fit, the result says why and has no model.
 
     Raises
     ------
@@ -83,10 +69,7 @@ def locate_run(
     Cancelled
         Nothing is stored.
     """
-    control = control or JobControl()
-    if points < FEWEST_POINTS:
-        raise InputError(f"locate: at least {FEWEST_POINTS} points are needed, better {POINTS}; not {points}")
-    stages = read_stages(run)
+    control, stages = work.control, read_stages(run)
     used = _stage_before_moving(run, stages)
     task = LocateTask(
         profile=profile_at_station(run, stages, simulated_pose),
@@ -94,12 +77,12 @@ def locate_run(
         rough_T=_rough_station(run, stages, tracker_pose),
         candidates={name: known_readings(run, name).q for name in run.profile.arms},
         excess_m=excess_of_readings(run, model_of(run, used)),
-        points=points,
+        points=request.points,
     )
     notes: list[str] = []
     opened = noting_controllers(run, notes)
-    with running_job(run, control, "locate", listener) as listener:
-        confirm = confirmation(run.profile, ask)
+    with running_job(run, control, "locate", work.listener) as listener:
+        confirm = confirmation(run.profile, work.ask(run.profile.name))
         found = locate_station(task, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with)
         result = _result(run.profile, task, found, (*notes, *found.notes))
         model = relocated(task.model, found.fit.T_new_old, found.fit.twists) if found.explained else None

@@ -6,7 +6,7 @@ import math
 
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.record import Request, View
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Table, columns_of
 
 
 def view(result: LocateResult, request: Request | None = None) -> View:
@@ -21,11 +21,8 @@ def location_tables(result: LocateResult) -> list[Table]:
     rows: list[tuple[Cell, ...]] = [
         (point.arm, point.found_off_mm, *point.residual_mm, math.hypot(*point.residual_mm)) for point in result.points
     ]
-    columns = (
-        Column("arm"),
-        number_column("found off", ".1f"),
-        *(number_column(f"residual {axis}", ".3f") for axis in "xyz"),
-        number_column("residual", ".3f"),
+    columns = columns_of(
+        "arm", ("found off", ".1f"), *((f"residual {axis}", ".3f") for axis in "xyz"), ("residual", ".3f")
     )
     return [Table("Station of the tracker: measured points [mm]", columns, tuple(rows))]
 

@@ -21,7 +21,7 @@ from cellapp.cell.planning.records import (
     PlanRefusal,
 )
 from cellapp.commands.view.charts import enumerated
-from cellapp.commands.view.table import Cell, Column, Table, number_column, table_of
+from cellapp.commands.view.table import Cell, Table, columns_of, table_of
 from cellapp.commands.view.words import geometry_unit, short_reason
 from cellapp.estimation.discovery.records import PlannedEffect
 from cellapp.ground.counting import counted
@@ -139,7 +139,7 @@ def coverage_table(name: str, arm: ArmForecast) -> Table:
 def accuracy_table(name: str, arm: ArmForecast) -> Table:
     """Show expected standard errors of predicted positions and of parameters, one column for each scatter."""
     headings = ["tracker alone" if one.scatter_mm == 0.0 else f"{one.scatter_mm:g} mm scatter" for one in arm.accuracy]
-    columns = (Column("standard error of"), *(number_column(title, ".4f") for title in headings), Column("unit"))
+    columns = columns_of("standard error of", *((title, ".4f") for title in headings), "unit")
     rows: list[tuple[Cell, ...]] = [
         ("predicted position, rms", *(one.standard_error_mm for one in arm.accuracy), "mm"),
         ("predicted position, largest", *(one.largest_mm for one in arm.accuracy), "mm"),
@@ -235,7 +235,7 @@ def candidates_table(design: PlanDesignResult) -> Table:
     """Show how many configurations were drawn for each arm, why some were rejected, and how many are left."""
     found = (reason for arm in design.arms.values() for reason, count in arm.rejected.items() if count)
     reasons = list(dict.fromkeys(found))
-    columns = (Column("configurations"), *(number_column(f"arm {name}", "d") for name in design.arms))
+    columns = columns_of("configurations", *((f"arm {name}", "d") for name in design.arms))
     arms = design.arms.values()
     rows: list[tuple[Cell, ...]] = [
         ("drawn", *(arm.drawn for arm in arms)),
@@ -247,13 +247,8 @@ def candidates_table(design: PlanDesignResult) -> Table:
 
 def quality_table(design: PlanDesignResult) -> Table:
     """Show expected errors of the designed and of random stops; how many random stops do as well."""
-    columns = (
-        Column("arm"),
-        Column("plan"),
-        number_column("stops", "d"),
-        number_column("parameters", ".3f"),
-        number_column("mean", ".4f", "mm"),
-        number_column("worst", ".4f", "mm"),
+    columns = columns_of(
+        "arm", "plan", ("stops", "d"), ("parameters", ".3f"), ("mean", ".4f", "mm"), ("worst", ".4f", "mm")
     )
     rows: list[tuple[Cell, ...]] = []
     for name, arm in design.arms.items():
@@ -267,7 +262,7 @@ def quality_table(design: PlanDesignResult) -> Table:
 
 def indices_table(design: PlanDesignResult) -> Table:
     """Show observability indices of the designed stops and of random ones."""
-    columns = (Column("arm"), Column("plan"), *(number_column(f"O{index}", ".3g") for index in range(1, 6)))
+    columns = columns_of("arm", "plan", *((f"O{index}", ".3g") for index in range(1, 6)))
     rows: list[tuple[Cell, ...]] = [
         (name, word, *_indices(index))
         for name, arm in design.arms.items()
@@ -286,7 +281,7 @@ def _indices(index: ObservabilityIndices) -> tuple[float | None, ...]:
 def gaps_table(design: PlanDesignResult) -> Table:
     """Show the largest gap between stops in each joint's travelled range [deg]."""
     joints = max((len(arm.largest_gap) for arm in design.arms.values()), default=0)
-    columns = (Column("arm"), *(number_column(f"q{joint + 1}", ".1f", "deg") for joint in range(joints)))
+    columns = columns_of("arm", *((f"q{joint + 1}", ".1f", "deg") for joint in range(joints)))
     rows: list[tuple[Cell, ...]] = [
         (name, *map(math.degrees, arm.largest_gap), *[None] * (joints - len(arm.largest_gap)))
         for name, arm in design.arms.items()

@@ -31,7 +31,7 @@ from cellapp.commands.plan.run import planned_stops
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Section, section_of
-from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.commands.view.table import Table, columns_of
 from cellapp.ground.profile import Profile
 
 _DEG = ".2f"
@@ -63,11 +63,7 @@ def plan_tables(stops: StopsResult) -> list[Table]:
     tables = []
     for name in stops.stops[0].q if stops.stops else ():
         joints = len(stops.stops[0].q[name])
-        columns = (
-            number_column("stop", "d"),
-            Column("measured"),
-            *(number_column(f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)),
-        )
+        columns = columns_of(("stop", "d"), "measured", *((f"q{joint}", _DEG, "deg") for joint in range(1, joints + 1)))
         rows = tuple(
             (stop.configuration, "yes" if stop.measured else "no", *map(math.degrees, stop.q[name]))
             for stop in stops.stops
@@ -96,13 +92,7 @@ def plan_section(run: RunFile) -> Section | None:
         )
     return section_of(
         "",
-        [
-            *sentences[1:],
-            *load_sentences(planned.loads),
-            *sweep_sentences(sweeps),
-            *charts,
-            *design_tables_of(design),
-        ],
+        [*sentences[1:], *load_sentences(planned.loads), *sweep_sentences(sweeps), *charts, *design_tables_of(design)],
         message=sentences[0] if sentences else "Where the planned stops are, and what limits them.",
         about=about,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.cell_checks import carrying, check_cell
@@ -12,59 +13,40 @@ from cellapp.cell.driving.requests import running_job
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import all_known_readings
 from cellapp.cell.targets.records import VerifyResult
-from cellapp.cell.targets.targets import Target
 from cellapp.commands.compensate.charts import target_charts
 from cellapp.commands.compensate.run import compensated_commands, listed_targets
 from cellapp.commands.compensate.tables import all_measured_tables, verification_tables
 from cellapp.commands.compensate.words import push_lines, verify_lines
-from cellapp.commands.confirm import Ask, confirmation
+from cellapp.commands.confirm import confirmation
 from cellapp.commands.locate.station import profile_at_station
-from cellapp.commands.push.request import VERB, PushRequest
+from cellapp.commands.push.request import PushRequest
 from cellapp.commands.record import Request, View, Work
-from cellapp.commands.run_results import evidence_of, read_stage_results
+from cellapp.commands.run_results import evidence_of, read_results
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import model_of, require_current_model, require_own_factory, stage_in_force
 from cellapp.commands.view.parts import Part
 from cellapp.estimation.uncertainty.budget import Judge, measured_conditions
-from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, Listener, ignore, with_eta
+from cellapp.ground.progress import Cancelled, with_eta
 from cellapp.ground.results import PUSH, VERIFY
 
 
 def run(request: PushRequest, work: Work) -> VerifyResult:
     """Push the targets."""
-    with RunFile.open(request.folder, write=True) as opened:
-        return push_run(
-            opened,
-            listed_targets(request.targets, opened.profile),
-            work.listener,
-            work.control,
-            verify=request.verify,
-            iterate=request.iterate,
-            out_of_date=request.out_of_date,
-            ask=work.ask(opened.profile.name),
-        )
+    with (
+        RunFile.open(request.folder, write=True) as opened,
+        running_job(opened, work.control, request.job_name() or "push", work.listener) as listener,
+    ):
+        return push_targets(opened, request, replace(work, listener=listener))
 
 
-def push_run(
-    run: RunFile,
-    targets: Sequence[Target],
-    listener: Listener = ignore,
-    control: JobControl | None = None,
-    *,
-    verify: bool,
-    iterate: int | None = None,
-    out_of_date: bool = False,
-    ask: Ask | None = None,
-) -> VerifyResult:
-    """Compensate and push targets; with ``verify`` measure them before and after compensation.
+def push_targets(run: RunFile, request: PushRequest, work: Work) -> VerifyResult:
+    """Compensate and push targets within a job that has locked the folder; if asked, measure them before and after.
 
-    ``iterate`` is the most corrections by measuring of what remains at a target. ``out_of_date`` uses the model in
-    force even if it, or a discovery, is out of date or a controller's own D-H has changed; result and log say so.
-    ``ask`` is called before the first motion of real arms. A stopped job stores what it has measured.
+    The model in force is used even if it, or a discovery, is out of date or a controller's own D-H has changed, only if
+    the request says so; result and log then say it. A stopped job stores what it has measured.
 
     Raises
     ------
@@ -77,30 +59,9 @@ def push_run(
         If a device refused or failed, or a controller or its payload is not the calibrated one.
     Cancelled
     """
-    control = control or JobControl()
-    asked = {"folder": run.folder, "targets": tuple(targets), "verify": verify, "iterate": iterate}
-    VERB.asked(asked)  # refuses an invalid number of corrections
-    with running_job(run, control, "verify" if verify else "push", listener) as listener:
-        return push_targets(
-            run, targets, listener, control, ask, verify=verify, iterate=iterate, out_of_date=out_of_date
-        )
-
-
-def push_targets(
-    run: RunFile,
-    targets: Sequence[Target],
-    listener: Listener,
-    control: JobControl,
-    ask: Ask | None,
-    *,
-    verify: bool,
-    iterate: int | None = None,
-    out_of_date: bool = False,
-) -> VerifyResult:
-    """Push as ``push_run`` does, within a job that has locked the folder already."""
-    stages = read_stages(run)
+    stages, targets = read_stages(run), listed_targets(request.targets, run.profile)
     require_own_factory(run, "push")
-    if not out_of_date:
+    if not request.out_of_date:
         require_current_model(run, stages, "push")
     commands, compensated = compensated_commands(run, stages, targets)
     # simulated cell: the tracker where it stands now
@@ -108,14 +69,14 @@ def push_targets(
     used, visited, judge, notes = stage_in_force(run, stages), Visited(), judge_of(run, profile), [*compensated.notes]
 
     def opened(cell: Cell) -> None:
-        notes.extend(check_cell(run, cell, commands, changed_controller=out_of_date))
+        notes.extend(check_cell(run, cell, commands, changed_controller=request.out_of_date))
 
     def store(pushed: VerifyResult) -> VerifyResult:
-        result = _judged(pushed, judge, notes, verify=verify)
-        if verify and not result.arms:  # it would take the place of an earlier verification that holds
+        result = _judged(pushed, judge, notes, verify=request.verify).model_copy(update={"common": compensated.common})
+        if request.verify and not result.arms:  # it would take the place of an earlier verification that holds
             said = "no target was measured; nothing is stored, an earlier verification still counts"
             return result.model_copy(update={"notes": (*result.notes, said)})
-        append_stage(run, VERIFY if verify else PUSH, result, basis_on_model(run, used, tuple(targets)))
+        append_stage(run, VERIFY if request.verify else PUSH, result, basis_on_model(run, used, targets))
         return result
 
     try:
@@ -123,13 +84,13 @@ def push_targets(
             profile,
             model_of(run, used),
             commands,
-            with_eta(listener),
-            control,
-            verify=verify,
-            rounds=iterate or 0,
+            with_eta(work.listener),
+            work.control,
+            verify=request.verify,
+            rounds=request.iterate or 0,
             repeatability_m=_repeatability_m(run),
             judge=judge,
-            confirm=confirmation(run.profile, ask),
+            confirm=confirmation(run.profile, work.ask(run.profile.name)),
             opened=opened,
             visited=visited,
         )
@@ -152,14 +113,14 @@ def _judged(pushed: VerifyResult, judge: Judge, notes: Sequence[str], *, verify:
 
 def judge_of(run: RunFile, profile: Profile) -> Judge:
     """Return the judge of a run's tolerances, with the uncertainty from its results and readings."""
-    results = read_stage_results(run)
+    results = read_results(run)
     measured = measured_conditions(all_known_readings(run))
     return Judge(profile, {name: evidence_of(results, name, measured.get(name)) for name in profile.arms})
 
 
 def _repeatability_m(run: RunFile) -> dict[str, float]:
     """Return each arm's standard deviation of a coordinate over repeated stops [m], tracker included, if known."""
-    calibrated = read_stage_results(run).calibrate
+    calibrated = read_results(run).calibrate
     if calibrated is None:
         return {}
     return {

@@ -22,8 +22,7 @@ class RehearseRequest(Request):
         ),
     ] = None
     rung: Annotated[
-        RungName | None,
-        Asked("Step to rehearse; left out, the first one that is missing.", "RUNG", label="step"),
+        RungName | None, Asked("Step to rehearse; left out, the first one that is missing.", "RUNG", label="step")
     ] = None
     arm: Annotated[str | None, Asked("Arm of a step with one arm; left out, the first one.", "NAME", label="arm")] = (
         None

@@ -6,7 +6,7 @@ from cellapp.cell.driving.rungs import RUNGS
 from cellapp.commands.record import Request, View
 from cellapp.commands.rehearse.result import RehearsalLog, RehearseResult
 from cellapp.commands.view.parts import Section
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.ground.counting import counted
 
 _SLOW = 1.5
@@ -15,7 +15,7 @@ _SLOW = 1.5
 
 def view(result: RehearseResult, request: Request | None = None) -> View:
     """Show times and deviations of each arm, refusals, slow motions, and the next rung."""
-    columns = (Column("arm"), *(number_column(what, ".4f") for what in ("mean off [mrad]", "most off [mrad]")))
+    columns = columns_of("arm", ("mean off [mrad]", ".4f"), ("most off [mrad]", ".4f"))
     offs = {arm: [one.off_mrad[arm] for one in result.motions if arm in one.off_mrad] for arm in result.arms}
     rows: list[tuple[Cell, ...]] = [(arm, sum(off) / len(off), max(off)) for arm, off in offs.items() if off]
     took, expected = (sum(getattr(one, key) for one in result.motions) for key in ("seconds", "expected_s"))
@@ -44,10 +44,8 @@ def view(result: RehearseResult, request: Request | None = None) -> View:
 
 def log_section(log: RehearsalLog) -> Section:
     """Show the record of each rung from when the run was collected, for the report."""
-    columns = (
-        *(Column(title) for title in ("rung", "when", "arms")),
-        *(number_column(title, form) for title, form in (("stops", "d"), ("refused", "d"), ("most off [mrad]", ".4f"))),
-        Column("outcome"),
+    columns = columns_of(
+        "rung", "when", "arms", ("stops", "d"), ("refused", "d"), ("most off [mrad]", ".4f"), "outcome"
     )
     rows: list[tuple[Cell, ...]] = []
     for name in RUNGS:

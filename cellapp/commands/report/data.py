@@ -15,7 +15,7 @@ from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.next_step import arm_states, missing_step
-from cellapp.commands.report.result import RunResults, read_results
+from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import RunStages, read_stages
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.calibration.records import CalibrateResult
@@ -25,7 +25,7 @@ from cellapp.estimation.uncertainty.budget import measured_conditions
 from cellapp.estimation.uncertainty.records import Judgement
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import CALIBRATE, DISCOVER, VERIFY, StageName
+from cellapp.ground.results import CALIBRATE, DISCOVER, StageName
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
@@ -68,13 +68,13 @@ class ReportData:
     @property
     def discover(self) -> DiscoverResult | None:
         """The discovery; None if it no longer holds."""
-        return None if DISCOVER in self.out_of_date else self.results.discover
+        return self.results.held.discover
 
     @property
     def verify(self) -> VerifyResult | None:
         """The verification; None if it no longer holds or measured no target with both commands."""
-        verify = self.results.verify
-        return None if verify is None or VERIFY in self.out_of_date or not verify.arms else verify
+        verify = self.results.held.verify
+        return None if verify is None or not verify.arms else verify
 
     @property
     def model(self) -> CellModel:
@@ -130,8 +130,7 @@ def read_report_data(run: RunFile) -> ReportData:
     calibrated = _stored_model(run, stages, CALIBRATE)
     if calibrated is None or stages.in_force is None or stages.in_force.model is None:
         raise InputError(f"{run.path}: the calibrated model is missing; run 'cellapp calibrate' first")
-    holds = results.discover is not None and DISCOVER not in results.out_of_date
-    discovered = _stored_model(run, stages, DISCOVER) if holds else None
+    discovered = None if results.held.discover is None else _stored_model(run, stages, DISCOVER)
     measured, missing = run.arms(), missing_step(run, stages, arm_states(run))
     return ReportData(
         profile=run.profile,

@@ -37,7 +37,7 @@ def warnings(data: ReportData) -> list[str]:
 def out_of_date_lines(data: ReportData) -> list[tuple[str, str]]:
     """Return the title and reason of each result that no longer holds, and what a check found."""
     lines = [(STAGE_TITLES[name], reason) for name, reason in data.out_of_date.items()]
-    checked = data.results.held_check
+    checked = data.results.held.check
     if checked is not None and checked.found_change:
         lines += [(STAGE_TITLES[CHECK], complaint) for complaint in checked.complaints()]
     return lines

@@ -61,14 +61,14 @@ from cellapp.commands.stored_model import values_in_force
 from cellapp.commands.trials.power.result import power_parts, stored_power
 from cellapp.commands.view.charts import Chart, enumerated, mm
 from cellapp.commands.view.parts import Facts, Section, section_of
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.commands.view.words import RULE_WORDS, judged_sentence, judgement_table
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.quantities import position_errors
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Arm, Profile
-from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, LOCATE, PATH, Provenance, StageName
+from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, Provenance, StageName
 from cellapp.ground.times import day_of
 from cellapp.ground.version import __version__
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
@@ -160,11 +160,7 @@ def controllers_section(run: RunFile, data: ReportData) -> Section | None:
         said.append(f"arm {name}: " + ", ".join(f"{whose} {off.mean():.3f} mm" for whose, off in errors.items()))
     if not rows:
         return None
-    columns = (
-        Column("arm"),
-        Column("rows"),
-        *(number_column(f"{what} [mm]", ".4f") for what in ("mean", "rms", "max")),
-    )
+    columns = columns_of("arm", "rows", *((f"{what} [mm]", ".4f") for what in ("mean", "rms", "max")))
     return Section(
         "",
         [Table("Errors at the SMR by whose rows", columns, tuple(rows))],
@@ -185,48 +181,19 @@ _CHAIN_LENGTH = re.compile(r"[ad]\d")
 """Pattern of the names of a chain's lengths: a1, d1 and so on."""
 _MOST_EVENTS = 100
 """Newest events of the run's log that the report shows; the run file has all of them."""
-SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...]]] = {
-    "judgements": ("Errors against their tolerances", (CALIBRATE,)),
-    "accuracy": ("Accuracy at configurations that were not used", (CALIBRATE,)),
-    "targets": ("Accuracy at targets", (COMPENSATE,)),
-    "iso9283": ("Tests by ISO 9283", (ISO9283,)),
-    "check": ("Check of the calibration", (CHECK,)),
-    "discovery": ("Missing effects", ()),
-    "residuals": ("Residuals of the geometry", (CALIBRATE,)),
-    "pair": ("Inter-base transform", (CALIBRATE,)),
-    "paths": ("Paths", ()),
-    "station": ("Station of the tracker", ()),
-    "plan": ("Plan", ()),
-    "power": ("What the plan can name", ()),
-    "rehearsal": ("Rehearsal", ()),
-    "collection": ("Collecting", ()),
-    "cell": ("The cell", ()),
-    "parameters": ("Identified parameters", (CALIBRATE,)),
-    "controllers": ("The controllers' own calibration", (CALIBRATE,)),
-    "notes": ("Warnings and notes", ()),
-    "provenance": ("Provenance", ()),
-}
-"""Sections in the order of the report: anchor, title, and the stages whose results they show even if out of date."""
 _OPEN = frozenset({"accuracy", "targets", "iso9283", "check", "discovery"})
 """Sections open at first: what was reached and found. The others say how, and on what basis."""
 
 
 def report_sections(run: RunFile, data: ReportData) -> list[Section]:
     """Build the sections that have contents, in their order."""
-    made = {key: maker(data) for key, maker in _OF_RESULTS.items()}
-    made["plan"] = plan_section(run)
-    made["power"] = power_section(run)
-    made["rehearsal"] = None if (log := kept_log(run)) is None else log_section(log)
-    made["collection"] = None if (state := collection_state(run, data.results)) is None else collection_section(state)
-    made["parameters"] = _parameters(data, lost_by_arm(run))
-    made["controllers"] = controllers_section(run, data)
-    return placed(made, data.out_of_date)
+    return placed({key: make(run, data) for key, (_, _, make) in SECTIONS.items()}, data.out_of_date)
 
 
 def placed(made: Mapping[str, Section | None], out_of_date: Mapping[StageName, str]) -> list[Section]:
     """Put sections in the order of the report, with their titles and why they no longer hold."""
     found = []
-    for key, (title, stages) in SECTIONS.items():
+    for key, (title, stages, _) in SECTIONS.items():
         section = made.get(key)
         if section is not None:
             reasons = "; ".join(dict.fromkeys(out_of_date[stage] for stage in stages if stage in out_of_date))
@@ -366,7 +333,7 @@ def _accuracy_message(data: ReportData) -> str:
 
 def _targets(data: ReportData) -> Section | None:
     """Show targets that were compensated or measured, if that holds."""
-    compensate = None if COMPENSATE in data.out_of_date else data.results.compensate
+    compensate = data.results.held.compensate
     if compensate is None and data.verify is None:
         return None
     floors_mm = {name: arm.tracker_mm for name, arm in data.calibrate.arms.items()}
@@ -385,7 +352,7 @@ def _iso9283(data: ReportData) -> Section | None:
 
 def _check(data: ReportData) -> Section | None:
     """Show a check if it holds: a check of another model says nothing."""
-    result = data.results.held_check
+    result = data.results.held.check
     about = (
         "A few stops were measured again and compared with what the stored model expects there; 'cellapp docs check'"
         " explains how that is judged."
@@ -403,13 +370,13 @@ def _discovery(data: ReportData) -> Section | None:
 
 
 def _paths(data: ReportData) -> Section | None:
-    result = data.results.path
-    return None if result is None or PATH in data.out_of_date else paths_section(result)
+    result = data.results.held.path
+    return None if result is None else paths_section(result)
 
 
 def _station(data: ReportData) -> Section | None:
-    located = data.results.locate
-    if located is None or not located.moved or LOCATE in data.out_of_date:
+    located = data.results.held.locate
+    if located is None or not located.moved:
         return None
     about = "The tracker was moved after the readings were taken; what follows was measured from where it stands now."
     return section_of("", locate_view(located).parts, about=about)
@@ -517,6 +484,11 @@ def _parameters_message(calibrate: CalibrateResult, model: CellModel) -> str:
     return f"Identified: {enumerated(parts)}."
 
 
+def _collection(run: RunFile, data: ReportData) -> Section | None:
+    state = collection_state(run, data.results)
+    return None if state is None else collection_section(state)
+
+
 # -- the run ----------------------------------------------------------------------------------------------------------
 
 
@@ -537,19 +509,33 @@ def _provenance(data: ReportData) -> Section:
     )
 
 
-_OF_RESULTS: Mapping[str, Callable[[ReportData], Section | None]] = {
-    "judgements": _judgements,
-    "accuracy": _accuracy,
-    "targets": _targets,
-    "iso9283": _iso9283,
-    "check": _check,
-    "discovery": _discovery,
-    "residuals": _residuals,
-    "pair": _pair,
-    "paths": _paths,
-    "station": _station,
-    "cell": _cell,
-    "notes": _notes,
-    "provenance": _provenance,
+Maker = Callable[[RunFile, ReportData], Section | None]
+"""Builds a section; None if the run has nothing to show there."""
+
+
+def _of(made: Callable[[ReportData], Section | None]) -> Maker:
+    return lambda run, data: made(data)
+
+
+SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...], Maker]] = {
+    "judgements": ("Errors against their tolerances", (CALIBRATE,), _of(_judgements)),
+    "accuracy": ("Accuracy at configurations that were not used", (CALIBRATE,), _of(_accuracy)),
+    "targets": ("Accuracy at targets", (COMPENSATE,), _of(_targets)),
+    "iso9283": ("Tests by ISO 9283", (ISO9283,), _of(_iso9283)),
+    "check": ("Check of the calibration", (CHECK,), _of(_check)),
+    "discovery": ("Missing effects", (), _of(_discovery)),
+    "residuals": ("Residuals of the geometry", (CALIBRATE,), _of(_residuals)),
+    "pair": ("Inter-base transform", (CALIBRATE,), _of(_pair)),
+    "paths": ("Paths", (), _of(_paths)),
+    "station": ("Station of the tracker", (), _of(_station)),
+    "plan": ("Plan", (), lambda run, _: plan_section(run)),
+    "power": ("What the plan can name", (), lambda run, _: power_section(run)),
+    "rehearsal": ("Rehearsal", (), lambda run, _: None if (log := kept_log(run)) is None else log_section(log)),
+    "collection": ("Collecting", (), _collection),
+    "cell": ("The cell", (), _of(_cell)),
+    "parameters": ("Identified parameters", (CALIBRATE,), lambda run, data: _parameters(data, lost_by_arm(run))),
+    "controllers": ("The controllers' own calibration", (CALIBRATE,), controllers_section),
+    "notes": ("Warnings and notes", (), _of(_notes)),
+    "provenance": ("Provenance", (), _of(_provenance)),
 }
-"""Functions that build the sections of results; the other sections read the run itself."""
+"""Sections in the order of the report: anchor, title, the stages whose results they show even if out of date, maker."""

@@ -13,7 +13,7 @@ from cellapp.commands.discover.words import verdict_sentence
 from cellapp.commands.next_step import Step, open_steps
 from cellapp.commands.report.before_after import BeforeAfterFigure, before_after_figure
 from cellapp.commands.report.data import ReportData, read_report_data
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.view.charts import mm
 from cellapp.commands.view.table import Table
 from cellapp.commands.view.words import (

@@ -10,7 +10,8 @@ from cellapp.commands.discover.tables import discovery_tables
 from cellapp.commands.locate.view import location_tables
 from cellapp.commands.record import Request, View
 from cellapp.commands.report.request import ReportRequest
-from cellapp.commands.report.result import ReportResult, RunResults
+from cellapp.commands.report.result import ReportResult
+from cellapp.commands.run_results import RunResults
 from cellapp.commands.stages import complaints_in
 from cellapp.commands.view.table import Table
 
@@ -30,12 +31,13 @@ def all_tables(results: RunResults) -> list[Table]:
     tables: list[Table] = []
     if results.calibrate is not None:
         tables += calibration_tables(results.calibrate)
-    if results.discover is not None and "discover" not in results.out_of_date:
-        tables += discovery_tables(results.discover)
-    if results.locate is not None and "locate" not in results.out_of_date:
-        tables += location_tables(results.locate)
-    if results.verify is not None and "verify" not in results.out_of_date:
-        tables += verification_tables(results.verify)
+    held = results.held
+    if held.discover is not None:
+        tables += discovery_tables(held.discover)
+    if held.locate is not None:
+        tables += location_tables(held.locate)
+    if held.verify is not None:
+        tables += verification_tables(held.verify)
     return tables
 
 

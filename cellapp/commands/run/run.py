@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
-from cellapp.cell.driving.cell_checks import Hung
 from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run.file import note_profile
-from cellapp.cell.targets.targets import Target, load_targets
+from cellapp.cell.targets.targets import named_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences
-from cellapp.commands.collect.run import collect_planned, hanging
+from cellapp.commands.collect.request import CollectRequest
+from cellapp.commands.collect.run import collect_planned
 from cellapp.commands.collect.view import collect_lines, other_notes
 from cellapp.commands.compensate.tables import verification_tables
-from cellapp.commands.confirm import Ask, asked_once, require_permission
+from cellapp.commands.confirm import asked_once, require_permission
 from cellapp.commands.discover import view as discovery
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import default_folder, new_planned_run
+from cellapp.commands.push.request import PushRequest
 from cellapp.commands.push.run import push_targets
 from cellapp.commands.record import Request, View, Work
-from cellapp.commands.report.result import RunResults, read_results, shown_by
-from cellapp.commands.report.run import PageWriter
+from cellapp.commands.report.result import shown_by
 from cellapp.commands.run.request import RunRequest
+from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.view.parts import Part
-from cellapp.ground.control import JobControl
-from cellapp.ground.progress import Listener, ignore
+from cellapp.estimation.calibration.calibrate import planned_splits
 from cellapp.ground.threads import give_back
 
 
@@ -38,35 +39,9 @@ class WholeRunResult(RunResults, schema="cellapp-run"):
 
 
 def run(request: RunRequest, work: Work) -> WholeRunResult:
-    """Run everything."""
-    ask = work.ask(load_profile(request.profile).name)
-    return run_whole(
-        request.profile,
-        request.folder,
-        work.write_page,
-        work.listener,
-        work.control,
-        ask=ask,
-        sweeps=request.sweeps,
-        hung=hanging(work),
-    )
+    """Run everything, unattended: plan, collect, calibrate, discover, compensate, verify, report.
 
-
-def run_whole(
-    profile_path: Path,
-    folder: Path | None,
-    write_page: PageWriter,
-    listener: Listener = ignore,
-    control: JobControl | None = None,
-    *,
-    ask: Ask | None = None,
-    sweeps: int | None = None,
-    hung: Hung | None = None,
-) -> WholeRunResult:
-    """Run everything, unattended: plan, collect, calibrate, discover, compensate, verify, report by ``write_page``.
-
-    ``ask`` is called once before the first motion of real arms, and again after a change of load; ``hung`` asks whether
-    the load was changed. ``sweeps`` is as in ``new_planned_run``.
+    A person is asked once before the first motion of real arms, and again after a change of load.
 
     Raises
     ------
@@ -75,28 +50,30 @@ def run_whole(
     Cancelled
         On request; the run file keeps everything that was committed and can be resumed.
     """
-    control = control or JobControl()
-    profile = load_profile(profile_path)
+    profile, control = load_profile(request.profile), work.control
+    ask = work.ask(profile.name)
     require_permission(profile, ask)
-    with_loads, ask = ask, None if ask is None else asked_once(ask)
-    targets: tuple[Target, ...] = ()
-    if profile.targets is not None:  # read now: report errors before hours of measuring
-        targets = load_targets(profile_path.parent / profile.targets, profile)
+    once = None if ask is None else asked_once(ask)
+    targets = named_targets(profile, request.profile)  # read now: report errors before hours of measuring
+    planned_splits(profile, request.sweeps)
     notes: list[str] = []
+    folder = request.folder or default_folder(profile.name)
     with (
-        new_planned_run(profile, folder or default_folder(profile.name), listener, control, sweeps=sweeps) as run,
-        running_job(run, control, "run", listener) as listener,
+        new_planned_run(profile, folder, work.listener, control, sweeps=request.sweeps) as run,
+        running_job(run, control, "run", work.listener) as listener,
     ):
-        note_profile(run, profile_path)
+        note_profile(run, request.profile)
         give_back()  # memory of the plan's candidates
-        collected = collect_planned(run, listener, control, ask if profile.loads == 1 else with_loads, hung=hung)
+        one = replace(work, listener=listener, ask=lambda profile_name: once)
+        asked = CollectRequest(folder=folder)
+        collected = collect_planned(run, asked, one if profile.loads == 1 else replace(work, listener=listener))
         notes += collected.notes
         notes += calibrate_run(run, listener, control).notes
         discover_run(run, listener, control)
         give_back()
         if targets:
-            notes += push_targets(run, targets, listener, control, ask, verify=True).notes
-        write_page(run)
+            notes += push_targets(run, PushRequest(folder=folder, targets=targets, verify=True), one).notes
+        work.write_page(run)
         return shown_by(WholeRunResult, read_results(run), notes=tuple(notes), collect=collected)
 
 

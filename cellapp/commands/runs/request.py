@@ -15,8 +15,7 @@ class RunsRequest(Request):
         None
     )
     history: Annotated[
-        str | None,
-        Asked("One arm over its runs, what moved since the first: its serial number, or its name.", "ARM"),
+        str | None, Asked("One arm over its runs, what moved since the first: its serial number, or its name.", "ARM")
     ] = None
 
 

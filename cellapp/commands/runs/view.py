@@ -22,7 +22,7 @@ from cellapp.commands.runs.result import (
     short_name,
     stops_words,
 )
-from cellapp.commands.view.table import Column, Table, number_column, table_of, with_rows
+from cellapp.commands.view.table import Column, Table, columns_of, table_of, with_rows
 from cellapp.commands.view.words import display_unit
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.counting import counted
@@ -103,11 +103,7 @@ def runs_tables(result: RunsResult) -> list[Table]:
     )
     errors = Table(
         "Mean errors [mm]: held-out positions, targets without and with compensation",
-        (
-            Column("run"),
-            Column("arm"),
-            *(number_column(title, _MM) for title in ("geometry", "in force", "targets", "compensated")),
-        ),
+        columns_of("run", "arm", *((title, _MM) for title in ("geometry", "in force", "targets", "compensated"))),
         tuple(
             (name, arm, *_pair(figures.heldout_mm), *_pair(figures.verified_mm))
             for name, run in named

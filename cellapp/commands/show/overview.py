@@ -8,7 +8,7 @@ from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.unseen_arms import unseen_arms
 from cellapp.commands.next_step import arm_states, next_step
-from cellapp.commands.show.result import HistoryResult, LogLine, LogResult, OverviewResult, StageState, UnseenArmState
+from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, StageState, UnseenArmState
 from cellapp.commands.stages import RunStages, StoredStage, complaints_of, read_history, read_stages
 from cellapp.ground.counting import counted
 from cellapp.ground.removed import without_removed_keys
@@ -46,7 +46,7 @@ def run_history(run: RunFile) -> HistoryResult:
 
 def run_log(run: RunFile, level: str | None = None, last: int | None = None) -> LogResult:
     """Return lines of the log, oldest first; only those of one ``level`` and only the ``last`` ones, if given."""
-    lines = [LogLine.like(event) for event in run.events() if level is None or event.level == level]
+    lines = [event for event in run.events() if level is None or event.level == level]
     return LogResult(run=str(run.folder), lines=tuple(lines if last is None else lines[-last:]))
 
 

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from pydantic import SerializeAsAny
 
 from cellapp.cell.run.records import ArmOrder, RecordingState
+from cellapp.cell.run.sqlite_file import Event
 from cellapp.commands.next_step import ArmState
-from cellapp.commands.report.result import RunResults
+from cellapp.commands.run_results import RunResults
 from cellapp.commands.stages import NextVerb
 from cellapp.ground.results import Record, Result, StageName
 
@@ -75,21 +76,11 @@ class HistoryResult(Result, schema="cellapp-history"):
     stages: tuple[StageState, ...]
 
 
-class LogLine(Record):
-    """One line of a run's log; ``written`` is UTC, ``time_s`` seconds since the run began where it was measured."""
-
-    number: int
-    written: str
-    time_s: float | None
-    level: str
-    text: str
-
-
 class LogResult(Result, schema="cellapp-log"):
     """``show DIR log``: lines of the run's log, oldest first."""
 
     run: str
-    lines: tuple[LogLine, ...]
+    lines: tuple[Event, ...]
 
 
 class Shown(Result, schema="cellapp-shown"):

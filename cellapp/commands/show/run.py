@@ -10,7 +10,7 @@ from cellapp.commands.compensate.target_list import stored_state
 from cellapp.commands.plan.run import stored_plan
 from cellapp.commands.record import Work
 from cellapp.commands.registry import STORING, records
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_history, run_log, run_overview
 from cellapp.commands.show.request import ShowRequest
 from cellapp.commands.show.result import RecordingsResult, Shown

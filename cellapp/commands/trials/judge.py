@@ -26,7 +26,6 @@ from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.trials.judge_records import (
     ArmFindings,
-    DescribedTerm,
     HiddenEffect,
     JudgeResult,
     Likeness,
@@ -36,7 +35,7 @@ from cellapp.commands.trials.judge_records import (
     SecondName,
 )
 from cellapp.commands.trials.scoring import scores
-from cellapp.commands.trials.sealed import GroundTruth, check_readings, check_seal, open_truth
+from cellapp.commands.trials.sealed import DescribedTerm, GroundTruth, check_readings, check_seal, open_truth
 from cellapp.commands.trials.sealed_setup import FLIP, HARD, POSITION
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.discovery.outcome import Discovery, HeldOut
@@ -80,17 +79,15 @@ def score_run(truth: GroundTruth, arms: Mapping[str, ArmFindings]) -> ScoredRun:
     hidden = tuple(HiddenEffect.like(one, visible=one.visible_um > noise_um) for one in truth.effects)
     called = [_library_name(truth, effect.effect) for effect in hidden]
     names = frozenset(called)
-    expected = None if truth.expected is None else DescribedTerm.model_validate(truth.expected.model_dump())
     here = arms.get(truth.arm)
     return ScoredRun.like(
         truth,
         hidden=hidden,
-        expected=expected,
         visible=None if here is None else all(effect.visible for effect in hidden),
         outcome=None if here is None else _outcome(names, frozenset(here.accepted)),
         in_answer_set=None if here is None else names <= {slug for answers in here.answer_sets for slug in answers},
-        description="" if here is None or expected is None else _description(expected, here.described),
-        second_names=() if here is None else _second_names(called, hidden, expected, here),
+        description="" if here is None or truth.expected is None else _description(truth.expected, here.described),
+        second_names=() if here is None else _second_names(called, hidden, truth.expected, here),
         says_convention=None if here is None or truth.kind != FLIP else _says_convention(here),
         arms=arms,
     )

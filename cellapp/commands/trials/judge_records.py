@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from cellapp.commands.trials.sealed import SealHeader
+from cellapp.commands.trials.sealed import DescribedTerm, SealHeader
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.ground.results import Record, Result
@@ -36,14 +36,6 @@ class Spread(Record):
         if not known:
             return None
         return cls(median=float(np.median(known)), min=float(min(known)), max=float(max(known)))
-
-
-class DescribedTerm(Record):
-    """Channel and variables of a data-driven term, and the sentence that describes it."""
-
-    channel: str
-    variables: tuple[str, ...]
-    sentence: str = ""
 
 
 class NoiseLengths(Record):

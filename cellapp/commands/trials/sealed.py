@@ -125,11 +125,12 @@ class HiddenLaw(Record):
         return str(self.parameters.get("law") or self.parameters.get("mode") or "")
 
 
-class ExpectedTerm(Record):
-    """Channel and variables that a description of a law outside the library must state."""
+class DescribedTerm(Record):
+    """Channel and variables of a data-driven term, and the sentence that describes it."""
 
     channel: str
     variables: tuple[str, ...]
+    sentence: str = ""
 
 
 class GroundTruth(Record):
@@ -142,7 +143,7 @@ class GroundTruth(Record):
     noise_um, held_out_um : mapping
         Arm -> rms length [µm] of the stated noise, and of the error that was really drawn at the stops of its validate
         split.
-    expected : ExpectedTerm or None
+    expected : DescribedTerm or None
         For a law that the library lacks.
     readings : str
         SHA-256 of what was measured, see ``digest_of``.
@@ -153,7 +154,7 @@ class GroundTruth(Record):
     look_alikes: bool
     arm: str
     effects: tuple[HiddenLaw, ...]
-    expected: ExpectedTerm | None
+    expected: DescribedTerm | None
     noise_um: Mapping[str, float]
     held_out_um: Mapping[str, float]
     seeds: Mapping[str, int]
@@ -402,13 +403,7 @@ class _HiddenCell:
 
 
 def _write_run(
-    profile: Profile,
-    folder: Path,
-    number: int,
-    case: Case,
-    plan: _Plan,
-    seed: int,
-    setup: Setup,
+    profile: Profile, folder: Path, number: int, case: Case, plan: _Plan, seed: int, setup: Setup
 ) -> GroundTruth:
     """Write one run; return its ground truth."""
     rng = np.random.default_rng([seed, 0x5EA1, number])
@@ -434,7 +429,7 @@ def _write_run(
         look_alikes=case.look_alikes,
         arm=case.arm,
         effects=_hidden_laws(cell, parameters, with_all),
-        expected=None if expected is None else ExpectedTerm(channel=expected[0], variables=expected[1]),
+        expected=None if expected is None else DescribedTerm(channel=expected[0], variables=expected[1]),
         noise_um={name: _stated_um(arm) for name, arm in readings.items()},
         held_out_um={name: _rms_um((arm.p_M - with_all[name].p_M)[held_out[name]]) for name, arm in readings.items()},
         seeds={"plan": plan.seed, "plant": plant_seed, "noise": noise_seed},

@@ -152,11 +152,7 @@ def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
     return [found[place] for place in order]
 
 
-NOISES: Mapping[str, Noise] = {
-    "gaussian": Noise(),
-    "heavy": Noise("heavy"),
-    "repeatability": Noise("gaussian", 8e-6),
-}
+NOISES: Mapping[str, Noise] = {"gaussian": Noise(), "heavy": Noise("heavy"), "repeatability": Noise("gaussian", 8e-6)}
 """Scatter of readings: as stated, with heavy tails, or with 8 µrad of unstated repeatability of each joint."""
 LAWS = ("same", "other")
 RANGES = ("full", "narrow")

@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cellapp.cell.run.records import RecordingState
-from cellapp.commands.view.table import Cell, Column, Table, number_column
+from cellapp.commands.view.table import Cell, Table, columns_of
 
-_COLUMNS = (
-    Column("arm"),
-    Column("recording"),
-    Column("of"),
-    number_column("n", "d"),
-    number_column("s", ".1f"),
-    number_column("Hz", ".1f"),
-    number_column("gaps", "d"),
-    number_column("longest [s]", ".3f"),
-    number_column("repeats", "d"),
-    number_column("clock steps back", "d"),
-    number_column("beam lost", "d"),
-    Column("with"),
+_COLUMNS = columns_of(
+    "arm",
+    "recording",
+    "of",
+    ("n", "d"),
+    ("s", ".1f"),
+    ("Hz", ".1f"),
+    ("gaps", "d"),
+    ("longest [s]", ".3f"),
+    ("repeats", "d"),
+    ("clock steps back", "d"),
+    ("beam lost", "d"),
+    "with",
 )
 
 

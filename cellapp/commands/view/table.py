@@ -63,6 +63,11 @@ def number_column(title: str, number_format: str, unit: str = "") -> Column:
     return Column(title, "number", number_format, unit)
 
 
+def columns_of(*headings: str | tuple[str, ...]) -> tuple[Column, ...]:
+    """Build columns: of text by their title, of numbers or intervals by title, format and, if any, unit."""
+    return tuple(Column(one) if isinstance(one, str) else number_column(*one) for one in headings)
+
+
 @dataclass(frozen=True)
 class Table:
     """A titled table; the cells of the first column name the rows.

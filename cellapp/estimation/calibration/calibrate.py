@@ -31,6 +31,7 @@ from cellapp.estimation.calibration.learning import (
     training_steps,
 )
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
+from cellapp.estimation.calibration.parameters import unknown_offset
 from cellapp.estimation.calibration.quantities import (
     Quantities,
     evaluate,
@@ -139,7 +140,8 @@ def gross_errors_of_geometry(
             return none
     # A few readings that are wrong by a metre can pull a least-squares fit further off than the published geometry is.
     begin = min((start, nominal), key=lambda one: float(np.median(lengths(one)[0])))
-    found = identify(begin, q, p_M, R_M_S=R_M_S, prior_mean=nominal, robust="tukey", tolerance=1e-6)
+    offset = unknown_offset(nominal, q, R_M_S)
+    found = identify(begin, q, p_M, R_M_S=R_M_S, prior_sigma=offset, prior_mean=nominal, robust="tukey", tolerance=1e-6)
     found = found.settled("robust fit that finds gross errors")
     return gross_errors(p_M - smr_positions(found.geometry, q, R_M_S), turned)
 
@@ -172,6 +174,10 @@ def left_out_words(configurations: Sequence[int]) -> str:
 # -- Random assignment of stops to identification, training and validation, reproducible by the profile's seed --------
 
 
+_FEWEST_DIFFERENT = 4
+"""Least number of different configurations to begin an identification with."""
+
+
 @dataclass(frozen=True)
 class SplitSizes:
     """Number of stops in each split; ``notes`` report if there are fewer stops than the profile requires."""
@@ -196,6 +202,30 @@ def split_sizes(n: int, identify: int, train: int, validate: int | None) -> Spli
         f" {validate or 'rest'}: used {less_identify}, {less_train}, {less_validate} instead"
     )
     return SplitSizes(less_identify, less_train, less_validate, (note,))
+
+
+def planned_splits(profile: Profile, stops: int | None = None) -> SplitSizes:
+    """Compute the split sizes of a plan with this number of ``stops``, that of the profile if None.
+
+    Raise ``InputError`` if they are too few for any calibration.
+    """
+    splits, n = profile.splits, profile.plan.stops if stops is None else stops
+    sizes = split_sizes(n, splits.identify, splits.train, _held_out(profile))
+    require_enough(f"plan.stops: {counted(n, 'stop leaves', 'stops leave')}", sizes.identify, sizes.validate)
+    return sizes
+
+
+def require_enough(stops_leave: str, different: int, held_out: int) -> None:
+    """Raise ``InputError`` if there are too few ``different`` configurations to identify, or ``held_out`` readings."""
+    if different < _FEWEST_DIFFERENT or held_out < 1:
+        raise InputError(
+            f"{stops_leave} {counted(different, 'different configuration')} to identify and {max(held_out, 0)} to"
+            f" validate; at least {_FEWEST_DIFFERENT} and 1 are needed to begin with: measure more configurations"
+        )
+
+
+def _held_out(profile: Profile) -> int | None:
+    return None if profile.splits.validate_ == "rest" else profile.splits.validate_
 
 
 def draw_splits(
@@ -423,8 +453,8 @@ def profile_splits(
     to be divided (``undivided``); return splits and notes."""
     splits = profile.splits
     first, notes = first_stops(readings)
-    validate = None if splits.validate_ == "rest" else splits.validate_
-    drawn, sizes = draw_splits(np.array([*first]), splits.identify, splits.train, validate, profile.seed, first)
+    held_out = _held_out(profile)
+    drawn, sizes = draw_splits(np.array([*first]), splits.identify, splits.train, held_out, profile.seed, first)
     words = {name: tuple(drawn[number] for number in arm.configuration.tolist()) for name, arm in readings.items()}
     return words, (*sizes, *notes)
 
@@ -472,12 +502,8 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
     identify_rows, validate_rows = readings.in_split("identify"), readings.in_split("validate")
     arm, learn = profile.arms[name], readings.take(identify_rows)
     different = len(np.unique(learn.q.round(6), axis=0))
-    if different < 4 or len(validate_rows) < 1:
-        raise InputError(
-            f"arm '{name}': {counted(len(readings), 'reading leaves', 'readings leave')}"
-            f" {counted(different, 'different configuration')} to identify and {len(validate_rows)} to validate; at"
-            " least 4 and 1 are needed to begin with: measure more configurations"
-        )
+    leave = f"arm '{name}': {counted(len(readings), 'reading leaves', 'readings leave')}"
+    require_enough(leave, different, len(validate_rows))
     nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
     refuse_odd_orientations(name, nominal, learn)
     its = measured_quantities(learn)
@@ -573,10 +599,10 @@ def _hardly_better(name: str, arm: ArmCalibration) -> list[str]:
 
 
 def _carried(name: str, fitted: _Fitted) -> list[str]:
-    """Say how many parameters the readings determine, if there are few rows for them."""
+    """Say how many parameters the readings determine, if there are few rows for them, or the flange hardly turned."""
     found, learn = fitted.identification, fitted.readings.take(fitted.readings.in_split("identify"))
     rows, names = len(np.unique(learn.q.round(6), axis=0)), found.estimated.names
-    if rows >= len(names):
+    if rows >= len(names) and TOOL_NAMES[0] not in found.prior_sigma:
         return []
     variances = np.diag(found.estimated_covariance)[: len(names)]
     priors = np.array([found.prior_sigma.get(one, np.inf) for one in names]) ** 2
@@ -589,9 +615,10 @@ def _carried(name: str, fitted: _Fitted) -> list[str]:
 
 
 def undetermined_offset(name: str, found: Identification) -> list[str]:
-    """Warn if a probe's offset is hardly determined along some direction of the flange, which then hardly turned."""
+    """Warn if the offset of a probe or point is hardly determined along some direction of the flange, which then hardly
+    turned."""
     places = [found.estimated.names.index(one) for one in TOOL_NAMES if one in found.estimated.names]
-    if found.turned is None or len(places) < len(TOOL_NAMES):
+    if (found.turned is None and TOOL_NAMES[0] not in found.prior_sigma) or len(places) < len(TOOL_NAMES):
         return []
     variances, axes = np.linalg.eigh(found.estimated_covariance[np.ix_(places, places)])
     sd_mm = 1e3 * float(np.sqrt(variances[-1]))
@@ -599,10 +626,11 @@ def undetermined_offset(name: str, found: Identification) -> list[str]:
         return []
     direction = axes[:, -1] * np.sign(axes[np.argmax(np.abs(axes[:, -1])), -1])
     words = ", ".join(f"{round(one, 2) + 0.0:.2f}" for one in direction.tolist())
+    what, of = ("probe", "itself") if found.turned is not None else ("SMR", "with the flange turned so")
     return [
-        f"arm '{name}': the probe's offset along ({words}) of the flange is not determined (95 % within"
-        f" +-{1.96 * sd_mm:.0f} mm), as that direction hardly turned; positions of the probe are not affected, those of"
-        " another tool are: measure with the wrist turned to more sides"
+        f"arm '{name}': the offset of the {what} along ({words}) of the flange is not determined (95 % within"
+        f" +-{1.96 * sd_mm:.0f} mm), as that direction hardly turned; positions of the {what} {of} are not affected,"
+        " those of another tool are: measure with the wrist turned to more sides"
     ]
 
 
@@ -621,6 +649,7 @@ def _identify(
             parameter_set=settings.parameter_set,
             prior_sigma=prior_sigmas(nominal, settings.priors),
             robust=robust_loss(settings, robust=robust),
+            tool_unknown=profile.arms[name].smr.offset == "unknown",
             tolerance=settings.tolerance,
             max_iterations=settings.max_iterations,
         )

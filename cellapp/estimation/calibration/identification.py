@@ -50,6 +50,7 @@ from cellapp.estimation.calibration.parameters import (
     estimated_parameters,
     prior_sds,
     prior_spreads,
+    unknown_offset,
 )
 from cellapp.estimation.calibration.quantities import with_probe
 from cellapp.estimation.calibration.weights import RobustName, excess_of_kinds, robust_weights, whitener, with_excess
@@ -211,7 +212,7 @@ def identify(
     robust: RobustName = "none",
     effects: EffectColumns | None = None,
     tolerance: float = 1e-8,
-    max_iterations: int = 50,
+    max_iterations: int = 200,
 ) -> Identification:
     """Identify the geometry of one arm; ``Identification.settled`` refuses a fit that did not converge.
 
@@ -611,8 +612,9 @@ def identify_with_excess(
     parameter_set: SetName | ParameterSet = "auto",
     prior_sigma: Mapping[str, float] | None = None,
     robust: RobustName = "none",
+    tool_unknown: bool = False,
     tolerance: float = 1e-8,
-    max_iterations: int = 50,
+    max_iterations: int = 200,
 ) -> tuple[Identification, float]:
     """Identify one arm with weights that include the scatter beyond the stated uncertainty.
 
@@ -620,6 +622,9 @@ def identify_with_excess(
     would let the few readings with the smallest one dominate. The first round weighs all readings alike. The excess
     variance is then estimated from the residuals and added to the stated one, and the identification is repeated until
     it settles. Arguments are those of ``identify``; the mean of the priors is ``start``.
+
+    If the flange hardly turned, its offset to the SMR acts like a shift of the base. One that is unknown
+    (``tool_unknown``) then has a wide prior about the start, without which only unmodelled physics would decide it.
 
     If the last axis hardly turns in space, the SMR's position along it is known through small angles only. Its
     mirror image about the wrist, with the opposite angles, fits nearly as well and is a second minimum. Both are
@@ -643,7 +648,7 @@ def identify_with_excess(
         q=q,
         p_M=p_M,
         R_M_S=R_M_S,
-        prior_sigma=prior_sigma,
+        prior_sigma={**(unknown_offset(start, q, R_M_S) if tool_unknown else {}), **(prior_sigma or {})},
         prior_mean=start,
         robust=robust,
         tolerance=tolerance,

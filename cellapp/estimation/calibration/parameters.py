@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import solve_psd
 from cellapp.robot.kinematics.chain import (
+    TOOL_NAMES,
     Geometry,
     JointAngles,
     all_names,
@@ -287,6 +288,15 @@ def auto_set(geometry: Geometry, q: Array) -> ParameterSet:
     estimated, priors = estimated_parameters("auto", geometry, {})
     _, J = jacobian(geometry, JointAngles.of(q), estimated.columns)
     return determined_set(estimated, gram_matrix(J) / EXPECTED_SCATTER_M**2, prior_sds(estimated, priors))
+
+
+def unknown_offset(geometry: Geometry, q: Array, R_M_S: Array | None = None) -> dict[str, float]:
+    """Return prior standard deviations [m] of the SMR's offset if points at ``q`` (n, N) [rad] tell nothing of it.
+
+    Orientations ``R_M_S`` do.
+    """
+    determined = R_M_S is not None or {*TOOL_NAMES} & {*auto_set(geometry, q).names}
+    return {} if determined else dict.fromkeys(TOOL_NAMES, _UNKNOWN["m"])
 
 
 @dataclass(frozen=True)

@@ -12,17 +12,17 @@ given design dJ = tr(W dC) with W positive semidefinite: an L-criterion, which g
 
     tr(C W) - tr(C' W) = tr((I + V)^-1 U),    V = x C x^T,    U = x C W C x^T    (both 3 by 3),
 
-removing one by -tr((I - V)^-1 U). After every change of the design, V and U of many candidates are updated by products
-with matrices of rank three (Woodbury), O(p) for each. From time to time both are computed anew, with a new W.
+removing one by -tr((I - V)^-1 U). After every change of the design, C, C W C, and V and U of some hundred candidates
+are updated by matrices of rank three (Woodbury). From time to time all are computed anew, with a new W.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,16 +35,8 @@ WORST_POWER = 12.0
 """h: with it the largest of some hundred uncertainties dominates, and those within a few per cent of it count too."""
 _ROWS_AT_ONCE = 6000
 """Batch size of rows for conversion of precision and products."""
-_LEFT_OUT = 0.02
-"""Share of the trace of C W C that the screening of all candidates neglects."""
-_FIRST_ORDER = 2
-"""Candidates with the largest first-order gains that are computed exactly, for each one requested."""
-_APART = 40
-"""Number of changes after which C and C W C are updated: until then products with narrow matrices represent them."""
 Rows = NDArray[np.intp]
 """Indices of candidates."""
-Floats = NDArray[np.floating[Any]]
-"""Array in single or double precision."""
 
 
 class Shares(NamedTuple):
@@ -57,14 +49,6 @@ class Shares(NamedTuple):
     parameters: float = 1.0
     mean: float = 1.0
     worst: float = 3.0
-
-
-class DesignErrors(NamedTuple):
-    """Mean ratio of standard errors to the reference ones; mean and largest uncertainty of a prediction."""
-
-    parameters: float
-    mean: float
-    worst: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +68,9 @@ class Criterion:
     points: Array
     shares: Shares = field(default_factory=Shares)
 
-    def errors(self, covariance: Array) -> DesignErrors:
-        """Return the three errors of a design with a covariance (p, p)."""
-        ratios, points = self._parts(covariance)
-        return DesignErrors(float(np.mean(ratios)), float(np.mean(points)), float(points.max()))
-
     def value(self, covariance: Array) -> float:
         """Return J; the difference between two designs does not depend on units."""
-        ratios, points = self._parts(covariance)
+        ratios, points = self.parts(covariance)
         largest = points.max()
         worst = math.log(largest) + math.log(np.mean((points / largest) ** WORST_POWER)) / WORST_POWER
         terms = (math.log(np.mean(ratios)), math.log(np.mean(points)), worst)
@@ -99,7 +78,7 @@ class Criterion:
 
     def weights(self, covariance: Array) -> Array:
         """Return W = dJ / dC (p, p)."""
-        ratios, points = self._parts(covariance)
+        ratios, points = self.parts(covariance)
         high = (points / points.max()) ** (WORST_POWER - 1.0)
         # ds = dC_kk / (2 s) of a standard error, du = tr(F dC F^T) / (2 u) of a prediction
         by_point = (self.shares.mean / points.sum() + self.shares.worst * high / (high @ points)) / (2.0 * points)
@@ -109,7 +88,7 @@ class Criterion:
         W[wanted, wanted] += self.shares.parameters / (2.0 * ratios.sum() * ratios * self.reference**2)
         return np.asarray(W)
 
-    def _parts(self, covariance: Array) -> tuple[Array, Array]:
+    def parts(self, covariance: Array) -> tuple[Array, Array]:
         """Return ratios (k,) of standard errors and uncertainties (s,) of predictions."""
         ratios = np.sqrt(np.diag(covariance)[: len(self.reference)]) / self.reference
         rows = self.points.reshape(-1, len(covariance))
@@ -133,69 +112,6 @@ def reference_errors(mean_information: Array, count: int, prior: Array, wanted: 
     return np.asarray(np.sqrt(np.diag(covariance)[:wanted]))
 
 
-class _Change(NamedTuple):
-    """Change of C to C - sign G G^T, and of C W C to C W C - G B^T - B G^T: the three columns of G and of B (6, p)."""
-
-    columns: Array
-    sign: float
-
-
-@dataclass(eq=False)
-class _Tracked:
-    """Candidates with the six elements (6, s) of V and of U, updated as the design changes; ``rows`` are (p, 3 s).
-
-    Comparisons use double precision: in single precision the last digits of the processor's BLAS decide between nearly
-    equal candidates, and the same seed gives other plans on other processors.
-    """
-
-    rows: Floats
-    V: Array
-    U: Array
-
-    @classmethod
-    def of(cls, rows: Floats, C: Floats, CWC: Floats) -> _Tracked:
-        """Build from candidates (s, 3, p)."""
-        flat = np.ascontiguousarray(rows.transpose(2, 1, 0)).reshape(rows.shape[2], -1)
-        return cls(flat, *(_products(rows, _ahead(rows, matrix)) for matrix in (C, CWC)))
-
-    def follow(self, changes: Sequence[_Change]) -> None:
-        """Apply changes one after the other; the slow part, reading the rows, is done once for all of them."""
-        if not changes or not self.rows.size:
-            return
-        products = np.concatenate([change.columns for change in changes]) @ self.rows
-        for change, both in zip(changes, products.reshape(len(changes), 2, 3, 3, -1), strict=True):
-            (G, B), (G_other, B_other) = both[:, :, ROW], both[:, :, COLUMN]
-            self.V -= change.sign * np.einsum("cem,cem->em", G, G_other)
-            self.U -= np.einsum("cem,cem->em", G, B_other)
-            self.U -= np.einsum("cem,cem->em", B, G_other)
-
-    def traces(self, sign: float) -> Array:
-        """Return tr((I + sign V)^-1 U) (s,)."""
-        return trace_of_solution(self.V, self.U, sign)
-
-
-def _ahead(rows: Floats, matrix: Floats) -> Floats:
-    """Return ``x C`` (s, 3, p) of candidates."""
-    return np.asarray((rows.reshape(-1, rows.shape[2]) @ matrix).reshape(rows.shape))
-
-
-def _products(rows: Floats, ahead: Floats) -> Array:
-    """Return the elements (6, s) of ``x C x^T`` of candidates x, given ``x C``."""
-    whole = np.einsum("sap,sbp->abs", ahead, rows)
-    return np.asarray(whole[ROW, COLUMN])
-
-
-def _inverse_root(matrix: Array) -> Array:
-    """Return the inverse Cholesky factor of a matrix (3, 3), in scalar arithmetic: a tenth of the time of calls."""
-    (a, _, _), (b, d, _), (c, e, f) = matrix.tolist()
-    i = 1.0 / math.sqrt(a)
-    b, c = b * i, c * i
-    k = 1.0 / math.sqrt(d - b * b)
-    e = (e - b * c) * k
-    m = 1.0 / math.sqrt(f - c * c - e * e)
-    return np.array([[i, 0.0, 0.0], [-b * i * k, k, 0.0], [(b * e * k - c) * i * m, -e * k * m, m]])
-
-
 class BlockDesign:
     """Design that changes by one candidate at a time.
 
@@ -208,129 +124,61 @@ class BlockDesign:
     """
 
     def __init__(self, information: Array, weights: Array) -> None:
-        self._C = inverse_psd(information)
-        self._CWC = self._C @ weights @ self._C
-        self._tracked = _Tracked(np.empty((len(information), 0)), np.empty((6, 0)), np.empty((6, 0)))
-        self._apart = np.empty((3, 3 * _APART, len(information)))
-        self._columns = 0
-        """G, G with the sign of the change, and B of changes not yet in the two matrices, as rows."""
-        self._unfollowed: list[_Change] = []
-        """Changes since the last request of gains or losses."""
-
-    @property
-    def covariance(self) -> Array:
+        self.covariance = inverse_psd(information)
         """C (p, p) of the present design."""
-        return self._matrices()[0]
+        self._CWC = self.covariance @ weights @ self.covariance
+        self.track(np.empty((0, 3, len(weights))))
 
-    def largest(self, rows: Array, count: int) -> Rows:
-        """Return the indices of the ``count`` largest gains among candidates ``rows`` (s, 3, p), unsorted.
+    def screened(self, rows: Array, count: int) -> Rows:
+        """Return the indices of the ``count`` largest tr(U) among candidates ``rows`` (s, 3, p), unsorted.
 
-        In single precision: to rank the best candidates, track them.
+        This is the gain to first order, in the precision of the rows: to rank the best candidates, track them.
         """
-        if count >= len(rows):
-            return np.arange(len(rows))
-        C, CWC = (matrix.astype(np.float32) for matrix in self._matrices())
-        ahead = _ahead(rows, CWC)
-        first_order = np.einsum("sap,sap->s", ahead, rows)  # tr(U), the first-order gain: a third of the time
-        looked_at = np.argpartition(-first_order, min(_FIRST_ORDER * count, len(rows) - 1))[: _FIRST_ORDER * count]
-        near = rows[looked_at].astype(np.float32, copy=False)
-        V, U = _products(near, _ahead(near, C)), _products(near, ahead[looked_at])
-        return looked_at[np.argpartition(-trace_of_solution(V, U, 1.0), count)[:count]]
-
-    def promising(self, rows: Array, count: int) -> Rows:
-        """Return the indices of the ``count`` largest tr(U), the first-order gain, among candidates ``rows`` (s, 3, p).
-
-        Only the largest eigenvalues of C W C are used, which hold all but a few per cent of its trace.
-        """
-        if count >= len(rows):
-            return np.arange(len(rows))
-        values, vectors = np.linalg.eigh(self._matrices()[1])
-        needed = len(values) - int(np.searchsorted(np.cumsum(values), _LEFT_OUT * values.sum()))
-        root = (vectors[:, -needed:] * np.sqrt(values[-needed:])).astype(np.float32)
+        CWC, squares = self._CWC.astype(rows.dtype), [np.empty(0)]
         flat = rows.reshape(-1, rows.shape[2])
-        squares = np.empty(len(flat), dtype=np.float32)
         for first in range(0, len(flat), _ROWS_AT_ONCE):
-            part = slice(first, first + _ROWS_AT_ONCE)
-            seen = flat[part].astype(np.float32, copy=False) @ root
-            squares[part] = np.einsum("rk,rk->r", seen, seen)
-        score = squares.reshape(-1, 3).sum(axis=1)
-        return np.argpartition(-score, count)[:count]
+            part = flat[first : first + _ROWS_AT_ONCE]
+            squares.append(np.einsum("rp,rp->r", part @ CWC, part))
+        score = np.concatenate(squares).reshape(-1, 3).sum(axis=1)
+        return np.arange(len(rows)) if count >= len(rows) else np.argpartition(-score, count)[:count]
 
     def track(self, rows: Array) -> None:
-        """Track the gains and losses of candidates ``rows`` (s, 3, p) from now on, instead of the previous ones."""
-        self._tracked, self._unfollowed = _Tracked.of(rows.astype(np.float64, copy=False), *self._matrices()), []
+        """Track the gains of candidates ``rows`` (s, 3, p) from now on, instead of the previous ones.
 
-    def gains(self) -> Array:
-        """Return the decrease of the criterion tr(C W) by adding each tracked candidate (s,)."""
-        return self._followed().traces(1.0)
+        Comparisons use double precision: in single precision the last digits of the processor's BLAS decide between
+        nearly equal candidates, and the same seed gives other plans on other processors.
+        """
+        self._rows = rows.astype(np.float64).reshape(-1, rows.shape[2])
+        self._V, self._U = (_products(self._rows @ matrix, self._rows) for matrix in (self.covariance, self._CWC))
 
-    def gains_of(self, rows: Array) -> Array:
-        """Return ``gains`` of other candidates ``rows`` (s, 3, p)."""
-        return _Tracked.of(rows.astype(np.float64, copy=False), *self._matrices()).traces(1.0)
+    def gains(self, sign: float = 1.0) -> Array:
+        """Return the decrease of tr(C W) by adding each tracked candidate (s,), with ``sign`` -1 the increase by
+        removing it; valid for those in the design."""
+        return trace_of_solution(self._V, self._U, sign)
 
-    def losses(self) -> Array:
-        """Return the increase by removing each tracked candidate (s,); valid for those in the design."""
-        return self._followed().traces(-1.0)
-
-    def add(self, row: Array) -> None:
-        """Add a candidate ``row`` (3, p)."""
-        self._change(row, 1.0)
-
-    def remove(self, row: Array) -> None:
-        """Remove a candidate ``row`` (3, p) of the design."""
-        self._change(row, -1.0)
-
-    def _followed(self) -> _Tracked:
-        """Apply all pending changes to the tracked candidates and return them."""
-        self._tracked.follow(self._unfollowed)
-        self._unfollowed = []
-        return self._tracked
-
-    def _matrices(self) -> tuple[Array, Array]:
-        """Return C and C W C of the present design."""
-        G, signed, B = self._apart[:, : self._columns]
-        self._C -= signed.T @ G
-        half = G.T @ B
+    def change(self, row: Array, sign: float = 1.0) -> None:
+        """Add a candidate ``row`` (3, p), or remove it with ``sign`` -1."""
+        row = row.astype(np.float64)
+        Cx, H = row @ self.covariance, row @ self._CWC
+        G = np.linalg.solve(np.eye(3) + sign * (Cx @ row.T), Cx)
+        B = H - 0.5 * sign * (H @ row.T) @ G
+        self.covariance -= sign * (Cx.T @ G)
+        half = sign * (G.T @ B)
         self._CWC -= half + half.T
-        self._columns = 0
-        return self._C, self._CWC
-
-    def _change(self, row: Array, sign: float) -> None:
-        if self._columns == self._apart.shape[1]:
-            self._matrices()
-        row = row.astype(np.float64, copy=False)
-        G_before, signed, B_before = self._apart[:, : self._columns]
-        x_G = row @ G_before.T
-        Cx = row @ self._C - x_G @ signed  # (3, p), as all that follows
-        H = row @ self._CWC - (row @ B_before.T) @ G_before - x_G @ B_before
-        root = _inverse_root(np.eye(3) + sign * (Cx @ row.T))
-        G = root @ Cx
-        B = sign * (root @ H) - 0.5 * (root @ (H @ row.T) @ root.T) @ G
-        columns = np.concatenate([G, B])
-        self._unfollowed.append(_Change(columns, sign))
-        self._apart[:, self._columns : self._columns + 3] = G, sign * G, B
-        self._columns += 3
+        by_Cx, by_G, by_B = np.split(self._rows @ np.concatenate([Cx, G, B]).T, 3, axis=1)
+        self._V -= sign * _products(by_Cx, by_G)
+        half = sign * _products(by_G, by_B)
+        self._U -= half + half.transpose(0, 2, 1)
 
 
-# ---------------------------------------------------------------------------------------------------------------------
-# Symmetric matrices (3, 3) of many candidates by their six distinct elements: faster than one call for each matrix.
-
-
-ROW, COLUMN = np.triu_indices(3)
-"""Indices of the six distinct elements of a symmetric matrix (3, 3)."""
-_COFACTORS = np.array([(3, 5, 4, 4), (2, 4, 1, 5), (1, 4, 2, 3), (0, 5, 2, 2), (1, 2, 0, 4), (0, 3, 1, 1)]).T
-"""Elements whose two products give each of its cofactors: the first less the second."""
-_TWICE = np.where(ROW == COLUMN, 1.0, 2.0)
+def _products(first: Array, second: Array) -> Array:
+    """Return the products (s, 3, 3) of blocks of three rows (3 s, k) of each of two arrays."""
+    return first.reshape(-1, 3, first.shape[1]) @ second.reshape(-1, 3, second.shape[1]).transpose(0, 2, 1)
 
 
 def trace_of_solution(V: Array, U: Array, sign: float) -> Array:
-    """Return tr((I + sign V)^-1 U) (s,) of symmetric matrices with elements (6, s), by cofactors."""
-    A = sign * V
-    A[_TWICE == 1.0] += 1.0
-    first, second, third, fourth = A[_COFACTORS]
-    cofactors = first * second - third * fourth
-    determinant = np.einsum("es,es->s", A[:3], cofactors[:3])
-    return np.asarray(np.einsum("e,es,es->s", _TWICE, cofactors, U) / determinant)
+    """Return tr((I + sign V)^-1 U) (s,) of matrices (s, 3, 3)."""
+    return np.asarray(np.trace(np.linalg.solve(np.eye(3) + sign * V, U), axis1=1, axis2=2))
 
 
 # -- Greedy choice of stops with exchange, in random subsets of the candidates; order of the chosen stops -------------
@@ -338,9 +186,10 @@ def trace_of_solution(V: Array, U: Array, sign: float) -> Array:
 # Sources: Fedorov, Theory of Optimal Experiments (1972), chapter 3 (exchange); Mirzasoleiman et al., Lazier than lazy
 # greedy, AAAI 2015 (random subsets lose little).
 #
-# All candidates are screened in single precision and to first order only, a few hundred of them exactly. The best of
-# these are updated in double precision after each change, as gains change slowly.
+# Candidates are screened to first order; the best of them are updated in double precision after each change.
 
+_BATCHES = 20
+"""Number of batches of the first choice; each draws a new subset."""
 _SMALLEST_BATCH = 20
 """Smallest batch of the first choice: with fewer stops the new subset costs more than the choice."""
 _FIRST_BATCH = 5
@@ -348,47 +197,17 @@ _FIRST_BATCH = 5
 updates lose as many digits."""
 _SAMPLED = 4000
 """Least number of candidates for the mean information: its errors are then about a percent."""
-_ORDERED_AT_ONCE = 100
-"""Batch size of ordering, after which gains are computed anew."""
-_FOLLOWED_IN_ORDER = 400
-"""Number of candidates tracked during ordering: the first stops change all gains."""
-_LEAST_FOLLOWED = 80
-"""Least number of tracked candidates: with fewer, the best for a later stop of the batch may be missing."""
-
-
-@dataclass(frozen=True)
-class Effort:
-    """Limits on the computing time of a choice; the result improves slowly with all of them.
-
-    Attributes
-    ----------
-    subset : int
-        Candidates in a subset; the first choice draws a new one for every batch.
-    promising : int
-        Most promising candidates of the whole pass in an exchange, in addition to the number of chosen ones.
-    shortlist : int
-        Best of these for each stop of a batch, tracked from change to change, 80 at least in total.
-    batches : int
-        Number of batches of the first choice, of at least 20 stops each.
-    batch : int
-        Number of exchanges with the same subset.
-    exchanges : int
-        Total number of exchanges, in one or more passes with new weights W before each; in a pass the stops of least
-        information come first.
-    passes : int
-        Largest number of passes.
-    ordered : int
-        Number of stops at the beginning that are ordered.
-    """
-
-    subset: int = 1000
-    promising: int = 400
-    shortlist: int = 2
-    batches: int = 20
-    batch: int = 40
-    exchanges: int = 840
-    passes: int = 6
-    ordered: int = 400
+_FOLLOWED = 80
+"""Number of tracked candidates, or two for each stop of a batch: with fewer, the best for a later one may be missing.
+"""
+_EXCHANGED_AT_ONCE = 40
+"""Number of exchanges with the same tracked candidates."""
+_PROMISING = 400
+"""Most promising candidates of a pass of exchanges, in addition to the number of chosen ones."""
+_MISSED = 0.3
+"""Share of the stops that is ordered: spare ones, reserves, and those in whose place others are repeated."""
+_MOST_EXCHANGED = 420
+"""Most exchanges of a pass; the stops of least information come first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -415,28 +234,38 @@ class Candidates:
         """Return the covariance (p, p) of a design."""
         return inverse_psd(self.information(chosen))
 
+    def design(self, chosen: Rows, criterion: Criterion) -> BlockDesign:
+        """Return the design of the ``chosen`` candidates, which it tracks, with the weights W there."""
+        design = BlockDesign(self.information(chosen), criterion.weights(self.covariance(chosen)))
+        design.track(self.rows[chosen])
+        return design
+
 
 def choose_blocks(
     candidates: Candidates,
     count: int,
     criterion: Criterion,
     rng: np.random.Generator,
-    effort: Effort = Effort(),
     cancel: CancelToken | None = None,
+    *,
+    subset: int = 1000,
+    passes: int = 3,
     told: Callable[[int], object] = int,
 ) -> Rows:
     """Choose ``count`` candidates by greedy selection and exchange; return their indices, all if there are no more.
 
-    ``told`` is called with how many were chosen so far, then with ``count`` more for those whose exchange was tried.
+    ``subset`` candidates are looked at for each batch of the first choice. ``passes`` is the largest number of passes
+    of exchanges, each with new weights W. Both cost time, and the result improves slowly with them. ``told`` is called
+    with how many were chosen so far, then with ``count`` more for those whose exchange was tried.
     """
     cancel = cancel or CancelToken()
     if count >= len(candidates):
         return np.arange(len(candidates))
     random = candidates.prior + candidates.mean_information * count
-    chosen = _greedy(candidates, count, criterion.weights(inverse_psd(random)), rng, effort, cancel, told)
+    chosen = _greedy(candidates, count, criterion.weights(inverse_psd(random)), rng, subset, cancel, told)
     best = criterion.value(candidates.covariance(chosen))
-    for _ in range(min(effort.passes, -(-effort.exchanges // max(count, 1)))):
-        exchanged = _exchanged(candidates, chosen, criterion, effort, cancel, told)
+    for _ in range(passes):
+        exchanged = _exchanged(candidates, chosen, criterion, cancel, told)
         value = criterion.value(candidates.covariance(exchanged))
         if value >= best:  # only the linear criterion improved
             break
@@ -444,43 +273,14 @@ def choose_blocks(
     return chosen
 
 
-def most_informative_first(candidates: Candidates, chosen: Rows, criterion: Criterion) -> Rows:
-    """Sort the chosen candidates in greedy order; after the first ``Effort.ordered`` leave them as they are."""
-    effort = Effort()
-    if len(chosen) < 2:
-        return chosen
-    early = candidates.prior + information_of(candidates.rows[chosen]) / 4.0
-    weights = criterion.weights(inverse_psd(early))
-    left = np.ones(len(candidates), dtype=bool)
-    order = list[int]()
-    while len(order) < min(effort.ordered, len(chosen)):
-        number = min(_batch(_ORDERED_AT_ONCE, len(order)), effort.ordered - len(order))
-        rest = chosen[left[chosen]]
-        before = candidates.information(np.array(order, dtype=np.intp))
-        order += _best(candidates, before, weights, rest, number, _FOLLOWED_IN_ORDER)
-        left[order] = False
-    return np.concatenate([np.array(order, dtype=np.intp), chosen[left[chosen]]])
-
-
-def _batch(asked: int, chosen: int) -> int:
-    """Return the batch size until gains are computed anew: smaller at the beginning, where gains change most."""
-    return min(asked, max(_FIRST_BATCH, chosen))
-
-
-def _best(candidates: Candidates, information: Array, W: Array, among: Rows, number: int, followed: int) -> list[int]:
-    """Return the best candidates in greedy order, beside others with some information (p, p)."""
-    design = BlockDesign(information, W)
-    among = among[design.largest(candidates.rows[among], followed)]
-    rows = candidates.rows[among].astype(np.float64, copy=False)
-    design.track(rows)
-    free = np.zeros(len(among))
-    found = list[int]()
-    for _ in range(min(number, len(among))):
-        best = int(np.argmax(design.gains() + free))
-        free[best] = -np.inf
-        found.append(int(among[best]))
-        design.add(rows[best])
-    return found
+def least_informative_last(candidates: Candidates, chosen: Rows, criterion: Criterion) -> Rows:
+    """Move the stops that can best be missed, one after the other, to the end, the best one last."""
+    design, outside, last = candidates.design(chosen, criterion), np.zeros(len(chosen)), list[int]()
+    for _ in range(round(_MISSED * len(chosen))):
+        last.append(int(np.argmin(design.gains(-1.0) + outside)))
+        outside[last[-1]] = np.inf
+        design.change(candidates.rows[chosen[last[-1]]], -1.0)
+    return np.concatenate([chosen[outside == 0.0], chosen[last[::-1]]])
 
 
 def _greedy(
@@ -488,19 +288,27 @@ def _greedy(
     count: int,
     W: Array,
     rng: np.random.Generator,
-    effort: Effort,
+    subset: int,
     cancel: CancelToken,
     told: Callable[[int], object],
 ) -> Rows:
     """Choose stop by stop the largest gain in a subset."""
     free = np.ones(len(candidates), dtype=bool)
-    size = max(_SMALLEST_BATCH, -(-count // effort.batches))
+    size = max(_SMALLEST_BATCH, -(-count // _BATCHES))
     information, before = candidates.prior, 0
     while before < count:
         cancel.check()
-        subset = np.asarray(rng.permutation(np.flatnonzero(free))[: max(effort.subset, 2 * size)])
-        number = min(_batch(size, before), count - before)
-        come = _best(candidates, information, W, subset, number, _followed(effort, number))
+        design = BlockDesign(information, W)
+        among = rng.permutation(np.flatnonzero(free))[: max(subset, 2 * size)]
+        among = among[design.screened(candidates.rows[among], max(_FOLLOWED, 2 * size))]
+        rows, outside = candidates.rows[among], np.zeros(len(among))
+        design.track(rows)
+        # smaller batches at the beginning, where gains change most
+        for _ in range(min(size, max(_FIRST_BATCH, before), count - before)):
+            best = int(np.argmax(design.gains() + outside))
+            outside[best] = -np.inf
+            design.change(rows[best])
+        come = among[outside < 0.0]
         free[come] = False
         before += len(come)
         told(before)
@@ -512,44 +320,34 @@ def _exchanged(
     candidates: Candidates,
     chosen: Rows,
     criterion: Criterion,
-    effort: Effort,
     cancel: CancelToken,
     told: Callable[[int], object],
 ) -> Rows:
     """Exchange each chosen stop, that of least information first, for the best other candidate or itself."""
-    information = candidates.information(chosen)
-    W = criterion.weights(inverse_psd(information))
-    design = BlockDesign(information, W)
-    design.track(candidates.rows[chosen])
-    queue = chosen[np.argsort(design.losses(), kind="stable")][: effort.exchanges]
+    design = candidates.design(chosen, criterion)
+    queue = chosen[np.argsort(design.gains(-1.0), kind="stable")][:_MOST_EXCHANGED]
     free = np.ones(len(candidates), dtype=bool)
     free[chosen] = False
-    promising = np.sort(design.promising(candidates.rows, effort.promising + len(chosen)))
-    for first in range(0, len(queue), effort.batch):
+    promising = np.sort(design.screened(candidates.rows, _PROMISING + len(chosen)))
+    for first in range(0, len(queue), _EXCHANGED_AT_ONCE):
         cancel.check()
         told(len(chosen) + first)
-        leaving = queue[first : first + effort.batch]
+        leaving = queue[first : first + _EXCHANGED_AT_ONCE]
         coming = promising[free[promising]]
-        coming = coming[design.largest(candidates.rows[coming], _followed(effort, effort.batch))]
+        coming = coming[design.screened(candidates.rows[coming], _FOLLOWED)]
         looked_at = np.concatenate([leaving, coming])
-        rows = candidates.rows[looked_at].astype(np.float64, copy=False)
+        rows, outside = candidates.rows[looked_at], np.where(free[looked_at], 0.0, -np.inf)
         design.track(rows)
-        outside = np.where(free[looked_at], 0.0, -np.inf)
         for place in range(len(leaving)):
             if outside[place] == 0.0:
                 continue
-            design.remove(rows[place])
+            design.change(rows[place], -1.0)
             outside[place] = 0.0
             best = int(np.argmax(design.gains() + outside))
             outside[best] = -np.inf
-            design.add(rows[best])
+            design.change(rows[best])
         free[looked_at] = outside == 0.0
     return np.flatnonzero(~free)
-
-
-def _followed(effort: Effort, batch: int) -> int:
-    """Return the number of candidates to track while a batch of stops is chosen."""
-    return max(effort.shortlist * batch, _LEAST_FOLLOWED)
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -570,10 +368,6 @@ _IMMOVABLE = 1e-12
 """Replacement of a zero limit, for a joint that does not move [rad]."""
 _MOST_LOOKED_AT = 100
 """Most candidates examined for one gap: more of them differ little."""
-_FOLLOWED = 200
-"""Number of stops whose losses are tracked, those of least loss first."""
-_COMPARED = 8
-"""Number of the best of these that are compared in double precision."""
 
 
 def largest_gaps(q: Array) -> Array:
@@ -628,11 +422,7 @@ def close_gaps(
     kept : array, shape (k, N)
         Further stops of the plan [rad].
     """
-    design = BlockDesign(candidates.information(chosen), criterion.weights(candidates.covariance(chosen)))
-    design.track(candidates.rows[chosen])
-    easy = np.argsort(design.losses(), kind="stable")  # losses change slowly: only the first ones are tracked
-    easy, later = easy[:_FOLLOWED], easy[_FOLLOWED:]
-    design.track(candidates.rows[chosen[easy]])
+    design = candidates.design(chosen, criterion)
     staying, added = np.ones(len(chosen), dtype=bool), list[int]()
     hopeless = set[tuple[int, float]]()
     ends = np.stack([q.min(axis=0), q.max(axis=0)])
@@ -643,17 +433,13 @@ def close_gaps(
         if inside is None:
             break
         inside = rng.permutation(np.setdiff1d(inside, chosen[staying]))[:_MOST_LOOKED_AT]
-        inside = inside[design.largest(candidates.rows[inside], _COMPARED)]
-        best = int(inside[np.argmax(design.gains_of(candidates.rows[inside]))])
+        best = int(inside[design.screened(candidates.rows[inside].astype(np.float64), 1)[0]])
         free = staying & _dispensable(np.concatenate([stops, q[[best]]]), limits, staying)
-        while not free[easy].any() and len(later):
-            easy, later = later[:_FOLLOWED], later[_FOLLOWED:]
-            design.track(candidates.rows[chosen[easy]])
-        if not free[easy].any():
+        if not free.any():
             break
-        leaving = int(easy[np.argmin(np.where(free[easy], design.losses(), np.inf))])
-        design.add(candidates.rows[best])
-        design.remove(candidates.rows[chosen[leaving]])
+        leaving = int(np.argmin(np.where(free, design.gains(-1.0), np.inf)))
+        design.change(candidates.rows[best])
+        design.change(candidates.rows[chosen[leaving]], -1.0)
         staying[leaving] = False
         added.append(best)
     return np.concatenate([chosen[staying], np.array(added, dtype=np.intp)])

@@ -22,7 +22,7 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import orthonormal_basis
-from cellapp.estimation.design.block_design import COLUMN, ROW, trace_of_solution
+from cellapp.estimation.design.block_design import trace_of_solution
 from cellapp.robot.kinematics.transforms import Array
 
 VISIBLE = 1e-3
@@ -277,8 +277,8 @@ class SequentialDesign:
 
     def gains(self) -> Array:
         """Return the increase of lambda by each candidate, (m,)."""
-        squares = np.einsum("kme,kme->em", self.error[:, :, ROW], self.error[:, :, COLUMN]) / len(self.error)
-        return trace_of_solution(self.variance[:, ROW, COLUMN].T, squares, 1.0)
+        squares = np.einsum("kme,kmf->mef", self.error, self.error) / len(self.error)
+        return trace_of_solution(self.variance, squares, 1.0)
 
     def add(self, candidate: int) -> None:
         """Add a candidate to the design."""

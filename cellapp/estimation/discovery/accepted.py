@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.joint_fit import JointFit, fitted_model
+from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
@@ -31,8 +31,7 @@ from cellapp.estimation.discovery.records import (
 )
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import Posteriors, SearchResult
-from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, CandidateLaw, ModelTerm, without_term
-from cellapp.ground.errors import NotConverged
+from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, CandidateLaw, ModelTerm
 from cellapp.ground.results import Estimate
 from cellapp.robot.effects import (
     EFFECTS,
@@ -45,7 +44,7 @@ from cellapp.robot.effects import (
     term_to_json,
 )
 from cellapp.robot.effects.data_driven import FIELD_LENGTH, DataChannel, Quantity, Variable, data_driven_form
-from cellapp.robot.effects.effect import contradicted_effect, is_borrowed, is_contradiction
+from cellapp.robot.effects.effect import contradicted_effect, is_borrowed, is_contradiction, is_unnamed
 from cellapp.robot.effects.unknown import channel_directions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
@@ -54,13 +53,17 @@ from cellapp.robot.model import ArmModel
 def accepted_effects(
     found: SearchResult, model: ArmModel, held_out: HeldOut, after_mm: float, probable: Posteriors
 ) -> tuple[tuple[EffectTerm, ...], tuple[AcceptedEffect, ...]]:
-    """Return the reviewed terms of the final model, in order, and their evidence with the held-out error without each.
+    """Return the reviewed terms of the final model, in order, and the evidence of those that are named, with the
+    held-out error without each.
 
     ``after_mm`` is the held-out rms error with all of them. Terms of data-driven effects carry their description.
     """
     fit, terms, accepted = found.fit, [], []
     for number, review in enumerate(found.reviews):
         term, columns = model.effects[number], fit.term_columns(number)
+        if is_unnamed(term.law):
+            terms.append(term)
+            continue
         described = describe(found.data, fit, number) if term.slug == UNKNOWN else None
         if described is not None:
             term = replace(term, note=described.sentence)
@@ -93,11 +96,20 @@ def accepted_effects(
 
 
 def _error_without(found: SearchResult, number: int, held_out: HeldOut) -> float:
-    """Return the held-out rms error [mm] without a term, the others fitted again; NaN if that fit does not converge."""
-    try:
-        return held_out.rms_mm(fitted_model(found.data, without_term(found.fit.terms, number)))
-    except NotConverged:
-        return math.nan
+    """Return the held-out rms error [mm] without a term, the other parameters fitted again, linear about the fit."""
+    fit, kept = found.fit, found.fit.layout.all_but(number)
+    columns, first = list(fit.identification.estimated.columns), fit.layout.geometric
+    vector = fit.model.geometry.vector()
+    values = np.concatenate([(vector - found.data.model.nominal.vector())[columns], fit.identification.effect_values])
+    left = fit.rows[kept] @ (fit.residual + fit.signal(number)) - (fit.precision * values)[kept]
+    values[kept] += fit.normal.take(kept).with_priors(fit.precision[kept]).solve(left)
+    vector[columns] = found.data.model.nominal.vector()[columns] + values[:first]
+    effects = tuple(
+        replace(effect, values=values[fit.layout.parameters(other)])
+        for other, effect in enumerate(fit.model.effects)
+        if other != number
+    )
+    return held_out.rms_mm(replace(fit.model, geometry=fit.model.geometry.with_vector(vector), effects=effects))
 
 
 def accepted_effect(
@@ -143,7 +155,7 @@ def contradictions(terms: Sequence[EffectTerm], accepted: Sequence[AcceptedEffec
             size_um=math.nan if effect.description is None else effect.description.size_um,
             sentence=term.note,
         )
-        for term, effect in zip(terms, accepted, strict=True)
+        for term, effect in zip((one for one in terms if not is_unnamed(one.law)), accepted, strict=True)
         if is_contradiction(term.law)
     )
 

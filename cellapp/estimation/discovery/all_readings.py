@@ -94,11 +94,11 @@ def fit_terms_to_all(
     smooth = smoothness_of(terms)
     if smooth is None or len(found.data) == len(data):
         here, fit = refit(data.at(found.fit.model), terms)
-        return found.with_fit(here, fit, reviews), with_posterior(here, fit)
+        return found.with_fit(here, fit, reviews), with_posterior(here, fit, found.spread)
     weighed = replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter)).at(found.fit.model)
     some = replace(found.data, sigma=uncertainty_with_scatter(found.data, smooth.scatter))
     here, fit = refit(some.at(found.fit.model), terms)
-    return found.with_fit(here, fit, reviews), _fitted(weighed, fit)
+    return found.with_fit(here, fit, reviews), _fitted(weighed, fit, found.spread)
 
 
 def _process(found: SearchResult, data: ArmData, named: ModelTerms, needed: float) -> StructuredProcess:
@@ -226,8 +226,8 @@ class _AllReadings:
         return point.normal.square + float(self.start.precision @ point.values**2)
 
 
-def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
-    """Return the model with values and uncertainty from all readings.
+def _fitted(data: ArmData, fit: JointFit, spread: float) -> ArmModel:
+    """Return the model with values and uncertainty, ``spread`` times as wide, from all readings.
 
     Raises ``NotConverged``.
     """
@@ -239,8 +239,8 @@ def _fitted(data: ArmData, fit: JointFit) -> ArmModel:
     draws = PosteriorDraws.of_covariance(
         columns=columns,
         sizes=[term.size for term in fit.terms],
-        covariance=found.point.normal.with_priors(fit.precision).covariance,
-        noise=noise_of(data),
+        covariance=found.point.normal.with_priors(fit.precision).covariance * spread**2,
+        noise=noise_of(data, spread),
         seed=(data.profile.seed, _DRAW_SEED),
     )
     return replace(found.point.fit.model, posterior=draws)

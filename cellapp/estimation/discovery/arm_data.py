@@ -95,6 +95,7 @@ class ArmData:
             parameter_set=settings.parameter_set,
             prior_sigma=prior_sigmas(model.nominal, settings.priors) if prior_sigma is None else prior_sigma,
             tolerance=TOLERANCE,
+            tool_unknown=True,
         )
         sigma = np.full(len(readings), max(found.scale, LEAST_SCATTER_M)) if stated is None else stated
         if stated is not None and its.turned is not None:

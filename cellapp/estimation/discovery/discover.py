@@ -44,6 +44,7 @@ from cellapp.estimation.discovery.records import (
 )
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult, scatter
 from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, search
+from cellapp.estimation.discovery.search.unnamed import unnamed_record
 from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of, without_term
 from cellapp.estimation.discovery.verdict import structure_left, verdict
 from cellapp.estimation.readings import Readings
@@ -216,7 +217,8 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
     probable = searched.posteriors or posteriors_of(searched, scan)
     terms, accepted = accepted_effects(found, fitted_model, held_out, after.rms, probable)
     left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
-    word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure)
+    nameless = unnamed_record(found)
+    word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure, nameless)
     if result.harmful:
         word = "unknown effect"  # the search fitted something real, but not by its true cause
     # if nothing was found, the arm stays as it was calibrated
@@ -242,8 +244,9 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
         not_found=not_found,
         uncertainty_mm=held_out.predicted_uncertainty_mm(final),
         pictures=pictures(found.data, found.fit),
-        validate_={"effects": held_out.evaluate(final)} if accepted else {},
+        validate_={"effects": held_out.evaluate(final)} if terms else {},
         left_out_configurations=result.left_out,
+        unnamed=nameless,
         verdict=word,
         sentence=f"arm {name}: {_with_what_was_left_out(sentence, result)}",
     )
@@ -283,7 +286,8 @@ class Searched:
     def of_search(cls, found: SearchResult, data: ArmData, only_some: str = "") -> Searched:
         """Return the outcome whose model rests on the searched readings."""
         fitted = None if len(found.data) == len(data) else len(data)
-        return cls(found, found, found, with_posterior(found.data, found.fit), data, fitted, only_some=only_some)
+        model = with_posterior(found.data, found.fit, found.spread)
+        return cls(found, found, found, model, data, fitted, only_some=only_some)
 
     def without(self, number: int) -> Searched:
         """Return the outcome without a term, the others fitted again; raises ``NotConverged``."""
@@ -395,7 +399,7 @@ def _gap_steps(
     found: SearchResult, held_out: HeldOut, before_mm: float, after_mm: float, fitted: int | None
 ) -> tuple[GapStep, ...]:
     """Return the held-out error after each step of the search, and after the review."""
-    errors = [("geometry alone", "", before_mm)]
+    errors = [(f"geometry, fitted to the {counted(len(found.data), 'reading')} searched", "", before_mm)]
     errors += [(step.what, step.slug, held_out.rms_mm(step.model)) for step in found.steps if step.model is not None]
     if found.dropped:
         errors.append((f"dropped in review: {_titles(found.dropped)}", "", after_mm))
@@ -418,6 +422,8 @@ def needs_network(profile: Profile, discovery: Discovery) -> bool:
     """
     motion = discovery.result.motion
     if profile.network.kind == "none" or (motion is not None and motion.used):
+        return False
+    if discovery.result.unnamed is not None and discovery.result.unnamed.in_force:
         return False
     asked = profile.discovery.network
     return asked == "always" or (asked == "unknown" and discovery.result.verdict == "unknown effect")

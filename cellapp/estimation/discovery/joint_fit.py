@@ -494,15 +494,15 @@ def _with_misfits(fit: JointFit) -> JointFit:
     return replace(fit, model=replace(fit.model, effects=tuple(stated)))
 
 
-def with_posterior(data: ArmData, fit: JointFit) -> ArmModel:
-    """Return the fitted model with draws of its parameters and the scatter of the readings."""
+def with_posterior(data: ArmData, fit: JointFit, spread: float = 1.0) -> ArmModel:
+    """Return the fitted model with draws of its parameters and the scatter of readings, ``spread`` times as wide."""
     found = fit.identification
     kept = [*range(len(found.estimated.columns)), *range(fit.layout.geometric, fit.layout.total)]
     draws = PosteriorDraws.of_covariance(
         columns=found.estimated.columns,
         sizes=[term.size for term in fit.terms],
-        covariance=found.covariance[np.ix_(kept, kept)],
-        noise=noise_of(data, max(found.scale, 1.0)),
+        covariance=found.covariance[np.ix_(kept, kept)] * spread**2,
+        noise=noise_of(data, max(found.scale, 1.0) * spread),
         seed=(data.profile.seed, _DRAW_SEED),
     )
     return replace(fit.model, posterior=draws)
@@ -554,8 +554,20 @@ def reweighted(data: ArmData, terms: ModelTerms) -> tuple[ArmData, Identificatio
 def uncertainty_with_scatter(data: ArmData, scatter: Excess) -> Array:
     """Add a scatter to the stated uncertainty: standard uncertainties (n,) [m] or covariances (n, 3, 3) [m^2]."""
     if data.stated is None:
-        return np.full(len(data), max(scatter.m, LEAST_SCATTER_M))
-    return with_excess(data.stated, scatter.m**2, data.turned, scatter.rad**2)
+        sigma = np.full(len(data), max(scatter.m, LEAST_SCATTER_M))
+    else:
+        stated = data.stated * (scatter.claim if data.stated.ndim == 1 else scatter.claim**2)
+        sigma = with_excess(stated, scatter.m**2, data.turned, scatter.rad**2)
+    if not any(scatter.joints):
+        return sigma
+    by_joint = joint_motions(data)
+    covariance = sigma[:, None, None] ** 2 * np.eye(3) if sigma.ndim == 1 else sigma
+    return np.asarray(covariance + np.einsum("j,ajn,bjn->nab", np.square(scatter.joints), by_joint, by_joint))
+
+
+def joint_motions(data: ArmData) -> Array:
+    """Return the derivatives (3, N, n) of the readings with respect to the joint angles."""
+    return joint_jacobian(data.model.geometry, JointAngles.of(data.readings.q, data.conditions.R_M_S))[1]
 
 
 def _identify(
@@ -686,6 +698,22 @@ def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float
     generator = np.random.default_rng([data.profile.seed, _FOLD_SEED])
     fold = np.tile(folds_of(data.group, folds, generator), 3)
     return float(sum(np.sum(before**2) - np.sum(after**2) for before, after in _left_out(fit, new_rows, fold)))
+
+
+def left_out(data: ArmData, fit: JointFit) -> tuple[Array, Array]:
+    """Predict each fold of whole configurations by the others, linear about a fit.
+
+    Return residuals [m, rad] (n, 3), and the same (n, 3) in units of their predicted standard deviation.
+    """
+    generator = np.random.default_rng([data.profile.seed, _FOLD_SEED])
+    fold = np.tile(folds_of(data.group, data.profile.discovery.folds, generator), 3)
+    residual, scaled = np.empty((2, len(fold)))
+    for one in _folds(fit, fold):
+        rows = fit.rows[:, one.out]
+        variance = np.einsum("pk,pk->k", rows, one.learnt.solve(rows))
+        residual[one.out], scaled[one.out] = one.left, one.left / np.sqrt(1.0 + variance)
+    root = np.linalg.inv(fit.white.transpose(2, 0, 1))
+    return np.einsum("nab,bn->na", root, residual.reshape(3, -1)), scaled.reshape(3, -1).T
 
 
 def _left_out(fit: JointFit, new_rows: Array, fold: NDArray[np.intp]) -> Iterator[tuple[Array, Array]]:

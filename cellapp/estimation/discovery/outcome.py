@@ -128,7 +128,7 @@ class Discovery:
     result : ArmDiscoveryResult
         Accepted effects with their evidence, errors, tests of the residuals, and the verdict.
     terms : tuple of EffectTerm
-        Terms of the accepted effects, in the same order.
+        Terms of the accepted effects, in the same order, and among them the parts of the unnamed term.
     model : ArmModel
         The arm with these terms.
     scatter_m : float
@@ -148,7 +148,7 @@ class Discovery:
         errors: dict[str, Any] = {
             "heldout_mm": BeforeAfter(before=result.heldout_mm.before, after=after.rms),
             "heldout_position_mm": None if before is None else HeldOutBeforeAfter(before=before.before, after=after),
-            "validate_": {"effects": held_out.evaluate(model)} if result.accepted else {},
+            "validate_": {"effects": held_out.evaluate(model)} if self.terms else {},
         }
         if turned is not None and turned_after is not None:
             errors["heldout_orientation_mrad"] = HeldOutBeforeAfter(before=turned.before, after=turned_after)

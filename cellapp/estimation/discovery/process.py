@@ -18,9 +18,14 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.weights import mean_variance
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.joint_fit import JointFit, NormalMatrix, fit_terms, uncertainty_with_scatter
+from cellapp.estimation.discovery.joint_fit import (
+    JointFit,
+    NormalMatrix,
+    fit_terms,
+    joint_motions,
+    uncertainty_with_scatter,
+)
 from cellapp.estimation.discovery.terms import UNKNOWN, Excess, ModelTerm, ModelTerms, Smoothness
 from cellapp.robot.effects import EFFECTS, Effect, EffectColumn, Law, LawForm
 from cellapp.robot.effects.data_driven import (
@@ -32,7 +37,7 @@ from cellapp.robot.effects.data_driven import (
     position_in_base,
 )
 from cellapp.robot.effects.law import AMPLITUDE, CYCLES, LENGTH, LengthRange, SmoothLaw, circle_variances
-from cellapp.robot.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH, TransmissionError
+from cellapp.robot.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH, LINE_AMPLITUDE, TransmissionError
 from cellapp.robot.kinematics.transforms import Array
 
 # -- Components of the structured process: an effect's smooth law on the data at hand, and its hyperparameters --------
@@ -110,7 +115,8 @@ class Component:
             return self.weights
         if self.frequencies is not None:
             return field_variances(length, self.frequencies)
-        return np.asarray(circle_variances(length, int(self._cycles.max()))[self._cycles - 1])
+        waves = circle_variances(length, int(self._cycles.max()))[self._cycles - 1]
+        return np.where(self._cycles > CURVE_CYCLES, 1.0, waves)
 
     @cached_property
     def _cycles(self) -> NDArray[np.intp]:
@@ -137,7 +143,7 @@ class Component:
         """Return the component with the slower half of its waves, if it has a length scale."""
         if self.lengths is None:
             return self
-        fast = self._cycles if self.frequencies is None else self.frequencies
+        fast = np.where(self._cycles > CURVE_CYCLES, 0, self._cycles) if self.frequencies is None else self.frequencies
         return self._take(np.flatnonzero(fast <= 0.5 * fast.max()))
 
     def _take(self, places: NDArray[np.intp]) -> Component:
@@ -190,14 +196,14 @@ def _plain(data: ArmData, fit: JointFit, effect: Effect, law: SmoothLaw) -> Comp
 
 
 def _curves(data: ArmData, fit: JointFit) -> Component | None:
-    """Build curves of all joints with a lever: an amplitude for each, one length scale; None if there is none."""
-    levers = np.sqrt(np.mean(np.sum(fit.by_joint**2, axis=0), axis=1))
-    joints = np.flatnonzero(levers > _LEAST_LEVER * levers.max()).tolist()
+    """Build curves of all joints with a lever: an amplitude for each, one length scale, one amplitude of their
+    encoders' lines; None if there is none."""
+    joints = _with_lever(fit.by_joint).tolist()
     if not joints:
         return None
     constants: dict[str, float] = {CYCLES.name: float(CURVE_CYCLES)}
     keys = {joint: (CURVE_AMPLITUDE.key(joint), CURVE_LENGTH.key(joint)) for joint in joints}
-    full = {**constants} | {key: 1.0 for pair in keys.values() for key in pair}
+    full = {**constants, LINE_AMPLITUDE.name: 1.0} | {key: 1.0 for pair in keys.values() for key in pair}
     columns = tuple(data.columns(TransmissionError.slug, CURVE.law(full)))
     place = {joint: k for k, joint in enumerate(joints)}
     return Component(
@@ -206,13 +212,19 @@ def _curves(data: ArmData, fit: JointFit) -> Component | None:
         rows=fit.displacements(columns),
         form=CURVE,
         constants=constants,
-        groups=np.array([place[c.joint] for c in columns if c.joint is not None], dtype=np.intp),
-        amplitude_keys=tuple(amplitude for amplitude, _ in keys.values()),
+        groups=np.array([len(joints) if (c.cycles or 0) > CURVE_CYCLES else place[c.index or 0] for c in columns]),
+        amplitude_keys=(*(amplitude for amplitude, _ in keys.values()), LINE_AMPLITUDE.name),
         start=2e-4,
         weights=np.ones(len(columns)),
         lengths=CURVE_LENGTHS,
         length_keys=tuple(length for _, length in keys.values()),
     )
+
+
+def _with_lever(by_joint: Array) -> NDArray[np.intp]:
+    """Return the joints whose motions (3, N, n) show at the SMR."""
+    levers = np.sqrt(np.mean(np.sum(by_joint**2, axis=0), axis=1))
+    return np.flatnonzero(levers > _LEAST_LEVER * levers.max())
 
 
 def _field(data: ArmData, fit: JointFit) -> Component:
@@ -478,6 +490,8 @@ _FIRST_EVALUATIONS = 40
 """Most evaluations of the evidence with the first weights; it settles to a part in a thousand after some 30."""
 _NEXT_EVALUATIONS = 12
 """Most evaluations after a change of weights or components, from the values found before."""
+_NOISE_STEPS, _LEAST_VARIANCE = 40, 1e-16
+"""Corrections of the noise's variances, and the least variance [m^2, rad^2] of a coordinate."""
 _LEAST_SIGNAL = 0.03
 """Ratio of signal to noise (rms) below which an amplitude is removed at once."""
 _SMALLEST = 1e-300
@@ -587,56 +601,78 @@ def fit_process(
     screened = screened.without_hopeless(needed)
     if not screened.components:
         return None
-    weighed = _weighed(data, fit, screened)
-    process = _fitted_anew(weighed, fit, _whole(candidates, screened.components), screened)
-    if data.turned is not None:  # the residuals of few waves give poor weights of positions and orientations
-        weighed = _weighed(weighed, fit_terms(weighed, fit.terms), process)
-        process = _fitted_anew(weighed, fit, process.components, process)
-    scatter = _scatter(weighed, process.values.noise)
+    scatter = _noise(data, fit, screened)
+    process = screened
+    for whole in (False, True):  # the noise about few waves without it gives poor weights
+        weighed = replace(data, sigma=uncertainty_with_scatter(data, scatter))
+        chosen = _whole(candidates, process.components) if whole else process.components
+        fit, process = _fitted_anew(weighed, fit, chosen, process)
+        scatter = _noise(weighed, fit, process)
     process = needed_components(process, needed)
     return (process, scatter) if process.components else None
 
 
 def _fitted_anew(
     data: ArmData, fit: JointFit, chosen: Sequence[Component], before: StructuredProcess
-) -> StructuredProcess:
+) -> tuple[JointFit, StructuredProcess]:
     """Fit a process again after a change of weights, from the hyperparameters found ``before``."""
     fit = fit_terms(data, fit.terms)
     here = [replace(one, rows=fit.displacements(one.columns)) for one in chosen]
-    return StructuredProcess.fitted(fit, here, replace(before.values, noise=1.0), _NEXT_EVALUATIONS)
+    return fit, StructuredProcess.fitted(fit, here, replace(before.values, noise=1.0), _NEXT_EVALUATIONS)
 
 
-def _weighed(data: ArmData, fit: JointFit, process: StructuredProcess) -> ArmData:
-    """Return the data with weights that include the scatter about a process, beside the fit that it was fitted to."""
-    scatter = _scatter(data, process.values.noise)
-    if data.turned is not None:
-        of_points, of_turns = noise_of_kinds(fit, process, data.turned)
-        scatter = Excess(_scatter(data, of_points).m, _scatter(data, of_turns).rad)
-    return replace(data, sigma=uncertainty_with_scatter(data, scatter))
+def _noise(data: ArmData, fit: JointFit, process: StructuredProcess) -> Excess:
+    """Estimate the noise of the readings about a process: their own, and that of each joint's position.
 
-
-def noise_of_kinds(fit: JointFit, process: StructuredProcess, turned: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return the variances of positions and of orientations ``turned`` (n,) about a process, relative to the weights.
-
-    The sum of squared residuals of each kind is divided by its coordinates less the parameters that it determines
-    (MacKay, Neural Comput. 4 (1992) 415): at the maximum of the evidence this is its noise variance.
+    With the variances v_k of the kinds of noise, a reading has the covariance ``V = sum_k v_k D_k``. The likelihood of
+    the residuals r is largest where ``sum tr(V^-1 D_k V^-1 S) = sum tr(V^-1 D_k)``, with S = r r^T plus the covariance
+    of what was fitted, which shares V (MacKay, Neural Comput. 4 (1992) 415). The quotient of both sides corrects v_k.
     """
+    white = fit.white.transpose(2, 0, 1)
+    left, determined = _about(fit, process, len(data))
+    root = np.linalg.inv(white)
+    left, eye = np.einsum("nab,nb->na", root, left), np.eye(3)
+    turned = np.zeros(len(data), dtype=np.bool_) if data.turned is None else data.turned
+    kinds = [np.where(rows[:, None, None], eye, 0.0) for rows in (~turned, turned)]
+    if data.stated is not None:
+        kinds.append(data.stated if data.stated.ndim == 3 else data.stated[:, None, None] ** 2 * eye)
+    by_joint = joint_motions(data)
+    seen = _with_lever(by_joint)
+    D = np.array([*kinds, *(by_joint[:, j].T[:, :, None] * by_joint[:, j].T[:, None] for j in seen)])
+    square = np.mean(left**2, axis=1)
+    size = np.einsum("knaa->k", D) / np.maximum(np.count_nonzero(np.einsum("knaa->kn", D), axis=1), 1) / 3.0
+    v = np.where(size > 0.0, float(np.mean(square[~turned])) / np.maximum(size, _SMALLEST) / len(D), 0.0)
+    v[1] = float(np.mean(square[turned])) / 2.0 if turned.any() else 0.0
+    if data.stated is not None:
+        v[2] = 1.0
+    for _ in range(_NOISE_STEPS):
+        V = np.einsum("k,knab->nab", v, D) + _LEAST_VARIANCE * eye
+        root = np.linalg.cholesky(V)
+        S = left[:, :, None] * left[:, None] + root @ determined @ root.transpose(0, 2, 1)
+        inverse = np.linalg.inv(V)
+        weight = inverse @ S @ inverse
+        v *= np.einsum("knab,nab->k", D, weight) / np.maximum(np.einsum("knab,nab->k", D, inverse), _SMALLEST)
+        if data.stated is not None:
+            v[2] = min(v[2], 1.0)
+    sd, joints = np.sqrt(v).tolist(), np.zeros(by_joint.shape[1])
+    joints[seen] = sd[len(kinds) :]
+    return Excess(sd[0], sd[1], tuple(joints.tolist()), 1.0 if data.stated is None else sd[2])
+
+
+def _about(fit: JointFit, process: StructuredProcess, n: int) -> tuple[Array, Array]:
+    """Return whitened residuals (n, 3) about a process, and the share (n, 3, 3) of each reading's own noise in what
+    was fitted to it."""
     rows = np.concatenate([one.rows for one in process.components])
     noise, projector = process.values.noise, fit.projector
-    projected = projector.project(rows)
-    A = process.gram.gram / noise + np.diag(1.0 / np.maximum(process.values.variances(process.components), _SMALLEST))
-    lower = scipy.linalg.cholesky(A, lower=True, check_finite=False)
-    half = scipy.linalg.solve_triangular(lower, projected, lower=True, check_finite=False, overwrite_b=True)
+    variances = np.maximum(process.values.variances(process.components), _SMALLEST)
+    lower = scipy.linalg.cholesky(process.gram.gram / noise + np.diag(1.0 / variances), lower=True, check_finite=False)
+    half = scipy.linalg.solve_triangular(lower, projector.project(rows), lower=True, check_finite=False)
     half /= math.sqrt(noise)
     behind = fit.projected_residual.projected
     left = behind - (half @ behind) @ half
-    determined = np.sum(half**2, axis=0) + np.sum(projector.basis**2, axis=1)
-    found = []
-    for kind in (~turned, turned):
-        of_kind = np.tile(kind, 3)
-        freedom = max(np.count_nonzero(of_kind) - float(determined[of_kind].sum()), 1.0)
-        found.append(float(left[of_kind] @ left[of_kind]) / freedom)
-    return found[0], found[1]
+    half, basis = half.reshape(len(half), 3, n), projector.basis.reshape(3, n, -1)
+    determined = np.einsum("man,mbn->nab", half, half) + np.einsum("anp,bnp->nab", basis, basis)
+    return left.reshape(3, n).T, determined
 
 
 def _whole(candidates: Sequence[Component], screened: Sequence[Component]) -> list[Component]:
@@ -649,26 +685,13 @@ def _whole(candidates: Sequence[Component], screened: Sequence[Component]) -> li
 
 
 def needed_components(process: StructuredProcess, needed: float) -> StructuredProcess:
-    """Remove the components that the evidence does not need, the least needed first.
-
-    Fitting the others again only raises the evidence without a component: that is done only if it may decide.
-    """
-    settled = True
+    """Remove the components that the evidence does not need, the least needed first."""
     while process.components:
         gains = process.gains()
         weakest = int(np.argmin(gains))
-        if gains[weakest] <= needed:
-            process, settled = process.without(weakest), False
-            continue
-        if not settled:
-            process, settled = process.refitted(_NEXT_EVALUATIONS), True
-            continue
-        if gains[weakest] > 2.0 * needed or len(process.components) == 1:
+        if gains[weakest] > needed:
             break
-        rest = process.without(weakest).refitted(_NEXT_EVALUATIONS)
-        if 2.0 * (process.log_evidence - rest.log_evidence) - process.price(weakest) > needed:
-            break
-        process = rest
+        process = process.without(weakest)
     return process
 
 
@@ -685,19 +708,3 @@ def process_terms(process: StructuredProcess, scatter: Excess) -> ModelTerms:
         law = one.law(process.values.amplitudes[number], process.values.lengths[number])
         terms.append(ModelTerm(one.slug, law, names, Smoothness(gains[number], one.hyperparameters, scatter)))
     return tuple(terms)
-
-
-def _scatter(data: ArmData, noise: float) -> Excess:
-    """Return standard deviations beyond the stated uncertainty, from the noise relative to the weights."""
-    if data.turned is None:
-        return Excess(_beyond(noise, data.sigma, data.stated))
-    kinds = (
-        (data.sigma[rows], None if data.stated is None else data.stated[rows]) for rows in (~data.turned, data.turned)
-    )
-    return Excess(*(_beyond(noise, *kind) for kind in kinds))
-
-
-def _beyond(noise: float, sigma: Array, stated: Array | None) -> float:
-    """Return the standard deviation beyond the stated one of readings with weights from ``sigma``."""
-    total = noise * mean_variance(sigma)
-    return math.sqrt(max(total - (0.0 if stated is None else mean_variance(stated)), 0.0))

@@ -287,6 +287,20 @@ class MotionDiscoveryResult(Record):
     seconds: float | None = None
 
 
+class Unnamed(Record):
+    """What the named effects leave, as one smooth term; ``rms_mm`` is its displacement of the SMR.
+
+    ``acts_on`` are the places that it mostly moves, ``causes`` the effects that it looks most like. ``left_out_mm`` are
+    mean errors of readings that were left out of the fit, without and with it.
+    """
+
+    rms_mm: float
+    in_force: bool
+    acts_on: tuple[str, ...] = ()
+    causes: tuple[str, ...] = ()
+    left_out_mm: BeforeAfter | None = None
+
+
 class ArmDiscoveryResult(Record):
     """Discovery in the data of one arm; ``heldout_mm`` are rms errors on stops that the search did not see.
 
@@ -296,7 +310,7 @@ class ArmDiscoveryResult(Record):
     ``candidates`` has the posterior probability of every effect that was tested, by its slug.
     ``left_out_configurations`` are those of readings with gross errors, on which nothing here rests.
     ``heldout_orientation_mrad`` and ``noise_mrad``, the standard deviation of a component about the model, are there
-    where orientations were measured.
+    where orientations were measured. ``claim`` says where the scatter contradicts the stated uncertainty.
     """
 
     noise_floor_mm: float | None
@@ -322,9 +336,11 @@ class ArmDiscoveryResult(Record):
     validate_: Mapping[Stage, StageErrors] = {}
     left_out_configurations: tuple[int, ...] = ()
     motion: MotionDiscoveryResult | None = None
+    unnamed: Unnamed | None = None
+    claim: str | None = None
     verdict: Verdict
     sentence: str
-    omitted_when_none = frozenset({"heldout_orientation_mrad", "noise_mrad", "motion"})
+    omitted_when_none = frozenset({"heldout_orientation_mrad", "noise_mrad", "motion", "unnamed", "claim"})
 
 
 class Discrimination(Record):

@@ -27,10 +27,22 @@ _LEAST_PRIOR = 1e-9
 
 @dataclass(frozen=True)
 class Excess:
-    """Standard deviation beyond the stated one, of a coordinate [m] and of a component of an orientation [rad]."""
+    """Noise of readings, estimated with a model.
+
+    Attributes
+    ----------
+    m, rad : float
+        Standard deviation beyond the stated one, of a coordinate [m] and of a component of an orientation [rad].
+    joints : tuple of float
+        Standard deviation of each joint's position from reading to reading [rad]; empty if not estimated.
+    claim : float
+        Factor of the stated standard deviations: below one if readings scatter less than they state.
+    """
 
     m: float
     rad: float = 0.0
+    joints: tuple[float, ...] = ()
+    claim: float = 1.0
 
 
 @dataclass(frozen=True)

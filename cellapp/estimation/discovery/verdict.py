@@ -12,11 +12,17 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit
-from cellapp.estimation.discovery.records import AcceptedEffect, RemainingStructure, StructureKind, StructureTest
+from cellapp.estimation.discovery.records import (
+    AcceptedEffect,
+    RemainingStructure,
+    StructureKind,
+    StructureTest,
+    Unnamed,
+)
 from cellapp.estimation.discovery.search.state import FLOOR_CHANCE, Scatter
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.ground.results import Verdict
-from cellapp.robot.effects import EFFECTS, enumeration
+from cellapp.robot.effects import EFFECTS, enumeration, place_in_words
 from cellapp.robot.effects.context import varies
 from cellapp.robot.effects.time_functions import times_known
 from cellapp.robot.kinematics.transforms import Array
@@ -317,6 +323,7 @@ def verdict(
     held_out: int,
     scatter: Scatter | None,
     structure: RemainingStructure,
+    unnamed: Unnamed | None = None,
 ) -> tuple[Verdict, str]:
     """Return the verdict and its sentence.
 
@@ -333,7 +340,9 @@ def verdict(
         return "unknown effect", f"{also}something that the library does not have: {described}"
     closed = scatter is not None and _gap_closed(floor_mm, after_mm, held_out, scatter)
     left = _left(floor_mm, after_mm, scatter, structure, closed=closed)
-    if not closed and (has_structure(structure) or _far_off(scatter, structure)):
+    if nameless := unnamed is not None and unnamed.in_force:
+        left = f"{unnamed_words(unnamed)}; {left}"
+    if nameless or (not closed and (has_structure(structure) or _far_off(scatter, structure))):
         found = f"{names} found{' (or a look-alike)' if ambiguous else ''}, but " if accepted else ""
         return "unknown effect", f"{found}the library does not explain all of the error; {left}"
     if not accepted:
@@ -341,6 +350,11 @@ def verdict(
     if ambiguous:
         return "ambiguous", f"{names}, or {_rivals(ambiguous)}: these data cannot distinguish them; {left}"
     return "explained", f"{names}; {left}"
+
+
+def unnamed_words(unnamed: Unnamed) -> str:
+    """State the unnamed term: ``unnamed: 0.041 mm rms, mostly joints 2 and 3``."""
+    return f"unnamed: {unnamed.rms_mm:.3f} mm rms, mostly {place_in_words(unnamed.acts_on)}"
 
 
 def _left(

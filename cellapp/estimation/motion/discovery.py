@@ -199,7 +199,7 @@ class MotionAtRest:
             for held_out, one in ((self.held_out_of_others, self.calibrated), (self.held_out, self.model))
         )
         its, names = f"arm {self.name}: ", _titles(self.effects)
-        steps = [GapStep(what="geometry alone", effect="", heldout_mm=before.rms)]
+        steps = [GapStep(what="calibrated geometry", effect="", heldout_mm=before.rms)]
         steps.append(GapStep(what="effects that recordings show", effect="", heldout_mm=by_motion.rms))
         changed = result.model_copy(
             update={

@@ -240,7 +240,7 @@ class Calibration(Section):
     priors: Priors = Priors()
     robust: Literal["none", "huber", "tukey"] = "none"
     tolerance: Annotated[float, Field(strict=True, gt=0.0, le=1e-2)] = 1e-8
-    max_iterations: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 50
+    max_iterations: Annotated[int, Field(strict=True, ge=1, le=10_000)] = 200
 
 
 class Network(Section):

@@ -8,7 +8,7 @@ import queue
 import signal
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +20,6 @@ from cellapp.ground.signals import HANGUP, INTERRUPTS, available, ended_by, watc
 from cellapp.interfaces.cli.command_outputs import current_outputs
 
 if TYPE_CHECKING:
-    from cellapp.cell.run import RunFile
     from cellapp.commands.view.table import Table
     from cellapp.ground.results import Result
 
@@ -29,15 +28,6 @@ _BY_KEY = available("SIGINT", "SIGBREAK")
 _SUSPENDS = available("SIGTSTP")
 _LAST_WORDS_S = 1.0
 """How long the end of a job waits until its messages are printed."""
-
-
-@contextlib.contextmanager
-def open_run(folder: Path, *, write: bool = False) -> Iterator[RunFile]:
-    """Open an existing run for reading, or with ``write`` for appending."""
-    from cellapp.cell.run import RunFile
-
-    with RunFile.open(folder, write=write) as opened:
-        yield opened
 
 
 class Job:

@@ -133,7 +133,7 @@ def _errors_as_json(arguments: Sequence[str]) -> Iterator[None]:
 
     Standard output then carries only results, so any text written to it is the command's result.
     """
-    if not wants_json(arguments):
+    if not ("--json=-" in arguments or ("--json", "-") in pairwise(arguments)):
         yield
         return
     watched = _Watched(sys.stdout)
@@ -145,11 +145,6 @@ def _errors_as_json(arguments: Sequence[str]) -> Iterator[None]:
         if error is not None and ended.code and not watched.used:
             _write_error(error, int(ended.code))
         raise
-
-
-def wants_json(arguments: Sequence[str]) -> bool:
-    """Return whether the arguments ask for JSON on standard output."""
-    return "--json=-" in arguments or ("--json", "-") in pairwise(arguments)
 
 
 class _Watched:

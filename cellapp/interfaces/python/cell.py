@@ -45,7 +45,7 @@ from cellapp.commands.discover.view import view as discovery_view
 from cellapp.commands.doctor.view import profile_tables
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Parts
-from cellapp.commands.view.table import Column, Table, number_column
+from cellapp.commands.view.table import Table, columns_of
 from cellapp.estimation.calibration.calibrate import missing_splits
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.calibration.records import CalibrateResult
@@ -104,7 +104,7 @@ class CellReadings(Printed, Mapping[str, Readings]):
 
     def view(self) -> Parts:
         """Return the content of each arm's readings, and the notes."""
-        columns = (Column("arm"), number_column("readings", "d"), number_column("joints", "d"), Column("given"))
+        columns = columns_of("arm", ("readings", "d"), ("joints", "d"), "given")
         rows = tuple((name, len(arm), arm.joints, ", ".join(_given(arm))) for name, arm in self.arms.items())
         return [Table(f"Readings of {self.profile.name}", columns, rows), *self.notes]
 
@@ -167,11 +167,7 @@ _OTHER = "other_q"
 
 
 def stated_conditions(
-    q: Array,
-    given: Mapping[str, Any],
-    arm: str,
-    other: ArmModel | None,
-    record: TemperatureRecord | None,
+    q: Array, given: Mapping[str, Any], arm: str, other: ArmModel | None, record: TemperatureRecord | None
 ) -> MeasurementConditions | None:
     """Return the conditions at configurations ``q`` (n, N) [rad]; None if none are given, so that all are unknown.
 

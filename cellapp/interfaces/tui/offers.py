@@ -119,13 +119,11 @@ def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:
 
 def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str) -> bool:
     """Ask for the request of a verb that measures with the model in force, then run it; return whether it is asked."""
-    from cellapp.commands.compensate.target_list import stale_model  # numerics, which the start must not wait for
-
     if (calibrated := screen.calibrated_run()) is None:
         return False
-    folder, results, _ = calibrated
+    folder, *_ = calibrated
     text = f"{words} {arms_words(screen.workspace)}."
-    if stale := stale_model(results):
+    if stale := screen.workspace.stale:
         text += f"\nThe model is not up to date: {stale}."
     simulated = screen.workspace.kind == "simulated"
     screen.ask_verb(VerbQuestion(verb, text, BEGIN, {"folder": folder}, simulated=simulated))

@@ -75,16 +75,20 @@ def own_readings(request: InitRequest) -> Job:
 
     def work(listener: Listener, control: JobControl, ask: Ask) -> Result:
         from cellapp.cell.profile import load_profile
-        from cellapp.commands.import_ import import_new_run
+        from cellapp.commands.import_ import ImportRequest, import_new_run
+        from cellapp.commands.init.own_data import InitResult
         from cellapp.commands.init.request import VERB as INIT
-        from cellapp.commands.init.run import InitResult, view
+        from cellapp.commands.init.run import view
         from cellapp.ground.errors import InputError
 
         written = verb_job(INIT, request).work(listener, control, ask)
         assert isinstance(written, InitResult)
         if written.readings is None:  # a recording of motion
             raise InputError(str(view(written).parts[-1]))
-        imported = import_new_run(load_profile(Path(written.profile)), Path(written.readings), folder)
+        profile = Path(written.profile)
+        imported = import_new_run(
+            load_profile(profile), ImportRequest(profile=profile, csv=Path(written.readings), folder=folder)
+        )
         return imported.model_copy(update={"notes": (*written.notes, *imported.notes)})
 
     return Job("import", work, folder)

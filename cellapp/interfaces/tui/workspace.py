@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cellapp.cell.planning.records import PlanDesignResult
     from cellapp.commands.conclusions import Conclusion
     from cellapp.commands.plan.result import StopsResult
-    from cellapp.commands.report.result import RunResults
+    from cellapp.commands.run_results import RunResults
     from cellapp.commands.show.result import OverviewResult
     from cellapp.estimation.uncertainty.records import Conformity
     from cellapp.ground.profile import CellKind, Profile
@@ -91,6 +91,11 @@ class Workspace:
         """Arms that the run counts as moving, arm -> why they were not seen at rest."""
         return {} if self.overview is None else {n: a.reason for n, a in self.overview.not_seen_at_rest.items()}
 
+    @property
+    def stale(self) -> str:
+        """Why the model in force should not be used; empty if it may be, or there is none."""
+        return "" if self.overview is None else self.overview.stale
+
 
 def holds_run(folder: Path | None) -> bool:
     """Return whether a folder contains a run file."""
@@ -140,7 +145,7 @@ def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) 
     from cellapp.commands.collect.state import collection_state
     from cellapp.commands.conclusions import conformity, stage_conclusions
     from cellapp.commands.plan.run import planned_stops
-    from cellapp.commands.report.result import read_results
+    from cellapp.commands.run_results import read_results
     from cellapp.commands.show.overview import run_overview
 
     with RunFile.open(folder) as run:

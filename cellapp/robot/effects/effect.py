@@ -186,9 +186,10 @@ class Effect(ABC):
 #
 # A law that fits only with physically impossible values has another cause, such as a wrong sign convention of the
 # readings or a wrong mass. A law may also describe a part of an unknown effect. Such terms belong to the unknown
-# effects; in JSON their laws are named ``contradiction|effect|law`` and ``imitation|effect|law``.
+# effects; in JSON their laws are named ``contradiction|effect|law`` and ``imitation|effect|law``. The unnamed term is
+# made of smooth laws, ``unnamed|effect|law``: each moves what its effect moves, without a claim that it is there.
 
-_CONTRADICTION, _IMITATION = "contradiction", "imitation"
+_CONTRADICTION, _IMITATION, _UNNAMED = "contradiction", "imitation", "unnamed"
 
 
 @dataclass(frozen=True)
@@ -204,6 +205,11 @@ class ContradictionForm(BorrowedForm):
     """A borrowed form that fits only with physically impossible values."""
 
 
+@dataclass(frozen=True)
+class UnnamedForm(BorrowedForm):
+    """A smooth form that is a part of the unnamed term."""
+
+
 _Form = TypeVar("_Form", bound=BorrowedForm)
 
 
@@ -215,6 +221,16 @@ def form_without_bounds(effect: Effect, form: LawForm) -> ContradictionForm:
 def imitation(effect: Effect, form: LawForm) -> BorrowedForm:
     """Return a form of an effect as a part of an unknown effect."""
     return _borrowed(BorrowedForm, _IMITATION, effect, form)
+
+
+def unnamed(effect: Effect, form: LawForm) -> UnnamedForm:
+    """Return a smooth form of an effect as a part of the unnamed term."""
+    return _borrowed(UnnamedForm, _UNNAMED, effect, form)
+
+
+def is_unnamed(law: Law) -> bool:
+    """Return whether a law is a part of the unnamed term."""
+    return isinstance(law.form, UnnamedForm)
 
 
 def _borrowed(kind: type[_Form], prefix: str, effect: Effect, form: LawForm, but: str = "") -> _Form:
@@ -232,7 +248,7 @@ def borrowed_form_named(name: str, library: Mapping[str, Effect]) -> BorrowedFor
     """Return the borrowed form named so in JSON, else None; raise ``ValueError`` if the effect lacks the law."""
     prefix, _, rest = name.partition("|")
     slug, _, law = rest.partition("|")
-    make = {_CONTRADICTION: form_without_bounds, _IMITATION: imitation}.get(prefix)
+    make = {_CONTRADICTION: form_without_bounds, _IMITATION: imitation, _UNNAMED: unnamed}.get(prefix)
     if make is None or slug not in library:
         return None
     return make(library[slug], library[slug].form(law))
@@ -242,6 +258,12 @@ def lent_law(law: Law) -> Law:
     """Return the library law behind a borrowed one."""
     assert isinstance(law.form, BorrowedForm)
     return law.form.lent.law(law.constants, law.tried)
+
+
+def lent_effect(law: Law) -> Effect:
+    """Return the library effect whose law a borrowed one is."""
+    assert isinstance(law.form, BorrowedForm)
+    return law.form.effect
 
 
 def contradicted_effect(law: Law) -> Effect:

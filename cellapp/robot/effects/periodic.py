@@ -42,6 +42,9 @@ CURVE_LENGTH = Constant("length", "rad", FIXED, per_joint=True)
 CURVE_AMPLITUDE = Constant(AMPLITUDE_NAME, "rad", FIXED, per_joint=True)
 LINE_AMPLITUDE = Constant("lines", "rad", FIXED, optional=True)
 """Standard deviation of the prior of the lines beside curves."""
+ENCODER_LINES = (128, 256)
+"""Cycle counts of these lines: absolute encoders have a power of two of periods a turn, and their interpolation error
+repeats in each period."""
 
 TWO = LawForm("two", "two cycles per revolution")
 LINES = LawForm("lines", "single lines of the spectrum")
@@ -194,16 +197,12 @@ def curve_prior(law: Law, joints: int) -> dict[int, tuple[float, float]]:
 def _curves(context: EffectContext, law: Law, names: Collection[str] | None) -> list[EffectColumn]:
     """Waves of the joints' curves with their priors; lines beyond the curves' cycles have none."""
     cycles, prior = round(law.constants[CYCLES.name]), curve_prior(law, context.joints)
-    counts = dict.fromkeys(prior, range(2, cycles + 1)) if names is None else _counts_of(names, context.joints)
+    lines = ENCODER_LINES if LINE_AMPLITUDE.name in law.constants else ()
+    every = (*range(2, cycles + 1), *lines)
+    counts = dict.fromkeys(prior, every) if names is None else _counts_of(names, context.joints)
     sd = {j: amplitude * np.sqrt(circle_variances(length, cycles)) for j, (length, amplitude) in prior.items()}
     beside = law.constants.get(LINE_AMPLITUDE.name, math.inf)
     return _waves(context, counts, sd={joint: values.tolist() for joint, values in sd.items()}, beside=beside)
-
-
-def lines_beside(context: EffectContext, law: Law) -> list[EffectColumn]:
-    """Lines of more cycles than the curves of a law reach, of the joints that have a curve."""
-    counts = range(round(law.constants[CYCLES.name]) + 1, LINES_BESIDE_MAX + 1)
-    return _waves(context, dict.fromkeys(curve_prior(law, context.joints), counts), by_line=True)
 
 
 @lru_cache(maxsize=8192)

@@ -196,7 +196,7 @@ class Unknown(Effect):
 
     def form(self, name: str) -> LawForm:
         """The form of a name such as ``joint 2|q1`` or ``contradiction|backlash|constant``."""
-        form = form_named(name) or borrowed_form_named(name, self._library)
+        form = form_named(name) or borrowed_form_named(name, {**self._library, self.slug: self})
         return super().form(name) if form is None else form
 
     def meaning_of(self, law: Law) -> Meaning:

@@ -705,8 +705,11 @@ class PosteriorDraws:
     ) -> PosteriorDraws:
         """Draw from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters."""
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        values, vectors = np.linalg.eigh(covariance / scale / scale[:, None])
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        correlation = covariance / scale / scale[:, None]
+        root, failed = scipy.linalg.lapack.dpotrf(correlation, lower=1)
+        if failed or len(scale) <= DRAWS:
+            values, vectors = np.linalg.eigh(correlation)
+            root = vectors * np.sqrt(np.maximum(values, 0.0))
         normal = np.random.default_rng(seed).standard_normal((DRAWS, len(scale)))
         if len(scale) <= DRAWS:
             normal = math.sqrt(DRAWS) * np.linalg.qr(normal)[0]

@@ -15,7 +15,7 @@ emulator runs in a separate process, and each arm has a loopback address of its 
 
 Clients with plain sockets may share its process: ``with UrControllerServer([left, right], plant) as server: ...`` with
 ``server.addresses`` and ``server.control()``; ``ports=FREE_PORTS`` in a ``ControllerConfig`` takes free ones.
-``serve`` runs it in the foreground. ``control.py`` lists all commands of the control channel.
+``open`` and ``run`` serve in the foreground. ``control.py`` lists all commands of the control channel.
 
 Another server on the same plant, such as a tracker's, runs in a thread of the same process. It holds
 ``server.cell.lock`` while it accesses the plant and waits for the cell's clock with ``server.cell.wait(seconds)`` or on
@@ -32,7 +32,7 @@ script port sends nothing.
 
 from drivers.emulators.ur_controller.control import Control, Refused
 from drivers.emulators.ur_controller.links import FAULTS, Fault
-from drivers.emulators.ur_controller.motion import Braking, FreeMotions, Motions, PacedCell
+from drivers.emulators.ur_controller.motion import Braking, PacedCell
 from drivers.emulators.ur_controller.personality import (
     FREE_PORTS,
     STANDARD_PORTS,
@@ -48,7 +48,7 @@ from drivers.emulators.ur_controller.server import (
     Addresses,
     EmulatorProcess,
     UrControllerServer,
-    serve,
+    ideal,
     start_in_process,
 )
 
@@ -63,16 +63,14 @@ __all__ = [
     "ControllerConfig",
     "EmulatorProcess",
     "Fault",
-    "FreeMotions",
-    "Motions",
     "PacedCell",
     "Personality",
     "PortName",
     "Refused",
     "Series",
     "UrControllerServer",
+    "ideal",
     "kinematics_info",
     "personality",
-    "serve",
     "start_in_process",
 ]

@@ -37,11 +37,13 @@ import socket
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, get_args
 
 import numpy as np
 
-from drivers.emulators.ur_controller.controller import Controller, Runtime
+from drivers.arms.ur_rtde_reader import ProgramState
+from drivers.emulators.ur_controller.controller import Controller
 from drivers.emulators.ur_controller.links import FAULTS, Ending, Port
 from drivers.emulators.ur_controller.motion import PacedCell
 from drivers.emulators.ur_controller.personality import PortName
@@ -131,7 +133,7 @@ def _status(arm: Emulated, _: Sequence[str], now_s: float) -> dict[str, Any]:
         "moving": not c.at_rest,
         "speed_fraction": c.slider.fraction,
         "speed_scaling": c.slider.scaling,
-        "stop": c.brakes.records[-1].as_dict() if c.brakes.records else None,
+        "stop": asdict(c.brakes.records[-1]) if c.brakes.records else None,
         "q": c.motions.q(c.name).tolist(),
         "moves": c.moves,
         "clock_s": c.motions.clock_s,
@@ -181,15 +183,11 @@ def _short_packets(arm: Emulated, arguments: Sequence[str], _: float) -> None:
 
 
 def _protective(arm: Emulated, arguments: Sequence[str], _: float) -> None:
-    match _word(arguments, 0, ("now", "off", "speed", "travel")):
-        case "now":
-            arm.controller.protective_stop("commanded")
-        case "off":
-            arm.controller.arm_protective_stop()
-        case "speed":
-            arm.controller.arm_protective_stop(speed=_number(arguments, 1, limit=_FASTEST))
-        case _:
-            arm.controller.arm_protective_stop(travel=_number(arguments, 1, limit=_FASTEST))
+    how = _word(arguments, 0, ("now", "off", "speed", "travel"))
+    if how == "now":
+        arm.controller.protective_stop("commanded")
+    else:
+        arm.controller.arm_protective_stop(**({} if how == "off" else {how: _number(arguments, 1, limit=_FASTEST)}))
 
 
 def _push(arm: Emulated, arguments: Sequence[str], _: float) -> None:
@@ -219,18 +217,17 @@ def _foreign(arm: Emulated, arguments: Sequence[str], _: float) -> None:
         controller.start_locally(ForeignProgram())
     if wanted == "paused":
         controller.pause_program("on the pendant")
-    elif controller.runtime is Runtime.PAUSED:
+    elif controller.runtime is ProgramState.PAUSED:
         controller.resume_program()
 
 
 def _stops(arm: Emulated, arguments: Sequence[str], _: float) -> list[dict[str, Any]]:
     since_s = _number(arguments, 0, limit=_LATEST_S, default=0.0)
-    return [record.as_dict() for record in arm.controller.brakes.records if record.received_s >= since_s]
+    return [asdict(record) for record in arm.controller.brakes.records if record.received_s >= since_s]
 
 
 def _starts(arm: Emulated, arguments: Sequence[str], _: float) -> list[float]:
-    since_s = _number(arguments, 0, limit=_LATEST_S, default=0.0)
-    return [began_s for began_s in arm.controller.began_s if began_s >= since_s]
+    return [event["at_s"] for event in _journal(arm, arguments, _) if event["kind"] == "begun"]
 
 
 def _journal(arm: Emulated, arguments: Sequence[str], _: float) -> list[dict[str, Any]]:

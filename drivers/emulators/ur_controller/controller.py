@@ -10,16 +10,16 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from enum import IntEnum
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 
+from drivers.arms.ur_rtde_reader import ProgramState, RobotMode, SafetyMode
 from drivers.emulators.ur_controller import poses
-from drivers.emulators.ur_controller.motion import Array, Brakes, Motions, StopTrigger
+from drivers.emulators.ur_controller.motion import Array, Brakes, StopTrigger
 from drivers.emulators.ur_controller.personality import ControllerConfig, Rows
 from drivers.emulators.ur_controller.variables import zeros
+from drivers.plant import Plant
 
 # -- Values of the RTDE variables that depend on a controller's modes and settings ------------------------------------
 
@@ -39,10 +39,10 @@ def initial_values(q: Values) -> dict[str, Values]:
     }
 
 
-def of_modes(robot_mode: RobotMode, safety_mode: SafetyMode, runtime: Runtime) -> dict[str, Values]:
+def of_modes(robot_mode: RobotMode, safety_mode: SafetyMode, runtime: ProgramState) -> dict[str, Values]:
     """Return the variables that show the modes."""
     powered = robot_mode not in (RobotMode.POWER_OFF, RobotMode.DISCONNECTED)
-    running = runtime in (Runtime.PLAYING, Runtime.RESUMING)
+    running = runtime in (ProgramState.PLAYING, ProgramState.RESUMING)
     return {
         "robot_mode": (int(robot_mode),),
         "safety_mode": (int(safety_mode),),
@@ -53,11 +53,6 @@ def of_modes(robot_mode: RobotMode, safety_mode: SafetyMode, runtime: Runtime) -
         "joint_mode": (JOINT_MODE.get(robot_mode, JOINT_POWER_OFF),) * 6,
         "actual_robot_voltage": (48.0 * powered,),
     }
-
-
-def of_load(mass: float, center: Values, inertia: Values, tcp: Values) -> dict[str, Values]:
-    """Return the variables that show payload and TCP."""
-    return {"payload": (mass,), "payload_cog": center, "payload_inertia": inertia, "tcp_offset": tcp}
 
 
 def of_tool(rows: Rows, q: Values, qd: Values, tcp: Values) -> dict[str, Values]:
@@ -72,7 +67,6 @@ _TEMPERATURE_EVERY_S = 0.5
 _MAX_PAUSE_S = 0.05
 """Largest pause of this process that the watchdog counts: during a longer one the client was not silent."""
 _STEADY_S = 0.1
-_MOST_STARTS = 2000
 _LEAST_RATE = 1e-6
 """Joint speeds [rad/s] or accelerations [rad/s^2] below this count as 0: the motion would take days."""
 _ZERO6: Values = (0.0,) * 6
@@ -98,15 +92,13 @@ class Controller:
         Events, newest last; shows the reasons of refusals.
     moves : int
         Number of motions started; resumed ones count again.
-    began_s : deque of float
-        When the last motions were started, by ``clock``.
     journal : Journal
         All stops received, and the motions begun and ended.
     start_delay_s : float
         Wall time from an uploaded program to its start.
     """
 
-    def __init__(self, config: ControllerConfig, motions: Motions, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, config: ControllerConfig, motions: Plant, clock: Callable[[], float] = time.monotonic) -> None:
         """``clock`` gives the timestamps of stops, also between two cycles."""
         self.config = config
         self.motions = motions
@@ -114,7 +106,7 @@ class Controller:
         self.period_s = 1.0 / config.personality.rate_hz
         self.robot_mode = RobotMode[config.robot_mode]
         self.safety_mode = SafetyMode.NORMAL
-        self.runtime = Runtime.STOPPED
+        self.runtime = ProgramState.STOPPED
         self.remote_control = config.remote_control
         self.start_delay_s = config.start_delay_s
         self.boot_s = config.boot_s
@@ -122,15 +114,12 @@ class Controller:
         self.payload_center: Values = tuple(config.payload_center)
         self.payload_inertia: Values = _ZERO6
         self.tcp: Values = tuple(config.tcp)
-        self.gravity: Values = (0.0, 0.0, 9.82)
         self.slider = SpeedSlider()
         self.brakes = Brakes(config.name, motions, config.braking, config.speed, config.acceleration, clock)
         self.program: Program[Controller] | None = None
         self.log: deque[str] = deque(maxlen=200)
         self.moves = 0
-        self.began_s: deque[float] = deque(maxlen=_MOST_STARTS)
         self.journal = Journal(clock)
-        self._monotonic = clock
         self.now_s = 0.0
         self._uploaded: tuple[float, Program[Controller]] | None = None
         self._was_moving = False
@@ -181,7 +170,7 @@ class Controller:
     @property
     def running(self) -> bool:
         """Whether a program runs or is resuming."""
-        return self.runtime in (Runtime.PLAYING, Runtime.RESUMING)
+        return self.runtime in (ProgramState.PLAYING, ProgramState.RESUMING)
 
     @property
     def accepts_commands(self) -> bool:
@@ -238,19 +227,20 @@ class Controller:
     def move(self, q: Sequence[float], speed: float, acceleration: float) -> None:
         """Start a joint motion like ``movej``: no joint exceeds ``speed`` or its own limit. The slider scales it.
 
-        Raises ``ScriptError`` for a goal outside the limits, or a value that is not a finite number.
+        All values are finite. Raises ``ScriptError`` for a goal outside the limits.
         """
         config = self.config
-        numbers = (*q, speed, acceleration)
-        if not all(map(math.isfinite, numbers)):
-            raise ScriptError("movej: a value is not a finite number")
-        for joint, (value, (low, high)) in enumerate(zip(q, config.limits, strict=True), start=1):
-            if not low - 1e-9 <= value <= high + 1e-9:
-                raise ScriptError(f"movej: {value:.4f} rad of joint {joint} is outside [{low:.4f}, {high:.4f}] rad")
+        self.require_inside("movej", q)
         if speed < _LEAST_RATE or acceleration < _LEAST_RATE:
             raise ScriptError("movej: speed and acceleration must be above 0")
         goal = np.array(q, dtype=np.float64)
         self._start(goal, np.minimum(speed, config.speed), np.minimum(acceleration, config.acceleration))
+
+    def require_inside(self, command: str, q: Sequence[float]) -> None:
+        """Raise ``ScriptError`` for a goal (6,) outside the limits."""
+        for joint, (value, (low, high)) in enumerate(zip(q, self.config.limits, strict=True), start=1):
+            if not low - 1e-9 <= value <= high + 1e-9:
+                raise ScriptError(f"{command}: {value:.4f} rad of joint {joint} is outside [{low:.4f}, {high:.4f}] rad")
 
     def _start(self, goal: Array, speed: Array, acceleration: Array) -> None:
         self._note_start("move" if self._goal is None else "resume")
@@ -263,7 +253,6 @@ class Controller:
         self.journal.note("begun", how)
         self._move_from = self.motions.q(self.name)
         self.moves += 1
-        self.began_s.append(self._monotonic())
 
     def follow(self, q: Sequence[float], rate: float) -> None:
         """Follow a position of a stream with the lag ``rate`` [1/s]; ignore it while the arm brakes."""
@@ -301,24 +290,24 @@ class Controller:
 
     def start_locally(self, program: Program[Controller]) -> None:
         """Start a program as a person does on the pendant. Raises ``ValueError`` if one runs, or without power."""
-        if self.runtime is not Runtime.STOPPED or not self._can_move():
+        if self.runtime is not ProgramState.STOPPED or not self._can_move():
             raise ValueError(f"arm {self.name}: {self.runtime.name}, {self.robot_mode.name}: no program can start")
         self.program = program
-        self._set_runtime(Runtime.PLAYING)
+        self._set_runtime(ProgramState.PLAYING)
 
     def stop_program(self, reason: str = "") -> None:
         """End a program that runs or is paused, not one that was uploaded and is about to start; the arm brakes."""
-        if reason or self.runtime is not Runtime.STOPPED:
+        if reason or self.runtime is not ProgramState.STOPPED:
             self.journal.note("stop", reason or "a new program")
         self._watchdog.watch(0.0, 0)
-        if self.runtime in (Runtime.STOPPED, Runtime.STOPPING):
+        if self.runtime in (ProgramState.STOPPED, ProgramState.STOPPING):
             return
         if reason:
             self.log.append(f"program stopped: {reason}")
         self._goal = None
         self.brakes.request("program")
         self.program = None
-        self._set_runtime(Runtime.STOPPING)
+        self._set_runtime(ProgramState.STOPPING)
 
     def pause_program(self, how: str = "dashboard: pause") -> bool:
         """Pause the program; return whether one was running."""
@@ -326,14 +315,14 @@ class Controller:
         if not self.running:
             return False
         self.brakes.request("program")
-        self._set_runtime(Runtime.PAUSING)
+        self._set_runtime(ProgramState.PAUSING)
         return True
 
     def resume_program(self) -> bool:
         """Resume a paused program; return whether one was paused and the arm can move."""
-        if self.runtime is not Runtime.PAUSED or not self._can_move():
+        if self.runtime is not ProgramState.PAUSED or not self._can_move():
             return False
-        self._set_runtime(Runtime.RESUMING)
+        self._set_runtime(ProgramState.RESUMING)
         return True
 
     def _can_move(self) -> bool:
@@ -354,7 +343,7 @@ class Controller:
         self._stop_trigger = StopTrigger()
         self.brakes.request("protective")
         if self.running:
-            self._set_runtime(Runtime.PAUSING)
+            self._set_runtime(ProgramState.PAUSING)
         self._publish_modes()
 
     def arm_protective_stop(self, *, speed: float = math.inf, travel: float = math.inf) -> None:
@@ -435,7 +424,7 @@ class Controller:
             self.safety_mode = SafetyMode.NORMAL
             self.log.append("protective stop released")
             self._publish_modes()
-        if self.runtime is Runtime.PLAYING and (silent := self._watchdog.complaint()):
+        if self.runtime is ProgramState.PLAYING and (silent := self._watchdog.complaint()):
             self.stop_program(silent)
         self._step_program()
 
@@ -469,22 +458,22 @@ class Controller:
 
     def _step_program(self) -> None:
         moving = self.moving
-        if self.runtime is Runtime.STOPPING and not moving:
-            self._set_runtime(Runtime.STOPPED)
-        elif self.runtime is Runtime.PAUSING and not moving:
-            self._set_runtime(Runtime.PAUSED)
-        elif self.runtime is Runtime.RESUMING and not moving:
+        if self.runtime is ProgramState.STOPPING and not moving:
+            self._set_runtime(ProgramState.STOPPED)
+        elif self.runtime is ProgramState.PAUSING and not moving:
+            self._set_runtime(ProgramState.PAUSED)
+        elif self.runtime is ProgramState.RESUMING and not moving:
             if self._goal is not None:
                 self._start(*self._goal)
-            self._set_runtime(Runtime.PLAYING)
-        elif self.runtime is Runtime.STOPPED and self._uploaded is not None and self.now_s >= self._uploaded[0]:
+            self._set_runtime(ProgramState.PLAYING)
+        elif self.runtime is ProgramState.STOPPED and self._uploaded is not None and self.now_s >= self._uploaded[0]:
             if not moving:
                 program, self._uploaded = self._uploaded[1], None
                 self._watchdog.watch(0.0, 0)
                 self.program = program
-                self._set_runtime(Runtime.PLAYING)
+                self._set_runtime(ProgramState.PLAYING)
                 self._run_step(program.begin)
-        elif self.runtime is Runtime.PLAYING and self.program is not None:
+        elif self.runtime is ProgramState.PLAYING and self.program is not None:
             self._run_step(self.program.cycle)
 
     def _run_step(self, step: Callable[[Controller], bool | None]) -> None:
@@ -503,7 +492,7 @@ class Controller:
 
     # -- streamed values ---------------------------------------------------------------------------------------------
 
-    def _set_runtime(self, state: Runtime) -> None:
+    def _set_runtime(self, state: ProgramState) -> None:
         self.runtime = state
         self._publish_modes()
 
@@ -516,7 +505,8 @@ class Controller:
 
     def publish_load(self) -> None:
         """Update the streamed payload and TCP."""
-        self.values |= of_load(self.payload_mass, self.payload_center, self.payload_inertia, self.tcp)
+        self.values |= {"payload": (self.payload_mass,), "payload_cog": self.payload_center}
+        self.values |= {"payload_inertia": self.payload_inertia, "tcp_offset": self.tcp}
         self._pose_inputs = None
 
     def tool_pose(self, q: Sequence[float], tcp: Sequence[float]) -> Values:
@@ -540,32 +530,23 @@ EventKind = Literal["stop", "begun", "ended"]
 _MOST = 5000
 
 
-@dataclass(frozen=True)
-class Event:
-    """One event at ``at_s`` (``time.monotonic`` of this process, comparable on one computer) [s].
+class Journal:
+    """The last events of one controller, oldest first, each at ``at_s`` (``time.monotonic`` of this process) [s].
 
     ``how`` is the way in which a stop arrived, or the cause of a motion: "move", "resume" or "stream".
     """
 
-    at_s: float
-    kind: EventKind
-    how: str
-
-
-class Journal:
-    """The last events of one controller, oldest first."""
-
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._events: deque[Event] = deque(maxlen=_MOST)
+        self._events: deque[dict[str, Any]] = deque(maxlen=_MOST)
 
     def note(self, kind: EventKind, how: str) -> None:
         """Record an event at the current time."""
-        self._events.append(Event(self._clock(), kind, how))
+        self._events.append({"at_s": self._clock(), "kind": kind, "how": how})
 
     def since(self, at_s: float) -> list[dict[str, Any]]:
         """Return the events from ``at_s`` on, for the control channel."""
-        return [asdict(event) for event in self._events if event.at_s >= at_s]
+        return [event for event in self._events if event["at_s"] >= at_s]
 
 
 # -- Digital outputs of a controller, which clients set ----------------------------------------------------------------
@@ -640,45 +621,7 @@ class Watchdog:
         return f"watchdog: input_int_register_{self._register} not written for {silent_s:.3f} s"
 
 
-# -- Modes of a UR controller, numbered as in the protocol ------------------------------------------------------------
-
-
-class RobotMode(IntEnum):
-    """Robot mode, numbered as in the protocol."""
-
-    DISCONNECTED = 0
-    CONFIRM_SAFETY = 1
-    BOOTING = 2
-    POWER_OFF = 3
-    POWER_ON = 4
-    IDLE = 5
-    BACKDRIVE = 6
-    RUNNING = 7
-
-
-class SafetyMode(IntEnum):
-    """Safety mode, numbered as in the protocol."""
-
-    NORMAL = 1
-    REDUCED = 2
-    PROTECTIVE_STOP = 3
-    RECOVERY = 4
-    SAFEGUARD_STOP = 5
-    SYSTEM_EMERGENCY_STOP = 6
-    ROBOT_EMERGENCY_STOP = 7
-    VIOLATION = 8
-    FAULT = 9
-
-
-class Runtime(IntEnum):
-    """State of the program, numbered as in the protocol."""
-
-    STOPPING = 0
-    STOPPED = 1
-    PLAYING = 2
-    PAUSING = 3
-    PAUSED = 4
-    RESUMING = 5
+# -- Bits and joint modes by which the primary interface and RTDE show the modes ---------------------------------------
 
 
 SAFETY_BITS = {

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.emulators.ur_controller.controller import Controller, Runtime, SafetyMode
+from drivers.arms.ur_rtde_reader import ProgramState, SafetyMode
+from drivers.emulators.ur_controller.controller import Controller
 from drivers.emulators.ur_controller.script import ForeignProgram
 
 GREETING = "Connected: Universal Robots Dashboard Server"
@@ -31,10 +32,10 @@ _REMOTE_ONLY = (
     "shutdown",
 )
 _PROGRAM_STATES = {
-    Runtime.STOPPED: "STOPPED",
-    Runtime.STOPPING: "STOPPED",
-    Runtime.PAUSING: "PAUSED",
-    Runtime.PAUSED: "PAUSED",
+    ProgramState.STOPPED: "STOPPED",
+    ProgramState.STOPPING: "STOPPED",
+    ProgramState.PAUSING: "PAUSED",
+    ProgramState.PAUSED: "PAUSED",
 }
 _ACKNOWLEDGED = {
     "close popup": "closing popup",

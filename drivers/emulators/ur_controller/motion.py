@@ -1,145 +1,22 @@
-"""Drives behind the controllers: the joints of a plant, or ideal joints without one; and the cell's clock."""
+"""The clock of a cell whose arms' joints are those of a plant, and the stops of its controllers."""
 
 from __future__ import annotations
 
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal, Protocol
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.plant.clearance import Clearance
-from drivers.plant.motion import AnyMotion, braked, travel
-from drivers.plant.servo import ServoMotion
+from drivers.plant import Plant
 
 Array = NDArray[np.float64]
 
-_ROOM_C = 20.0
-_STANDSTILL_S = 5.0
-
-
-class Motions(Protocol):
-    """Drives of all arms of a cell and their common clock; ``drivers.plant.Plant`` implements it."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the arms."""
-
-    @property
-    def clock_s(self) -> float:
-        """Cell time [s]."""
-
-    def advance(self, duration_s: float) -> None:
-        """Advance the clock."""
-
-    def q(self, name: str) -> Array:
-        """Return the current joint positions (6,) [rad]."""
-
-    def moving(self, name: str) -> bool:
-        """Return whether an arm moves."""
-
-    def start_move(self, name: str, q: Array, speed: Array, acceleration: Array) -> None:
-        """Start a joint motion of an arm at rest, at most at ``speed`` and ``acceleration`` (6,)."""
-
-    def servo(self, name: str, goal: Array, rate: float) -> None:
-        """Follow ``goal`` (6,) of a stream from now on, with the lag ``rate`` [1/s]; allowed at rest or in a stream."""
-
-    def stop(self, name: str, deceleration: Array | None = None) -> None:
-        """Brake at most at ``deceleration`` (6,), by default the largest; harmless at rest."""
-
-    def speeds(self, name: str) -> Array:
-        """Return the current joint speeds (6,) [rad/s]."""
-
-    def scale_speed(self, name: str, scale: float) -> None:
-        """Continue the running motion at ``scale`` times its own speed, from 0 to 1."""
-
-    @property
-    def clearance(self) -> Clearance | None:
-        """Smallest distances of the arms so far; None if they are not watched."""
-
-    def joint_temperatures_c(self, name: str) -> Array:
-        """Return the current joint temperatures (6,) [degC]."""
-
-    def set_payload(self, name: str, mass: float, center: Array) -> None:
-        """Set the load of the flange [kg, m]."""
-
-
-class FreeMotions:
-    """Ideal joints without a plant: exact, without load, at constant temperature."""
-
-    clearance: Clearance | None = None
-
-    def __init__(self, homes: Mapping[str, Array], accelerations: Mapping[str, Array]) -> None:
-        self._q = {name: np.array(home, dtype=np.float64) for name, home in homes.items()}
-        self._accelerations = dict(accelerations)
-        self._motions: dict[str, AnyMotion | None] = dict.fromkeys(self._q)
-        self._clock_s = 0.0
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the arms."""
-        return tuple(self._q)
-
-    @property
-    def clock_s(self) -> float:
-        """Time since the start [s]."""
-        return self._clock_s
-
-    def advance(self, duration_s: float) -> None:
-        """Advance the clock."""
-        self._clock_s += duration_s
-        for name, motion in self._motions.items():
-            if motion is not None and motion.end_s <= self._clock_s:
-                self._q[name], self._motions[name] = motion.q_to, None
-
-    def q(self, name: str) -> Array:
-        """Return the current joint positions (6,) [rad]."""
-        motion = self._motions[name]
-        return self._q[name].copy() if motion is None else motion.position(np.array([self._clock_s]))[0]
-
-    def moving(self, name: str) -> bool:
-        """Return whether an arm moves."""
-        return self._motions[name] is not None
-
-    def start_move(self, name: str, q: Array, speed: Array, acceleration: Array) -> None:
-        """Start a joint motion of an arm at rest."""
-        if self._motions[name] is not None:
-            raise ValueError(f"arm {name} is still moving")
-        self._motions[name] = travel(self._clock_s, self._q[name], np.array(q), speed, acceleration)
-
-    def servo(self, name: str, goal: Array, rate: float) -> None:
-        """Follow ``goal`` (6,) of a stream from now on."""
-        self._motions[name] = ServoMotion.towards(np.array(goal), self._clock_s, self.q(name), self.speeds(name), rate)
-
-    def stop(self, name: str, deceleration: Array | None = None) -> None:
-        """Brake at most at ``deceleration`` (6,), by default the largest acceleration."""
-        motion = self._motions[name]
-        if motion is not None:
-            self._q[name] = self.q(name)
-            limit = self._accelerations[name] if deceleration is None else deceleration
-            self._motions[name] = braked(motion, self._clock_s, limit)
-
-    def speeds(self, name: str) -> Array:
-        """Return the current joint speeds (6,) [rad/s]."""
-        motion = self._motions[name]
-        return np.zeros(6) if motion is None else motion.velocity(np.array([self._clock_s]))[0]
-
-    def scale_speed(self, name: str, scale: float) -> None:
-        """Continue the running motion at ``scale`` times its own speed."""
-        motion = self._motions[name]
-        if motion is not None:
-            self._motions[name] = motion.scaled(self._clock_s, scale)
-
-    def joint_temperatures_c(self, name: str) -> Array:
-        """Return room temperature (6,) [degC]."""
-        return np.full(6, _ROOM_C)
-
-    def set_payload(self, name: str, mass: float, center: Array) -> None:
-        """Do nothing: ideal joints carry no load."""
+_STANDSTILL_S = 30.0
 
 
 class PacedCell:
@@ -149,7 +26,7 @@ class PacedCell:
     release it to wait: ``passed`` is a condition on the same lock, notified when the clock has advanced.
     """
 
-    def __init__(self, motions: Motions, pace: float = 1.0) -> None:
+    def __init__(self, motions: Plant, pace: float = 1.0) -> None:
         self.motions = motions
         self.pace = pace
         self.lock = threading.RLock()
@@ -242,10 +119,6 @@ class StopRecord:
     began_s: float | None = None
     rest_s: float | None = None
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields, for the control channel."""
-        return asdict(self)
-
 
 @dataclass
 class StopTrigger:
@@ -267,7 +140,7 @@ class Brakes:
     def __init__(
         self,
         name: str,
-        motions: Motions,
+        motions: Plant,
         braking: Braking,
         speed: Sequence[float],
         acceleration: Sequence[float],

@@ -149,17 +149,10 @@ class ControllerConfig:
     def __post_init__(self) -> None:
         if set(self.ports) != set(STANDARD_PORTS):
             raise ValueError(f"arm {self.name}: ports are {', '.join(STANDARD_PORTS)}; got {', '.join(self.ports)}")
-        lengths = {
-            "limits": (self.limits, 6),
-            "speed": (self.speed, 6),
-            "acceleration": (self.acceleration, 6),
-            "home": (self.home, 6),
-            "payload_center": (self.payload_center, 3),
-            "tcp": (self.tcp, 6),
-        }
-        for name, (value, length) in lengths.items():
-            if len(value) != length:
-                raise ValueError(f"arm {self.name}: {name} has {len(value)} entries, expected {length}")
+        for name in ("limits", "speed", "acceleration", "home", "payload_center", "tcp"):
+            count, expected = len(getattr(self, name)), 3 if name == "payload_center" else 6
+            if count != expected:
+                raise ValueError(f"arm {self.name}: {name} has {count} entries, expected {expected}")
         if not (self.beyond_loopback or ipaddress.IPv4Address(self.host).is_loopback):
             raise ValueError(
                 f"arm {self.name}: {self.host} is not a loopback address; an emulator open to the network needs"

@@ -5,7 +5,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable
 
-from drivers.emulators.ur_controller.controller import Controller, RobotMode, Runtime, SafetyMode
+from drivers.arms.ur_rtde_reader import ProgramState, RobotMode, SafetyMode
+from drivers.emulators.ur_controller.controller import Controller
 from drivers.emulators.ur_controller.personality import ControllerConfig, Personality
 
 PERIOD_S = 0.1
@@ -71,7 +72,7 @@ def state(controller: Controller) -> bytes:
 def _state(controller: Controller) -> list[bytes]:
     safety, values = controller.safety_mode, controller.values
     powered = controller.robot_mode is not RobotMode.POWER_OFF
-    paused = controller.runtime in (Runtime.PAUSING, Runtime.PAUSED)
+    paused = controller.runtime in (ProgramState.PAUSING, ProgramState.PAUSED)
     mode = struct.pack(
         ">Q7?2B3dB",
         int(controller.clock_s * _MICROSECONDS),

@@ -228,8 +228,8 @@ class ControlScript:
         match command:
             case 1:
                 self._move(controller)
-            case 8 | 20 | 21 | 56 | 57:
-                pass  # force sensor: not emulated
+            case 8 | 20 | 21 | 56 | 57 | 59:
+                pass  # force sensor and direction of gravity: not emulated
             case 15 | 16 | 33:
                 self._stop(controller, None, asynchronous=command == 33 and controller.input_int(self._i + 1) == 1)
             case 34:
@@ -259,8 +259,6 @@ class ControlScript:
                 self._answer_doubles(controller, controller.tool_pose(d(controller, 0, 6), d(controller, 6, 6)))
             case 47:
                 self._answer_int(controller, int(controller.steady))
-            case 59:
-                controller.gravity = d(controller, 0, 3)
             case _:
                 raise ScriptError(f"command {command} of ur_rtde is not emulated")
 
@@ -280,12 +278,8 @@ class ControlScript:
 
     def _servo(self, controller: Controller) -> None:
         """Execute ``servoj``: follow the position in the registers; repeating it in the next cycle changes nothing."""
-        *goal, _, _, time_s, lookahead_s, gain = self._doubles(controller, 0, 11)
-        if not all(map(math.isfinite, (*goal, time_s))):
-            raise ScriptError("servoj: a value is not a finite number")
-        for joint, (value, (low, high)) in enumerate(zip(goal, controller.config.limits, strict=True), start=1):
-            if not low - 1e-9 <= value <= high + 1e-9:
-                raise ScriptError(f"servoj: {value:.4f} rad of joint {joint} is outside [{low:.4f}, {high:.4f}] rad")
+        *goal, _, _, _, lookahead_s, gain = self._doubles(controller, 0, 11)
+        controller.require_inside("servoj", goal)
         try:
             rate = servo_rate(lookahead_s, gain)
         except ValueError as error:

@@ -21,10 +21,11 @@ from drivers.emulators.ur_controller import dashboard, primary
 from drivers.emulators.ur_controller.control import Control, ControlSession, Emulated, execute
 from drivers.emulators.ur_controller.controller import Controller
 from drivers.emulators.ur_controller.links import Link, Port, Session
-from drivers.emulators.ur_controller.motion import FreeMotions, Motions, PacedCell
+from drivers.emulators.ur_controller.motion import PacedCell
 from drivers.emulators.ur_controller.personality import ControllerConfig, PortName
 from drivers.emulators.ur_controller.rtde import RtdeServer, RtdeSession
 from drivers.emulators.ur_controller.script import Upload
+from drivers.plant import ArmConfig, Plant, PlantConfig, TrackerConfig
 from drivers.priority import in_real_time, run_first
 
 _LONGEST_LINE = 4096
@@ -135,6 +136,28 @@ class _Arm(Emulated):
             port.tick(now_s)
 
 
+def ideal(arms: Sequence[ControllerConfig]) -> Plant:
+    """Return a plant of ideal arms: exact, rigid, without weight, all at one place."""
+    found = tuple(
+        ArmConfig(
+            name=arm.name,
+            rows=np.array(arm.personality.rows),
+            limits=np.array(arm.limits),
+            speed=np.array(arm.speed),
+            acceleration=np.array(arm.acceleration),
+            T_C_B=np.eye(4),
+            smr_offset=np.zeros(3),
+            smr_normal=np.array([0.0, 0.0, 1.0]),
+            smr_acceptance=np.pi,
+            masses=np.zeros(6),
+            centers_of_mass=np.zeros((6, 3)),
+            home=np.array(arm.home),
+        )
+        for arm in arms
+    )
+    return Plant(PlantConfig(0, found, TrackerConfig(np.eye(4))))
+
+
 class UrControllerServer:
     """Controllers of one cell. A ``with`` block serves them in a background thread; ``run`` serves in the foreground.
 
@@ -153,7 +176,7 @@ class UrControllerServer:
     def __init__(
         self,
         arms: Sequence[ControllerConfig],
-        plant: Motions | None = None,
+        plant: Plant | None = None,
         pace: float = 1.0,
         control_port: int = 0,
     ) -> None:
@@ -164,9 +187,7 @@ class UrControllerServer:
         names = [arm.name for arm in arms]
         if not arms or len(set(names)) != len(names):
             raise ValueError(f"arms: expected one or more, each with its own name; got {', '.join(names) or 'none'}")
-        if plant is None:
-            homes = {arm.name: np.array(arm.home) for arm in arms}
-            plant = FreeMotions(homes, {arm.name: np.array(arm.acceleration) for arm in arms})
+        plant = ideal(arms) if plant is None else plant
         for name in names:
             if name not in plant.names:
                 raise ValueError(f"arm {name}: not in the plant; its arms are {', '.join(plant.names)}")
@@ -296,23 +317,6 @@ class UrControllerServer:
         else:
             assert isinstance(key.fileobj, socket.socket)
             key.fileobj.recv(_LONGEST_LINE)
-
-
-def serve(
-    arms: Sequence[ControllerConfig],
-    plant: Motions | None = None,
-    pace: float = 1.0,
-    announce: Callable[[Addresses], None] = lambda _: None,
-    control_port: int = 0,
-) -> None:
-    """Serve in the foreground until interrupted; ``announce`` is called once, when all ports are open.
-
-    Raises ``OSError`` if a port or address is not available, ``ValueError`` like ``UrControllerServer``.
-    """
-    server = UrControllerServer(arms, plant, pace, control_port)
-    announce(server.open())
-    with suppress(KeyboardInterrupt):
-        server.run()
 
 
 # -- a separate process ---------------------------------------------------------------------------------------------

@@ -5,20 +5,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
+from drivers.arms.ur_rtde_reader import FORMATS
+
 REGISTERS = 48
 """Number of integer and of float registers in each direction."""
 
-_FORMATS = {
-    "DOUBLE": "d",
-    "INT32": "i",
-    "UINT32": "I",
-    "UINT64": "Q",
-    "UINT8": "B",
-    "BOOL": "?",
-    "VECTOR3D": "3d",
-    "VECTOR6D": "6d",
-    "VECTOR6INT32": "6i",
-}
 _OUTPUTS = {
     "DOUBLE": (
         "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum actual_main_voltage"
@@ -71,7 +62,7 @@ INPUTS = _by_name(_INPUTS, ("input",))
 
 def layout(kinds: Sequence[str]) -> struct.Struct:
     """Return the binary layout of consecutive values of the given types."""
-    return struct.Struct(">" + "".join(_FORMATS[kind] for kind in kinds))
+    return struct.Struct(">" + "".join(FORMATS[kind] for kind in kinds))
 
 
 def width(kind: str) -> int:

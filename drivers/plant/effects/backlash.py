@@ -5,13 +5,14 @@ Besides sharp play there are three laws with a gradual transition.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.effect import NUMBER, POSITIVES, Effect, Parameters, Situation, by_law, made
 from drivers.plant.mechanism import Deflection
 
 _ELEMENTS = 16
@@ -46,21 +47,18 @@ class Backlash(Effect):
 
 
 @dataclass(frozen=True, eq=False)
-class SlippingElements(Effect):
-    """Lost motion that grows with the length of the last step and saturates.
+class GradualPlay(Effect):
+    """Lost motion against the last step that grows with its length and saturates at ``half``.
 
-    Masing model: many parallel elements between drive and joint stick, are strained by the step, and slip beyond a
-    strain of their own. Their slip distances are distributed exponentially with mean ``reach``. At rest the elements
-    relax, so each step begins unstrained. The memory is the drive's angle and the joint's lag.
+    The memory is the drive's angle and the used share of the play, with the sign of the step.
     """
 
     half: Array
     reach: Array
 
-    def _lag(self, step: Array) -> Array:
-        slips = -self.reach * np.log1p(-(np.arange(_ELEMENTS) + 0.5)[:, None, None] / _ELEMENTS)
-        lag: Array = self.half * np.minimum(np.abs(step) / slips, 1.0).mean(axis=0)
-        return lag
+    @abstractmethod
+    def share(self, step: Array) -> Array:
+        """Return the share of the play that a step uses."""
 
     def initial_memory(self, q: Array) -> Array | None:
         return np.stack([q, np.zeros_like(q)])
@@ -68,46 +66,41 @@ class SlippingElements(Effect):
     def memory_after_motion(self, memory: Array | None, q: Array) -> Array | None:
         assert memory is not None
         step = q - memory[0]
-        return np.stack([q, np.where(step == 0.0, memory[1], np.sign(step) * self._lag(step))])
+        return np.stack([q, np.where(step == 0.0, memory[1], np.sign(step) * self.share(step))])
 
     def assumed_memory(self, situation: Situation) -> Array | None:
         step = situation.last_step
-        lag = np.where(step == 0.0, self.half, self._lag(step))
-        return np.stack([situation.q, np.sign(situation.approach) * lag])
+        share = np.where(step == 0.0, 1.0, self.share(step))
+        return np.stack([situation.q, np.sign(situation.approach) * share])
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
         assert memory is not None
-        return Deflection(joints=-memory[1])
+        return Deflection(joints=-self.half * memory[1])
+
+
+class SlippingElements(GradualPlay):
+    """Lost motion of many parallel elements between drive and joint.
+
+    Masing model: they stick, are strained by the step, and slip beyond a strain of their own. Their slip distances are
+    distributed exponentially with mean ``reach``. At rest they relax, so each step begins unstrained.
+    """
+
+    def share(self, step: Array) -> Array:
+        slips = -self.reach * np.log1p(-(np.arange(_ELEMENTS) + 0.5)[:, None, None] / _ELEMENTS)
+        return np.asarray(np.minimum(np.abs(step) / slips, 1.0).mean(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
-class WarmPlay(Effect):
+class WarmPlay(GradualPlay):
     """Lost motion ``half (1 - exp(-|step| / reach))`` against the last step, in a gear whose play grows as it warms.
 
-    ``half`` is stated for 20 degC; its relative change is ``per_kelvin`` times the rise of the joint's temperature. The
-    memory is the drive's angle and the used share of the play.
+    ``half`` is stated for 20 degC; its relative change is ``per_kelvin`` times the rise of the joint's temperature.
     """
 
-    half: Array
-    reach: Array
     per_kelvin: float
 
-    def _share(self, step: Array) -> Array:
-        share: Array = -np.expm1(-np.abs(step) / self.reach)
-        return share
-
-    def initial_memory(self, q: Array) -> Array | None:
-        return np.stack([q, np.zeros_like(q)])
-
-    def memory_after_motion(self, memory: Array | None, q: Array) -> Array | None:
-        assert memory is not None
-        step = q - memory[0]
-        return np.stack([q, np.where(step == 0.0, memory[1], np.sign(step) * self._share(step))])
-
-    def assumed_memory(self, situation: Situation) -> Array | None:
-        step = situation.last_step
-        share = np.where(step == 0.0, 1.0, self._share(step))
-        return np.stack([situation.q, np.sign(situation.approach) * share])
+    def share(self, step: Array) -> Array:
+        return np.asarray(-np.expm1(-np.abs(step) / self.reach))
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
         assert memory is not None
@@ -157,22 +150,28 @@ class ManyPlays(Effect):
         return Deflection(joints=self.half * ((memory - situation.q) / self._widths()).mean(axis=0))
 
 
-def backlash(parameters: Parameters) -> Effect:
-    """Build backlash. ``play``: full width of the dead band of each joint [rad].
+def _half(parameters: Parameters, key: str) -> Array:
+    return parameters.numbers(key, least=0.0) / 2.0
 
-    With ``reach`` [rad] per joint, the lost motion saturates at half the play as the last step grows beyond ``reach``.
-    Other laws, with ``reach``: ``law`` warm, whose play at 20 degC changes by ``per_kelvin`` [1/K]; many_plays.
-    """
-    law, parameters = parameters.by_law("play", "warm", "many_plays")
-    if law == "warm":
-        parameters.require("play", "reach", "per_kelvin")
-        half, reach = parameters.numbers("play", least=0.0) / 2.0, parameters.numbers("reach", above=0.0)
-        return WarmPlay(half, reach, parameters.number("per_kelvin"))
-    if law == "many_plays":
-        parameters.require("play", "reach")
-        return ManyPlays(parameters.numbers("play", least=0.0) / 2.0, parameters.numbers("reach", above=0.0))
+
+def _sharp_or_gradual(parameters: Parameters) -> Effect:
     parameters.require("play", optional=("reach",))
-    half = parameters.numbers("play", least=0.0) / 2.0
-    if not parameters.all_or_none("reach"):
-        return Backlash(half)
-    return SlippingElements(half, parameters.numbers("reach", above=0.0))
+    half = _half(parameters, "play")
+    gradual = parameters.all_or_none("reach")
+    return SlippingElements(half, parameters.numbers("reach", above=0.0)) if gradual else Backlash(half)
+
+
+def _warm(play: Array, reach: Array, per_kelvin: float) -> Effect:
+    return WarmPlay(play, reach, per_kelvin)
+
+
+backlash = by_law(
+    play=_sharp_or_gradual,
+    warm=made(_warm, play=_half, reach=POSITIVES, per_kelvin=NUMBER),
+    many_plays=made(lambda play, reach: ManyPlays(play, reach), play=_half, reach=POSITIVES),
+)
+"""``play``: full width of the dead band of each joint [rad].
+
+With ``reach`` [rad] per joint, the lost motion saturates at half the play as the last step grows beyond ``reach``.
+Other laws, with ``reach``: ``law`` warm, whose play at 20 degC changes by ``per_kelvin`` [1/K]; many_plays.
+"""

@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.effect import (
+    NOT_NEGATIVE,
+    NUMBER,
+    POSITIVE,
+    VECTOR,
+    Effect,
+    Factory,
+    Parameters,
+    Read,
+    Situation,
+    by_law,
+    made,
+)
 from drivers.plant.mechanism import Deflection
 from drivers.plant.random_functions import RandomPaths
 from drivers.plant.transforms import rigid, transform_points
@@ -117,31 +130,14 @@ class TargetSlip(Effect):
         return Deflection(tool=np.concatenate([slipped, np.zeros_like(slipped)], axis=1))
 
 
-def _twist(parameters: Parameters) -> Array:
-    return np.concatenate([parameters.numbers("shift", 3), parameters.numbers("turn", 3)])
-
-
-def _course(parameters: Parameters) -> Course:
+def _course(parameters: Parameters) -> tuple[Array, Course]:
     law = parameters.choice("law", *_LAWS)
     extra = {"sinusoidal": ("phase",), "wandering": ("seed",)}.get(law, ())
     parameters.require("shift", "turn", "law", "time", *extra)
-    time = parameters.number("time", above=0.0)
+    twist, time = np.append(parameters.numbers("shift", 3), parameters.numbers("turn", 3)), POSITIVE(parameters, "time")
     if law == "wandering":
-        return Course(law, time, paths=RandomPaths.drawn(parameters.integer("seed", least=0), 6, time))
-    return Course(law, time, parameters.number("phase", default=0.0))
-
-
-def _slip(parameters: Parameters, *sizes: str) -> Slip:
-    law, parameters = parameters.by_law("sudden", "creeping")
-    if law == "sudden":
-        parameters.require(*sizes, "time")
-        return Slip(parameters.number("time"))
-    parameters.require(*sizes, "time", "creeping", "time_constant")
-    return Slip(
-        parameters.number("time"),
-        parameters.number("creeping", least=0.0),
-        parameters.number("time_constant", above=0.0),
-    )
+        return twist, Course(law, time, paths=RandomPaths.drawn(parameters.integer("seed", least=0), 6, time))
+    return twist, Course(law, time, parameters.number("phase", default=0.0))
 
 
 def base_drift(parameters: Parameters) -> Effect:
@@ -149,26 +145,24 @@ def base_drift(parameters: Parameters) -> Effect:
 
     ``law`` is linear, exponential, creep, sinusoidal (with ``phase`` [rad]) or wandering (with ``seed``).
     """
-    course = _course(parameters)
-    return BaseDrift(_twist(parameters), course)
+    return BaseDrift(*_course(parameters))
 
 
 def tracker_drift(parameters: Parameters) -> Effect:
     """Build tracker drift; parameters as of ``base_drift``, in M."""
-    course = _course(parameters)
-    return TrackerDrift(_twist(parameters), course)
+    return TrackerDrift(*_course(parameters))
 
 
-def base_step(parameters: Parameters) -> Effect:
-    """Build a base step. ``shift`` (3) [m] and ``turn`` (3) [rad] in B at ``time`` [s].
-
-    With ``law`` creeping, the share ``creeping`` of it follows with ``time_constant`` [s].
-    """
-    slip = _slip(parameters, "shift", "turn")
-    return BaseStep(_twist(parameters), slip)
+def _slips(effect: Callable[..., Effect], **sizes: Read) -> Factory:
+    """Return the factory of a slip. With ``law`` creeping, the share ``creeping`` follows with ``time_constant``."""
+    creeping = made(effect, **sizes, time=NUMBER, creeping=NOT_NEGATIVE, time_constant=POSITIVE)
+    return by_law(sudden=made(effect, **sizes, time=NUMBER), creeping=creeping)
 
 
-def target_slip(parameters: Parameters) -> Effect:
-    """Build a target slip. ``shift`` (3) in the flange frame [m] at ``time`` [s]; ``law`` as of ``base_step``."""
-    slip = _slip(parameters, "shift")
-    return TargetSlip(parameters.numbers("shift", 3), slip)
+base_step = _slips(
+    lambda shift, turn, **slip: BaseStep(np.append(shift, turn), Slip(**slip)), shift=VECTOR, turn=VECTOR
+)
+"""``shift`` (3) [m] and ``turn`` (3) [rad] in B at ``time`` [s]; or ``law`` creeping."""
+
+target_slip = _slips(lambda shift, **slip: TargetSlip(shift, Slip(**slip)), shift=VECTOR)
+"""``shift`` (3) in the flange frame [m] at ``time`` [s]; ``law`` as of ``base_step``."""

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.effect import (
+    JOINTS,
+    NOT_NEGATIVES,
+    NUMBERS,
+    Effect,
+    Parameters,
+    Read,
+    Situation,
+    by_law,
+    made,
+    on_joints,
+)
 from drivers.plant.mechanism import Deflection
 
 
@@ -27,32 +39,31 @@ class EncoderEccentricity(Effect):
     eccentricity: Array
     radius: Array
     phase: Array
-    tilt: Array
-    tilt_phase: Array
+    tilt: Array | float = 0.0
+    tilt_phase: Array | float = 0.0
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        height = self.eccentricity * np.sin(situation.q[:, self.joints] + self.phase)
-        offsets = np.zeros_like(situation.q)
-        offsets[:, self.joints] = -np.arctan2(height, np.sqrt(self.radius**2 - height**2))
-        if self.tilt.any():
-            turned = 2.0 * situation.q[:, self.joints] + self.tilt_phase
-            offsets[:, self.joints] -= np.tan(self.tilt / 2.0) ** 2 * np.sin(turned)
-        return Deflection(joints=offsets)
+        joint = situation.q[:, self.joints]
+        height = self.eccentricity * np.sin(joint + self.phase)
+        ellipse = np.tan(self.tilt / 2.0) ** 2 * np.sin(2.0 * joint + self.tilt_phase)
+        angles = -np.arctan2(height, np.sqrt(self.radius**2 - height**2)) - ellipse
+        return on_joints(situation, self.joints, angles)
 
 
-def encoder_eccentricity(parameters: Parameters) -> Effect:
-    """Build eccentricity. ``joints``: numbers from 1; for each ``eccentricity``, ``radius`` [m], ``phase`` [rad].
-
-    With ``law`` tilted also ``tilt`` and ``tilt_phase`` [rad] of the disc.
-    """
-    law, parameters = parameters.by_law("centred", "tilted")
-    extra = ("tilt", "tilt_phase") if law == "tilted" else ()
-    parameters.require("joints", "eccentricity", "radius", "phase", *extra)
-    joints = parameters.joint_numbers("joints")
-    count = len(joints)
-    eccentricity = parameters.numbers("eccentricity", count, least=0.0)
-    radius = parameters.numbers("radius", count, above=0.0)
-    if (eccentricity >= radius).any():
+def _radius(parameters: Parameters, key: str) -> Array:
+    radius = parameters.numbers(key, above=0.0)
+    if (parameters.numbers("eccentricity") >= radius).any():
         raise parameters.error("eccentricity", "must be smaller than radius")
-    tilt, tilt_phase = (parameters.numbers(key, count) for key in extra) if extra else np.zeros((2, count))
-    return EncoderEccentricity(joints, eccentricity, radius, parameters.numbers("phase", count), tilt, tilt_phase)
+    return radius
+
+
+_CENTRED: Mapping[str, Read] = {"joints": JOINTS, "eccentricity": NOT_NEGATIVES, "radius": _radius, "phase": NUMBERS}
+
+encoder_eccentricity = by_law(
+    centred=made(EncoderEccentricity, **_CENTRED),
+    tilted=made(EncoderEccentricity, **_CENTRED, tilt=NUMBERS, tilt_phase=NUMBERS),
+)
+"""``joints``: numbers from 1; for each ``eccentricity``, ``radius`` [m], ``phase`` [rad].
+
+With ``law`` tilted also ``tilt`` and ``tilt_phase`` [rad] of the disc.
+"""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.effect import NOT_NEGATIVES, NUMBER, POSITIVE, STIFFNESSES, Effect, Read, Situation, by_law, made
 from drivers.plant.mechanism import Deflection, Posture
 
 
@@ -65,22 +66,14 @@ class RootLoadWindup(FrictionWindup):
         return torque
 
 
-def friction_windup(parameters: Parameters) -> Effect:
-    """Build wind-up. Per joint: ``friction`` [Nm], ``load_friction`` [Nm/Nm], drive ``stiffness`` [Nm/rad].
+_PLAIN: Mapping[str, Read] = {**dict.fromkeys(("friction", "load_friction"), NOT_NEGATIVES), "stiffness": STIFFNESSES}
 
-    Other laws: ``law`` stribeck with ``rise`` and ``short`` [rad]; root_load with ``typical_load`` [Nm] per joint.
-    """
-    law, parameters = parameters.by_law("proportional", "stribeck", "root_load")
-    extra = {"proportional": (), "stribeck": ("rise", "short"), "root_load": ("typical_load",)}[law]
-    parameters.require("friction", "load_friction", "stiffness", *extra)
-    windup = FrictionWindup(
-        parameters.numbers("friction", least=0.0),
-        parameters.numbers("load_friction", least=0.0),
-        parameters.stiffnesses("stiffness"),
-    )
-    plain = windup.friction, windup.load_friction, windup.stiffness
-    if law == "stribeck":
-        return StribeckWindup(*plain, parameters.number("rise"), parameters.number("short", above=0.0))
-    if law == "root_load":
-        return RootLoadWindup(*plain, parameters.numbers("typical_load", least=0.0))
-    return windup
+friction_windup = by_law(
+    proportional=made(FrictionWindup, **_PLAIN),
+    stribeck=made(StribeckWindup, **_PLAIN, rise=NUMBER, short=POSITIVE),
+    root_load=made(RootLoadWindup, **_PLAIN, typical_load=NOT_NEGATIVES),
+)
+"""Per joint: ``friction`` [Nm], ``load_friction`` [Nm/Nm], drive ``stiffness`` [Nm/rad].
+
+Other laws: ``law`` stribeck with ``rise`` and ``short`` [rad]; root_load with ``typical_load`` [Nm] per joint.
+"""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
-from drivers.plant.effects.joint_axis_wobble import random_waves
+from drivers.plant.effect import JOINTS, NOT_NEGATIVES, Effect, Situation, before_joints
+from drivers.plant.effects.joint_axis_wobble import with_waves
 from drivers.plant.mechanism import Deflection
 from drivers.plant.random_functions import RandomWaves
 
@@ -23,25 +23,24 @@ class JointAxisRunout(Effect):
     """
 
     joints: np.ndarray
-    radial: Array
-    axial: Array
+    sizes: Array  # (joints, 3)
     waves: tuple[RandomWaves, ...]
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        n, count = situation.q.shape
-        twists, base = np.zeros((n, count, 6)), np.zeros((n, 6))
-        for joint, radial, axial, waves in zip(self.joints, self.radial, self.axial, self.waves, strict=True):
-            twist = base if joint == 0 else twists[:, joint - 1]
-            twist[:, :3] = waves.at(situation.q[:, joint]) * np.array([radial, radial, axial])
-        return Deflection(base=base, links=twists)
+        twists = np.zeros((len(situation.q), len(self.joints), 6))
+        for k, (joint, waves) in enumerate(zip(self.joints, self.waves, strict=True)):
+            twists[:, k, :3] = waves.at(situation.q[:, joint]) * self.sizes[k]
+        return before_joints(situation, self.joints, twists)
 
 
-def joint_axis_runout(parameters: Parameters) -> Effect:
-    """Build run-out. ``joints``: numbers from 1; for each ``radial`` and ``axial`` [m].
+joint_axis_runout = with_waves(
+    lambda joints, radial, axial, waves: JointAxisRunout(joints, np.column_stack([radial, radial, axial]), waves),
+    directions=3,
+    joints=JOINTS,
+    radial=NOT_NEGATIVES,
+    axial=NOT_NEGATIVES,
+)
+"""``joints``: numbers from 1; for each ``radial`` and ``axial`` [m].
 
-    All joints share ``harmonics`` (cycles per revolution), as many ``shares``, and a ``seed`` of the phases.
-    """
-    parameters.require("joints", "radial", "axial", "harmonics", "shares", "seed")
-    joints = parameters.joint_numbers("joints")
-    radial, axial = (parameters.numbers(key, len(joints), least=0.0) for key in ("radial", "axial"))
-    return JointAxisRunout(joints, radial, axial, random_waves(parameters, len(joints), 3))
+All joints share ``harmonics`` (cycles per revolution), as many ``shares``, and a ``seed`` of the phases.
+"""

@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.effect import (
+    JOINTS,
+    NOT_NEGATIVES,
+    NUMBERS,
+    POSITIVES,
+    SEED,
+    Effect,
+    Factory,
+    Parameters,
+    Read,
+    Situation,
+    before_joints,
+    by_law,
+    made,
+)
 from drivers.plant.mechanism import Deflection
 from drivers.plant.random_functions import RandomWaves
 
@@ -46,20 +62,12 @@ class JointAxisWobble(Effect):
     phase: Array
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        n, count = situation.q.shape
-        twists = np.zeros((n, count, 6))
-        base = np.zeros((n, 6))
-        fit = _plane_fit()
         angles = _BALLS - (situation.q[:, self.joints] + self.phase)[..., None]
         heights = self.two_lobes[:, None] * np.cos(2.0 * angles) + self.three_lobes[:, None] * np.cos(3.0 * angles)
-        rise, x, y = np.moveaxis(heights @ fit.T, -1, 0)
-        for k, joint in enumerate(self.joints):
-            # the axis is z of the previous frame
-            twist = base if joint == 0 else twists[:, joint - 1]
-            twist[:, 2] = rise[:, k]
-            twist[:, 3] = y[:, k] / self.radius[k]
-            twist[:, 4] = -x[:, k] / self.radius[k]
-        return Deflection(base=base, links=twists)
+        rise, x, y = np.moveaxis(heights @ _plane_fit().T, -1, 0)
+        none = np.zeros_like(rise)  # the axis is z of the previous frame
+        twists = np.stack([none, none, rise, y / self.radius, -x / self.radius, none], axis=-1)
+        return before_joints(situation, self.joints, twists)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,39 +83,40 @@ class HarmonicWobble(Effect):
     waves: tuple[RandomWaves, ...]
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        n, count = situation.q.shape
-        twists, base = np.zeros((n, count, 6)), np.zeros((n, 6))
-        for joint, tilt, waves in zip(self.joints, self.tilt, self.waves, strict=True):
-            twist = base if joint == 0 else twists[:, joint - 1]
-            twist[:, 3:5] = tilt * waves.at(situation.q[:, joint])
-        return Deflection(base=base, links=twists)
+        twists = np.zeros((len(situation.q), len(self.joints), 6))
+        for k, (joint, waves) in enumerate(zip(self.joints, self.waves, strict=True)):
+            twists[:, k, 3:5] = self.tilt[k] * waves.at(situation.q[:, joint])
+        return before_joints(situation, self.joints, twists)
 
 
-def joint_axis_wobble(parameters: Parameters) -> Effect:
-    """Build wobble. ``joints``: from 1; for each ``radius``, ``two_lobes``, ``three_lobes`` [m], ``phase`` [rad].
-
-    With ``law`` harmonics instead: ``joints``, for each ``tilt`` [rad]; ``harmonics`` (cycles per revolution), as many
-    ``shares``, and a ``seed`` of the phases.
-    """
-    law, parameters = parameters.by_law("lobes", "harmonics")
-    if law == "harmonics":
-        parameters.require("joints", "tilt", "harmonics", "shares", "seed")
-        joints = parameters.joint_numbers("joints")
-        return HarmonicWobble(joints, parameters.numbers("tilt", len(joints)), random_waves(parameters, len(joints), 2))
-    parameters.require("joints", "radius", "two_lobes", "three_lobes", "phase")
-    joints = parameters.joint_numbers("joints")
-    return JointAxisWobble(
-        joints,
-        parameters.numbers("radius", len(joints), above=0.0),
-        parameters.numbers("two_lobes", len(joints), least=0.0),
-        parameters.numbers("three_lobes", len(joints), least=0.0),
-        parameters.numbers("phase", len(joints)),
-    )
+def _own_length(parameters: Parameters, key: str) -> Array:
+    return parameters.numbers(key, parameters.length(key), least=1.0)
 
 
-def random_waves(parameters: Parameters, joints: int, directions: int) -> tuple[RandomWaves, ...]:
-    """Draw sums of ``harmonics`` with ``shares`` by ``seed`` for some joints, each in ``directions`` directions."""
-    harmonics = parameters.numbers("harmonics", parameters.length("harmonics"), least=1.0)
-    shares = parameters.numbers("shares", len(harmonics))
-    rng = np.random.default_rng(parameters.integer("seed", least=0))
-    return tuple(RandomWaves.drawn(rng, directions, harmonics, shares) for _ in range(joints))
+def _shares(parameters: Parameters, key: str) -> Array:
+    return parameters.numbers(key, parameters.length("harmonics"))
+
+
+def with_waves(effect: Callable[..., Effect], directions: int, **reads: Read) -> Factory:
+    """Return the factory of an effect with ``waves`` of each joint: sums of ``harmonics`` with ``shares``, their phases
+    drawn by ``seed`` in ``directions`` directions."""
+
+    def build(harmonics: Array, shares: Array, seed: int, **values: Any) -> Effect:
+        rng = np.random.default_rng(seed)
+        waves = [RandomWaves.drawn(rng, directions, harmonics, shares) for _ in values["joints"]]
+        return effect(**values, waves=tuple(waves))
+
+    return made(build, **reads, harmonics=_own_length, shares=_shares, seed=SEED)
+
+
+_LOBES: Mapping[str, Read] = dict.fromkeys(("two_lobes", "three_lobes"), NOT_NEGATIVES)
+
+joint_axis_wobble = by_law(
+    lobes=made(JointAxisWobble, joints=JOINTS, radius=POSITIVES, **_LOBES, phase=NUMBERS),
+    harmonics=with_waves(HarmonicWobble, directions=2, joints=JOINTS, tilt=NUMBERS),
+)
+"""``joints``: from 1; for each ``radius``, ``two_lobes``, ``three_lobes`` [m], ``phase`` [rad].
+
+With ``law`` harmonics instead: ``joints``, for each ``tilt`` [rad]; ``harmonics`` (cycles per revolution), as many
+``shares``, and a ``seed`` of the phases.
+"""

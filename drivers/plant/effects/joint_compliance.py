@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.effect import NOT_NEGATIVES, POSITIVES, Effect, Parameters, Read, Situation, by_law, made
 from drivers.plant.mechanism import Deflection, Posture
 
 
@@ -42,15 +43,16 @@ class HardeningJointCompliance(Effect):
 class ThreeStageCompliance(Effect):
     """The catalogues' three stiffnesses K1 < K2 < K3 with the torques T1 < T2 between them."""
 
-    stiffnesses: Array  # (3, N)
-    knees: Array  # (2, N)
+    first: Array
+    second: Array
+    third: Array
+    first_knee: Array
+    second_knee: Array
 
     def bend(self, situation: Situation, posture: Posture) -> Deflection:
         torque = posture.torques
-        first, second = (np.clip(torque, -knee, knee) for knee in self.knees)
-        parts = (first, second - first, torque - second)
-        angles = [part / stiffness for part, stiffness in zip(parts, self.stiffnesses, strict=True)]
-        return Deflection(joints=angles[0] + angles[1] + angles[2])
+        low, middle = (np.clip(torque, -knee, knee) for knee in (self.first_knee, self.second_knee))
+        return Deflection(joints=low / self.first + (middle - low) / self.second + (torque - middle) / self.third)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,29 +88,7 @@ class HardeningSpring(Effect):
         return Deflection(joints=2.0 * size * np.sinh(turned / 3.0))
 
 
-def joint_compliance(parameters: Parameters) -> Effect:
-    """Build joint compliance. ``stiffness``: [Nm/rad] per joint; ``inf`` is rigid.
-
-    With ``knee`` [Nm] per joint, ``soft_stiffness`` [Nm/rad] applies below the knee torque. Other laws, all
-    per joint: ``law`` three_stage with ``first``, ``second``, ``third`` [Nm/rad] and ``first_knee``, ``second_knee``
-    [Nm]; stiffening with ``stiffness``, ``soft_stiffness``, ``knee``; hardening with ``stiffness`` and ``cubic``
-    [Nm/rad^3].
-    """
-    law, parameters = parameters.by_law("linear", "three_stage", "stiffening", "hardening")
-    if law == "three_stage":
-        stages, knees = ("first", "second", "third"), ("first_knee", "second_knee")
-        parameters.require(*stages, *knees)
-        return ThreeStageCompliance(
-            np.array([parameters.numbers(key, above=0.0) for key in stages]),
-            np.array([parameters.numbers(key, least=0.0) for key in knees]),
-        )
-    if law == "stiffening":
-        parameters.require("stiffness", "soft_stiffness", "knee")
-        keys = ("stiffness", "soft_stiffness", "knee")
-        return StiffeningCompliance(*(parameters.numbers(key, above=0.0) for key in keys))
-    if law == "hardening":
-        parameters.require("stiffness", "cubic")
-        return HardeningSpring(*(parameters.numbers(key, above=0.0) for key in ("stiffness", "cubic")))
+def _linear_or_with_knee(parameters: Parameters) -> Effect:
     parameters.require("stiffness", optional=("soft_stiffness", "knee"))
     stiffness = parameters.stiffnesses("stiffness")
     if not parameters.all_or_none("soft_stiffness", "knee"):
@@ -117,3 +97,19 @@ def joint_compliance(parameters: Parameters) -> Effect:
     if (soft > stiffness).any():
         raise parameters.error("soft_stiffness", "must not be greater than stiffness")
     return HardeningJointCompliance(stiffness, soft, parameters.numbers("knee", least=0.0))
+
+
+_STAGES: Mapping[str, Read] = dict.fromkeys(("first", "second", "third"), POSITIVES)
+
+joint_compliance = by_law(
+    linear=_linear_or_with_knee,
+    three_stage=made(ThreeStageCompliance, **_STAGES, first_knee=NOT_NEGATIVES, second_knee=NOT_NEGATIVES),
+    stiffening=made(StiffeningCompliance, stiffness=POSITIVES, soft_stiffness=POSITIVES, knee=POSITIVES),
+    hardening=made(HardeningSpring, stiffness=POSITIVES, cubic=POSITIVES),
+)
+"""``stiffness``: [Nm/rad] per joint; ``inf`` is rigid.
+
+With ``knee`` [Nm] per joint, ``soft_stiffness`` [Nm/rad] applies below the knee torque. Other laws, all per joint:
+``law`` three_stage with ``first``, ``second``, ``third`` [Nm/rad] and ``first_knee``, ``second_knee`` [Nm]; stiffening
+with ``stiffness``, ``soft_stiffness``, ``knee``; hardening with ``stiffness`` and ``cubic`` [Nm/rad^3].
+"""

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters
+from drivers.plant.effect import POSITIVES, Effect, Parameters, made
 from drivers.plant.mechanism import Bodies, Mechanism, inertia_torques
 
 _BLOCK_S = 0.2
@@ -61,10 +61,12 @@ class JointVibration(Effect):
         return amplitude, late
 
 
-def joint_vibration(parameters: Parameters) -> Effect:
-    """Build vibration of elastic joints. ``stiffness`` [Nm/rad] per joint; ``damping``, a share of the critical one."""
-    parameters.require("stiffness", "damping")
-    damping = parameters.number("damping", above=0.0)
+def _damping(parameters: Parameters, key: str) -> float:
+    damping = parameters.number(key, above=0.0)
     if damping >= 1.0:
-        raise parameters.error("damping", f"must be below 1, the critical one, not {damping:g}")
-    return JointVibration(parameters.numbers("stiffness", above=0.0), damping)
+        raise parameters.error(key, f"must be below 1, the critical one, not {damping:g}")
+    return damping
+
+
+joint_vibration = made(JointVibration, stiffness=POSITIVES, damping=_damping)
+"""``stiffness`` [Nm/rad] per joint; ``damping``, a share of the critical one."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.effect import JOINTS, STIFFNESSES, Effect, Situation, by_law, made
 from drivers.plant.mechanism import Deflection, Posture
 from drivers.plant.transforms import inverse, rigid, transform_points
 
@@ -37,20 +37,19 @@ class LinkBending(Effect):
 
 
 @dataclass(frozen=True, eq=False)
-class ShearingLinkBending(Effect):
+class ShearingLinkBending(LinkBending):
     """Beams that bend and also shear (Timoshenko), as short tubes with openings do.
 
     In addition to bending, the transverse force, of all weight beyond the middle of the link, shifts the tip by
     ``force length / shear``. ``shear`` is the product kappa G A [N].
     """
 
-    bending: LinkBending
     shear: Array
 
     def bend(self, situation: Situation, posture: Posture) -> Deflection:
-        twists = self.bending.bend(situation, posture).links
+        twists = super().bend(situation, posture).links
         assert twists is not None
-        for link, shear in zip(self.bending.links, self.shear, strict=True):
+        for link, shear in zip(self.links, self.shear, strict=True):
             twists[:, link, :3] += _shear_shift(posture, int(link), shear)
         return Deflection(links=twists)
 
@@ -121,17 +120,11 @@ def _tip_twist(posture: Posture, link: int, bending: float, torsion: float) -> A
     return np.concatenate([tip, vector / np.sinc(np.arcsin(np.minimum(sine, 1.0)) / np.pi)], axis=1)
 
 
-def link_bending(parameters: Parameters) -> Effect:
-    """Build link bending. ``links``: numbers from 1; for each ``bending`` EI and ``torsion`` GJ [Nm^2], or ``inf``.
+link_bending = by_law(
+    slender=made(LinkBending, links=JOINTS, bending=STIFFNESSES, torsion=STIFFNESSES),
+    shear=made(ShearingLinkBending, links=JOINTS, bending=STIFFNESSES, torsion=STIFFNESSES, shear=STIFFNESSES),
+)
+"""``links``: numbers from 1; for each ``bending`` EI and ``torsion`` GJ [Nm^2], or ``inf``.
 
-    With ``law`` shear also ``shear``, kappa G A of each [N].
-    """
-    law, parameters = parameters.by_law("slender", "shear")
-    parameters.require("links", "bending", "torsion", *(("shear",) if law == "shear" else ()))
-    links = parameters.joint_numbers("links")
-    slender = LinkBending(
-        links,
-        parameters.stiffnesses("bending", len(links)),
-        parameters.stiffnesses("torsion", len(links)),
-    )
-    return slender if law == "slender" else ShearingLinkBending(slender, parameters.stiffnesses("shear", len(links)))
+With ``law`` shear also ``shear``, kappa G A of each [N].
+"""

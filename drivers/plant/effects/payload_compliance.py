@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.effect import NOT_NEGATIVES, STIFFNESSES, VECTOR, Effect, Situation, by_law, made
 from drivers.plant.mechanism import Deflection, Posture
 
 
@@ -55,22 +55,13 @@ class SofteningUnderPayload(Effect):
         return Deflection(joints=stiff / self.stiffness + (torque - stiff) / self.soft_stiffness)
 
 
-def payload_compliance(parameters: Parameters) -> Effect:
-    """Build payload compliance. ``stiffness``: [Nm/rad] per joint; ``inf`` is rigid.
+payload_compliance = by_law(
+    linear=made(PayloadCompliance, stiffness=STIFFNESSES),
+    off_centre=made(OffCentrePayload, stiffness=STIFFNESSES, shift=VECTOR),
+    softening=made(SofteningUnderPayload, stiffness=STIFFNESSES, soft_stiffness=STIFFNESSES, knee=NOT_NEGATIVES),
+)
+"""``stiffness``: [Nm/rad] per joint; ``inf`` is rigid.
 
-    Other laws: ``law`` off_centre with the ``shift`` (3) [m] of the load's centre in the flange frame; softening with
-    ``soft_stiffness`` [Nm/rad] beyond the load torque ``knee`` [Nm], both per joint.
-    """
-    law, parameters = parameters.by_law("linear", "off_centre", "softening")
-    if law == "off_centre":
-        parameters.require("stiffness", "shift")
-        return OffCentrePayload(parameters.stiffnesses("stiffness"), parameters.numbers("shift", 3))
-    if law == "softening":
-        parameters.require("stiffness", "soft_stiffness", "knee")
-        return SofteningUnderPayload(
-            parameters.stiffnesses("stiffness"),
-            parameters.stiffnesses("soft_stiffness"),
-            parameters.numbers("knee", least=0.0),
-        )
-    parameters.require("stiffness")
-    return PayloadCompliance(parameters.stiffnesses("stiffness"))
+Other laws: ``law`` off_centre with the ``shift`` (3) [m] of the load's centre in the flange frame; softening with
+``soft_stiffness`` [Nm/rad] beyond the load torque ``knee`` [Nm], both per joint.
+"""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.effect import NOT_NEGATIVE, POSITIVE, STIFFNESS, Effect, Parameters, Situation, by_law, made
 from drivers.plant.mechanism import Deflection, Posture
 
 
@@ -42,17 +42,15 @@ class PedestalCoupling(Effect):
     """Both arms stand on one level beam from base to base: the moment of the other arm rotates this base too.
 
     The component along the beam causes torsion, the rest bending. The base rotates about the beam's centre line,
-    ``depth`` below it.
+    ``depth`` below it. Bolted joints whose gaps close under load yield less than proportionally to large moments: the
+    turn is divided by ``1 + |moment| / limit``, ``limit`` in Nm.
     Sizes: 2e6 Nm/rad, that is 28 urad from a stretched UR5 (an estimate).
     """
 
     bending: float
     torsion: float
     depth: float
-
-    def yielding(self, moment: Array) -> Array:
-        """Return the compliance of the beam at moments (n, 3) [Nm], relative to a linear one, (n, 1)."""
-        return np.ones((len(moment), 1))
+    limit: float = np.inf
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
         twist = np.zeros((len(situation.q), 6))
@@ -64,7 +62,7 @@ class PedestalCoupling(Effect):
             # no beam direction is defined for bases above one another
             along = beam / length if length > 1e-6 else np.zeros(3)
             moment = other.base_moment @ to_here[:3, :3].T
-            moment = moment * self.yielding(moment)
+            moment = moment * (1.0 / (1.0 + np.linalg.norm(moment, axis=1, keepdims=True) / self.limit))
             twisting = (moment @ along)[:, None] * along
             turn = twisting / self.torsion + (moment - twisting) / self.bending
             twist[:, :3] += np.cross(turn, self.depth * up)
@@ -89,53 +87,35 @@ class FramePedestal(Effect):
         return Deflection(base=np.concatenate([np.cross(turn, -self.pivot), turn], axis=1))
 
 
-@dataclass(frozen=True, eq=False)
-class HardeningCoupling(PedestalCoupling):
-    """Bolted joints whose gaps close under load: the beam turns less than proportionally to large moments.
-
-    The turn is that of a linear beam divided by ``1 + |moment| / limit``, ``limit`` in Nm.
-    """
-
-    limit: float
-
-    def yielding(self, moment: Array) -> Array:
-        yielding: Array = 1.0 / (1.0 + np.linalg.norm(moment, axis=1, keepdims=True) / self.limit)
-        return yielding
+def _frame(parameters: Parameters) -> Effect:
+    parameters.require("pivot", "direct", "cross")
+    xy, xz, yz = parameters.numbers("cross", 3)
+    compliance = np.diag(parameters.numbers("direct", 3, least=0.0))
+    compliance += np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
+    if np.linalg.eigvalsh(compliance)[0] < 0.0:
+        raise parameters.error("cross", "must be smaller: under some moment the frame would turn against it")
+    return FramePedestal(parameters.numbers("pivot", 3), compliance)
 
 
-def pedestal_compliance(parameters: Parameters) -> Effect:
-    """Build the column. ``height`` [m]; ``bending`` (2) [Nm/rad] about x and y of B; ``torsion`` [Nm/rad] about z.
+pedestal_compliance = by_law(
+    column=made(
+        lambda height, bending, torsion: PedestalCompliance(height, np.append(bending, torsion)),
+        height=NOT_NEGATIVE,
+        bending=lambda parameters, key: parameters.stiffnesses(key, 2),
+        torsion=STIFFNESS,
+    ),
+    frame=_frame,
+)
+"""``height`` [m]; ``bending`` (2) [Nm/rad] about x and y of B; ``torsion`` [Nm/rad] about z.
 
-    With ``law`` frame: ``pivot`` (3) [m] in B, ``direct`` (3) and ``cross`` (3: xy, xz, yz) compliances [rad/Nm].
-    """
-    law, parameters = parameters.by_law("column", "frame")
-    if law == "frame":
-        parameters.require("pivot", "direct", "cross")
-        xy, xz, yz = parameters.numbers("cross", 3)
-        compliance = np.diag(parameters.numbers("direct", 3, least=0.0))
-        compliance += np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
-        if np.linalg.eigvalsh(compliance)[0] < 0.0:
-            raise parameters.error("cross", "must be smaller: under some moment the frame would turn against it")
-        return FramePedestal(parameters.numbers("pivot", 3), compliance)
-    parameters.require("height", "bending", "torsion")
-    return PedestalCompliance(
-        parameters.number("height", least=0.0),
-        np.append(parameters.stiffnesses("bending", 2), parameters.stiffness("torsion")),
-    )
+With ``law`` frame: ``pivot`` (3) [m] in B, ``direct`` (3) and ``cross`` (3: xy, xz, yz) compliances [rad/Nm].
+"""
 
+pedestal_coupling = by_law(
+    linear=made(PedestalCoupling, bending=STIFFNESS, torsion=STIFFNESS, depth=NOT_NEGATIVE),
+    hardening=made(PedestalCoupling, bending=STIFFNESS, torsion=STIFFNESS, depth=NOT_NEGATIVE, limit=POSITIVE),
+)
+"""``bending``, ``torsion`` [Nm/rad]; ``depth`` [m] of the beam's centre line below the base.
 
-def pedestal_coupling(parameters: Parameters) -> Effect:
-    """Build the beam. ``bending``, ``torsion`` [Nm/rad]; ``depth`` [m] of its centre line below the base.
-
-    With ``law`` hardening also the ``limit`` [Nm] of the moment at which it yields half as much.
-    """
-    law, parameters = parameters.by_law("linear", "hardening")
-    parameters.require("bending", "torsion", "depth", *(("limit",) if law == "hardening" else ()))
-    beam = (
-        parameters.stiffness("bending"),
-        parameters.stiffness("torsion"),
-        parameters.number("depth", least=0.0),
-    )
-    if law == "hardening":
-        return HardeningCoupling(*beam, parameters.number("limit", above=0.0))
-    return PedestalCoupling(*beam)
+With ``law`` hardening also the ``limit`` [Nm] of the moment at which it yields half as much.
+"""

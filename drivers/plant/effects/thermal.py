@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.effect import (
+    NOT_NEGATIVE,
+    NUMBER,
+    NUMBERS,
+    POSITIVE,
+    POSITIVES,
+    SEED,
+    Effect,
+    Parameters,
+    Read,
+    Situation,
+    by_law,
+    made,
+)
 from drivers.plant.mechanism import Deflection, combined
 from drivers.plant.random_functions import RandomPaths
 from drivers.plant.transforms import inverse, transform_points
@@ -121,41 +136,34 @@ def _stacked(memories: Sequence[Array | None]) -> Array:
     return np.stack([memory for memory in memories if memory is not None])
 
 
-def thermal_growth(parameters: Parameters) -> Effect:
-    """Build thermal growth. ``expansion`` [1/K], ``share`` (0 to 1) of the joints' rise in a link, ``lag`` [s].
-
-    Optional: ``motor``, growth of each joint's housing along its axis [m/K]; ``reference`` [degC], 20 by default.
-    Other laws: ``law`` two_lags with ``slow_lag`` [s] and ``slow_share`` (0 to 1) of the growth; saturating with
-    ``limit`` [K], a temperature rise beyond which growth is held back.
-    """
-    law, parameters = parameters.by_law("lag", "two_lags", "saturating")
-    extra = {"lag": (), "two_lags": ("slow_lag", "slow_share"), "saturating": ("limit",)}[law]
-    parameters.require("expansion", "share", "lag", *extra, optional=("motor", "reference"))
-    growth = _growth(parameters)
-    if law == "two_lags":
-        slow_share = parameters.number("slow_share", least=0.0)
-        quick = replace(growth, expansion=(1.0 - slow_share) * growth.expansion)
-        slow = replace(
-            growth, expansion=slow_share * growth.expansion, lag=parameters.number("slow_lag", above=0.0), motor=0.0
-        )
-        return TwoLagGrowth(quick, slow)
-    if law == "saturating":
-        plain = growth.expansion, growth.share, growth.lag, growth.motor, growth.reference
-        return SaturatingGrowth(*plain, parameters.number("limit", above=0.0))
-    return growth
+def _two_lags(slow_lag: float, slow_share: float, **plain: Any) -> Effect:
+    growth = ThermalGrowth(**plain)
+    slow = replace(growth, expansion=slow_share * growth.expansion, lag=slow_lag, motor=0.0)
+    return TwoLagGrowth(replace(growth, expansion=(1.0 - slow_share) * growth.expansion), slow)
 
 
-def _growth(parameters: Parameters) -> ThermalGrowth:
-    share = parameters.number("share", least=0.0)
+def _share(parameters: Parameters, key: str) -> float:
+    share = parameters.number(key, least=0.0)
     if share > 1.0:
-        raise parameters.error("share", f"must be from 0 to 1, not {share:g}")
-    return ThermalGrowth(
-        parameters.number("expansion", least=0.0),
-        share,
-        parameters.number("lag", above=0.0),
-        parameters.number("motor", default=0.0),
-        parameters.number("reference", default=_REFERENCE_C),
-    )
+        raise parameters.error(key, f"must be from 0 to 1, not {share:g}")
+    return share
+
+
+_REFERENCE = {"reference": partial(NUMBER, default=_REFERENCE_C)}
+_MORE: Mapping[str, Read] = {"motor": partial(NUMBER, default=0.0), **_REFERENCE}
+_GROWTH: Mapping[str, Read] = {"expansion": NOT_NEGATIVE, "share": _share, "lag": POSITIVE}
+
+thermal_growth = by_law(
+    lag=made(ThermalGrowth, _MORE, **_GROWTH),
+    two_lags=made(_two_lags, _MORE, **_GROWTH, slow_lag=POSITIVE, slow_share=NOT_NEGATIVE),
+    saturating=made(SaturatingGrowth, _MORE, **_GROWTH, limit=POSITIVE),
+)
+"""``expansion`` [1/K], ``share`` (0 to 1) of the joints' rise in a link, ``lag`` [s].
+
+Optional: ``motor``, growth of each joint's housing along its axis [m/K]; ``reference`` [degC], 20 by default. Other
+laws: ``law`` two_lags with ``slow_lag`` [s] and ``slow_share`` (0 to 1) of the growth; saturating with ``limit`` [K], a
+temperature rise beyond which growth is held back.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,21 +203,19 @@ class WanderingZeros(Effect):
         return Deflection(joints=self.drift * self.paths.at(np.maximum(situation.time_s, 0.0)))
 
 
-def joint_drift(parameters: Parameters) -> Effect:
-    """Build joint drift. Per joint final ``drift`` [rad] and ``time_constant`` [s]; or ``per_kelvin`` [rad/K].
-
-    Optional with the latter: ``reference`` [degC], 20 by default, at which the zeros are correct. With ``law``
-    wandering: ``drift`` [rad] per joint, the ``time`` [s] of the paths' quickest wave, and their ``seed``.
-    """
-    law, parameters = parameters.by_law("warm_up", "wandering")
-    if law == "wandering":
-        parameters.require("drift", "time", "seed")
-        seed, time = parameters.integer("seed", least=0), parameters.number("time", above=0.0)
-        return WanderingZeros(parameters.numbers("drift"), RandomPaths.drawn(seed, parameters.joints, time))
+def _warm_up_or_bracket(parameters: Parameters) -> Effect:
     if parameters.all_or_none("per_kelvin"):
-        parameters.require("per_kelvin", optional=("reference",))
-        return ReadingHeadBracket(
-            parameters.numbers("per_kelvin"), parameters.number("reference", default=_REFERENCE_C)
-        )
-    parameters.require("drift", "time_constant")
-    return WarmUp(parameters.numbers("drift"), parameters.numbers("time_constant", above=0.0))
+        return made(ReadingHeadBracket, _REFERENCE, per_kelvin=NUMBERS)(parameters)
+    return made(WarmUp, drift=NUMBERS, time_constant=POSITIVES)(parameters)
+
+
+def _wandering(drift: Array, time: float, seed: int) -> Effect:
+    return WanderingZeros(drift, RandomPaths.drawn(seed, len(drift), time))
+
+
+joint_drift = by_law(warm_up=_warm_up_or_bracket, wandering=made(_wandering, drift=NUMBERS, time=POSITIVE, seed=SEED))
+"""Per joint final ``drift`` [rad] and ``time_constant`` [s]; or ``per_kelvin`` [rad/K].
+
+Optional with the latter: ``reference`` [degC], 20 by default, at which the zeros are correct. With ``law`` wandering:
+``drift`` [rad] per joint, the ``time`` [s] of the paths' quickest wave, and their ``seed``.
+"""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.effect import NUMBER, POSITIVE, Effect, Parameters, Read, Situation, by_law, made
 from drivers.plant.effects.transmission_error import cardan
 
 _REFERENCE_C = 20.0
@@ -18,21 +19,12 @@ _REFERENCE_C = 20.0
 class TrackerScale(Effect):
     """Scale error of the distance from wrong air data: wavelengths are counted for the air of the weather station.
 
-    About 1 ppm per kelvin and 0.27 ppm per hectopascal, of opposite signs (Edlen).
+    About 1 ppm per kelvin and 0.27 ppm per hectopascal, of opposite signs (Edlen). It changes by ``per_kelvin`` [ppm/K]
+    with the air temperature, as when the weather station is not near the beam.
     """
 
     ppm: float
-
-    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
-        return p_M * (1.0 + 1e-6 * self.ppm)
-
-
-@dataclass(frozen=True, eq=False)
-class AirScale(Effect):
-    """Scale error that changes with the air temperature, as when the weather station is not near the beam."""
-
-    ppm: float
-    per_kelvin: float
+    per_kelvin: float = 0.0
 
     def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
         ppm = self.ppm + self.per_kelvin * (situation.air_c - _REFERENCE_C)
@@ -42,26 +34,18 @@ class AirScale(Effect):
 
 @dataclass(frozen=True, eq=False)
 class TrackerDistanceOffset(Effect):
-    """Zero error of the distance from the intersection of the axes. Sizes: makers permit 5 to 10 um."""
+    """Zero error of the distance from the intersection of the axes. Sizes: makers permit 5 to 10 um.
+
+    With a ``length`` it is ``offset_m (1 - exp(-distance / length))``, as of a receiver that depends on the signal.
+    """
 
     offset_m: float
-
-    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
-        apparent: Array = p_M * (1.0 + self.offset_m / np.linalg.norm(p_M, axis=1, keepdims=True))
-        return apparent
-
-
-@dataclass(frozen=True, eq=False)
-class GrowingDistanceOffset(Effect):
-    """An offset of ``offset_m (1 - exp(-distance / length))``, as of a receiver that depends on the signal."""
-
-    offset_m: float
-    length: float
+    length: float = 0.0
 
     def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
         distance = np.linalg.norm(p_M, axis=1, keepdims=True)
-        apparent: Array = p_M * (1.0 - self.offset_m * np.expm1(-distance / self.length) / distance)
-        return apparent
+        grown = -np.expm1(-distance / self.length) if self.length else 1.0
+        return np.asarray(p_M * (1.0 + self.offset_m * grown / distance))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,56 +93,60 @@ class TrackerAngleError(Effect):
         return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)], axis=1)
 
 
-def tracker_scale(parameters: Parameters) -> Effect:
-    """Build a scale error. ``ppm``: relative excess of measured distances, in parts per million.
+tracker_scale = by_law(constant=made(TrackerScale, ppm=NUMBER), air=made(TrackerScale, ppm=NUMBER, per_kelvin=NUMBER))
+"""``ppm``: relative excess of measured distances, in parts per million.
 
-    With ``law`` air also ``per_kelvin`` [ppm/K], by which it changes with the air that the weather station misses.
-    """
-    law, parameters = parameters.by_law("constant", "air")
-    if law == "air":
-        parameters.require("ppm", "per_kelvin")
-        return AirScale(parameters.number("ppm"), parameters.number("per_kelvin"))
-    parameters.require("ppm")
-    return TrackerScale(parameters.number("ppm"))
+With ``law`` air also ``per_kelvin`` [ppm/K], by which it changes with the air that the weather station misses.
+"""
 
 
-def tracker_distance_offset(parameters: Parameters) -> Effect:
-    """Build a distance offset. ``offset`` [m]: excess of measured distances.
-
-    With ``law`` growing also the ``length`` [m] within which it grows from zero to ``offset``.
-    """
-    law, parameters = parameters.by_law("constant", "growing")
-    if law == "growing":
-        parameters.require("offset", "length")
-        return GrowingDistanceOffset(parameters.number("offset"), parameters.number("length", above=0.0))
-    parameters.require("offset")
-    return TrackerDistanceOffset(parameters.number("offset"))
+def _offset(offset: float, length: float = 0.0) -> Effect:
+    return TrackerDistanceOffset(offset, length)
 
 
-def _circle(parameters: Parameters, key: str, higher: bool = False) -> Circle:
+tracker_distance_offset = by_law(
+    constant=made(_offset, offset=NUMBER), growing=made(_offset, offset=NUMBER, length=POSITIVE)
+)
+"""``offset`` [m]: excess of measured distances.
+
+With ``law`` growing also the ``length`` [m] within which it grows from zero to ``offset``.
+"""
+
+
+def _circle(parameters: Parameters, key: str) -> Circle:
     values = parameters.numbers(key, 4)
     if not (0.0 <= values[0] < 1.0 and 0.0 <= values[2] < 1.0):
         raise parameters.error(key, "must have eccentric and slant, its first and third, from 0 to less than 1")
-    first, first_phase, slant, slant_phase = values.tolist()
-    circle = Circle(first, first_phase, slant, slant_phase)
-    if not higher:
-        return circle
-    third, third_phase, fourth, fourth_phase = parameters.numbers(f"{key}_higher", 4).tolist()
-    return replace(circle, higher=((3.0, third, third_phase), (4.0, fourth, fourth_phase)))
+    return Circle(*values.tolist())
 
 
-def tracker_angle_error(parameters: Parameters) -> Effect:
-    """Build angle errors. ``azimuth``, ``elevation``: (eccentric [m/m], phase, slant, phase [rad]); ``transit`` [rad].
-
-    A slant s causes an error of amplitude ``s^2 / 4`` with two cycles per revolution. With ``law`` higher also
-    ``azimuth_higher``, ``elevation_higher``: amplitude and phase [rad] of three and of four cycles per revolution.
-    """
-    law, parameters = parameters.by_law("two", "higher")
-    higher = law == "higher"
-    more = ("azimuth_higher", "elevation_higher") if higher else ()
-    parameters.require("azimuth", "elevation", "transit", *more)
-    circles = _circle(parameters, "azimuth", higher), _circle(parameters, "elevation", higher)
-    transit = parameters.number("transit")
+def _transit(parameters: Parameters, key: str) -> float:
+    transit = parameters.number(key)
     if not abs(transit) < 0.1:
-        raise parameters.error("transit", f"must be a small angle, less than 0.1 rad, not {transit:g}")
-    return TrackerAngleError(*circles, transit)
+        raise parameters.error(key, f"must be a small angle, less than 0.1 rad, not {transit:g}")
+    return transit
+
+
+def _harmonics(parameters: Parameters, key: str) -> tuple[tuple[float, float, float], ...]:
+    third, third_phase, fourth, fourth_phase = parameters.numbers(key, 4).tolist()
+    return (3.0, third, third_phase), (4.0, fourth, fourth_phase)
+
+
+_CIRCLES: Mapping[str, Read] = {"azimuth": _circle, "elevation": _circle, "transit": _transit}
+
+tracker_angle_error = by_law(
+    two=made(TrackerAngleError, **_CIRCLES),
+    higher=made(
+        lambda azimuth, elevation, transit, azimuth_higher, elevation_higher: TrackerAngleError(
+            replace(azimuth, higher=azimuth_higher), replace(elevation, higher=elevation_higher), transit
+        ),
+        **_CIRCLES,
+        azimuth_higher=_harmonics,
+        elevation_higher=_harmonics,
+    ),
+)
+"""``azimuth``, ``elevation``: (eccentric [m/m], phase, slant, phase [rad]); ``transit`` [rad].
+
+A slant s causes an error of amplitude ``s^2 / 4`` with two cycles per revolution. With ``law`` higher also
+``azimuth_higher``, ``elevation_higher``: amplitude and phase [rad] of three and of four cycles per revolution.
+"""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.effect import JOINTS, NUMBERS, Effect, Factory, Parameters, Situation, made, on_joints
 from drivers.plant.mechanism import Deflection
 
 
@@ -47,9 +49,7 @@ class StrainWaveGear(Effect):
         generator = generator + cardan(generator + self.coupling_phase, self.coupling_slant)
         behind = generator / self.ratio
         behind = behind + cardan(behind + self.output_phase, self.output_slant)
-        offsets = np.zeros_like(situation.q)
-        offsets[:, self.joints] = behind - joint
-        return Deflection(joints=offsets)
+        return on_joints(situation, self.joints, behind - joint)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +100,8 @@ class MeshingGears(Effect):
         joint = situation.q[:, self.joints]
         swell = 1.0 + self.depth * np.cos(joint + self.depth_phase)
         mesh = self.second_cycles * joint + self.second_phase
-        offsets = np.zeros_like(situation.q)
-        offsets[:, self.joints] = self.line * swell * np.sin(self.ratio * joint + self.line_phase) + self.second * (
-            np.sin(mesh) + 0.5 * np.sin(2.0 * mesh)
-        )
-        return Deflection(joints=offsets)
+        first = self.line * swell * np.sin(self.ratio * joint + self.line_phase)
+        return on_joints(situation, self.joints, first + self.second * (np.sin(mesh) + 0.5 * np.sin(2.0 * mesh)))
 
 
 _KNOTS = 1440
@@ -121,6 +118,37 @@ def _random_curve(rng: np.random.Generator, rms: float, lowest: int, highest: in
     return scaled
 
 
+def _below_one(parameters: Parameters, key: str) -> Array:
+    values = parameters.numbers(key, least=0.0)
+    if (values >= 1.0).any():
+        raise parameters.error(key, f"must be less than 1, not {values.max():g}")
+    return values
+
+
+def _curve(parameters: Parameters) -> Effect:
+    parameters.require("joints", "rms", "seed", "lowest", "highest")
+    joints = parameters.joint_numbers("joints")
+    lowest, highest = parameters.integer("lowest", least=2), parameters.integer("highest", least=2)
+    if not lowest <= highest <= _KNOTS // 10:
+        raise parameters.error("highest", f"must be from lowest, {lowest}, to {_KNOTS // 10}, not {highest}")
+    sizes, rng = parameters.numbers("rms", least=0.0), np.random.default_rng(parameters.integer("seed", least=0))
+    return ErrorCurve(joints, np.array([_random_curve(rng, size, lowest, highest) for size in sizes]))
+
+
+_GEARS = ("ratio", "line", "line_phase", "depth", "depth_phase", "second_cycles", "second", "second_phase")
+_MODES: Mapping[str, Factory] = {
+    "lines": made(
+        StrainWaveGear,
+        joints=JOINTS,
+        ratio=partial(NUMBERS, least=1.0),
+        **dict.fromkeys(("eccentric", "coupling_slant", "output_slant"), _below_one),
+        **dict.fromkeys(("eccentric_phase", "coupling_phase", "output_phase"), NUMBERS),
+    ),
+    "curve": _curve,
+    "meshing": made(MeshingGears, joints=JOINTS, **dict.fromkeys(_GEARS, NUMBERS)),
+}
+
+
 def transmission_error(parameters: Parameters) -> Effect:
     """Build transmission error. ``mode`` lines, curve or meshing, ``joints``: numbers from 1.
 
@@ -130,29 +158,5 @@ def transmission_error(parameters: Parameters) -> Effect:
     meshing: for each joint ``ratio``, ``line`` [rad], ``line_phase``; ``depth`` (0 to 1) and ``depth_phase`` of its
     modulation; ``second_cycles``, ``second`` [rad] and ``second_phase`` of another stage.
     """
-    mode = parameters.choice("mode", "lines", "curve", "meshing")
-    if mode == "meshing":
-        keys = ("ratio", "line", "line_phase", "depth", "depth_phase", "second_cycles", "second", "second_phase")
-        parameters.require("mode", "joints", *keys)
-        joints = parameters.joint_numbers("joints")
-        return MeshingGears(joints, *(parameters.numbers(key, len(joints)) for key in keys))
-    if mode == "curve":
-        parameters.require("mode", "joints", "rms", "seed", "lowest", "highest")
-        joints = parameters.joint_numbers("joints")
-        lowest, highest = parameters.integer("lowest", least=2), parameters.integer("highest", least=2)
-        if not lowest <= highest <= _KNOTS // 10:
-            raise parameters.error("highest", f"must be from lowest, {lowest}, to {_KNOTS // 10}, not {highest}")
-        sizes = parameters.numbers("rms", len(joints), least=0.0)
-        rng = np.random.default_rng(parameters.integer("seed", least=0))
-        return ErrorCurve(joints, np.array([_random_curve(rng, size, lowest, highest) for size in sizes]))
-    slants = ("coupling_slant", "output_slant")
-    phases = ("eccentric_phase", "coupling_phase", "output_phase")
-    parameters.require("mode", "joints", "ratio", "eccentric", *slants, *phases)
-    joints = parameters.joint_numbers("joints")
-    count = len(joints)
-    values = {key: parameters.numbers(key, count, least=0.0) for key in ("eccentric", *slants)}
-    for key, value in values.items():
-        if (value >= 1.0).any():
-            raise parameters.error(key, f"must be less than 1, not {value.max():g}")
-    values |= {key: parameters.numbers(key, count) for key in phases}
-    return StrainWaveGear(joints=joints, ratio=parameters.numbers("ratio", count, least=1.0), **values)
+    mode = parameters.choice("mode", *_MODES)
+    return _MODES[mode](parameters.without("mode"))

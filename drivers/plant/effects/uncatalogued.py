@@ -3,11 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.effect import (
+    NOT_NEGATIVE,
+    NUMBER,
+    POSITIVE,
+    SEED,
+    VECTOR,
+    Effect,
+    Parameters,
+    Situation,
+    made,
+    of_arms,
+    on_joints,
+)
 from drivers.plant.mechanism import Deflection
 from drivers.plant.random_functions import RandomField
 
@@ -15,51 +28,37 @@ _REFERENCE_C = 20.0
 """Air temperature at which a base that moves with it is at its nominal place [degC]."""
 
 
-def _joint_offset(situation: Situation, joint: int, angle: Array) -> Deflection:
-    offsets = np.zeros_like(situation.q)
-    offsets[:, joint] = angle
-    return Deflection(joints=offsets)
-
-
 @dataclass(frozen=True, eq=False)
-class DressPack(Effect):
-    """A hose along the arm loads joint 1 in one direction or the other, with a transition in between.
+class Hose(Effect):
+    """A stiff hose along the arm loads a joint in one direction or the other, with a transition in between.
 
-    Its torque is ``torque * tanh((first q1 + second q2 - centre) / width)`` against the drive's stiffness.
+    The joint turns by ``angle tanh((first q_i + second q_k - centre) / width)``, where i is the joint itself.
     """
 
-    torque: float
-    stiffness: float
+    joint: int
+    angle: float
     first: float
     second: float
     centre: float
     width: float
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        pull = self.first * situation.q[:, 0] + self.second * situation.q[:, 1] - self.centre
-        return _joint_offset(situation, 0, self.torque / self.stiffness * np.tanh(pull / self.width))
+        own, next_one = situation.q[:, self.joint], situation.q[:, self.joint + 1]
+        pull = self.first * own + self.second * next_one - self.centre
+        return on_joints(situation, self.joint, self.angle * np.tanh(pull / self.width))
 
 
 @dataclass(frozen=True, eq=False)
-class Crosstalk(Effect):
-    """The encoder of joint 4 picks up a signal of joint 5 with three periods per revolution."""
+class ThreePeriods(Effect):
+    """A joint is off with three periods per revolution of another one."""
 
+    joint: int
+    other: int
     amplitude: float
     phase: float
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        return _joint_offset(situation, 3, self.amplitude * np.sin(3.0 * situation.q[:, 4] + self.phase))
-
-
-@dataclass(frozen=True, eq=False)
-class WristCable(Effect):
-    """A cable around the wrist twists joint 6 with three periods per revolution of joint 4."""
-
-    amplitude: float
-    phase: float
-
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        return _joint_offset(situation, 5, self.amplitude * np.sin(3.0 * situation.q[:, 3] + self.phase))
+        return on_joints(situation, self.joint, self.amplitude * np.sin(3.0 * situation.q[:, self.other] + self.phase))
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,20 +101,6 @@ class Draught(Effect):
 
 
 @dataclass(frozen=True, eq=False)
-class ElbowHose(Effect):
-    """A stiff hose over the elbow and the wrist loads joint 3: ``angle tanh((q3 + share q4 - centre) / width)``."""
-
-    angle: float
-    share: float
-    centre: float
-    width: float
-
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        pull = situation.q[:, 2] + self.share * situation.q[:, 3] - self.centre
-        return _joint_offset(situation, 2, self.angle * np.tanh(pull / self.width))
-
-
-@dataclass(frozen=True, eq=False)
 class WarmFloor(Effect):
     """The floor below the base moves with the air temperature: ``per_kelvin`` (3,) [m/K] from its place at 20 degC."""
 
@@ -151,80 +136,59 @@ class JointCoupling(Effect):
 
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
         angles = situation.q[:, [self.first, self.second]] * self.orders + self.phases
-        return _joint_offset(situation, self.joint, self.amplitude * np.sin(angles).prod(axis=1))
+        return on_joints(situation, self.joint, self.amplitude * np.sin(angles).prod(axis=1))
 
 
-def _require_joints(parameters: Parameters, effect: str, count: int) -> None:
-    if parameters.joints < count:
-        raise parameters.effect_error(f"{effect} needs an arm of at least {count} joints, not {parameters.joints}")
+def _dress_pack(torque: float, stiffness: float, **values: float) -> Effect:
+    return Hose(0, torque / stiffness, **values)
 
 
-def dress_pack(parameters: Parameters) -> Effect:
-    """Build a dress pack: ``torque`` [Nm], ``stiffness`` [Nm/rad], ``first``, ``second``, ``centre``, ``width``."""
-    parameters.require("torque", "stiffness", "first", "second", "centre", "width")
-    _require_joints(parameters, "a dress pack", 2)
-    return DressPack(
-        parameters.number("torque"),
-        parameters.number("stiffness", above=0.0),
-        parameters.number("first"),
-        parameters.number("second"),
-        parameters.number("centre"),
-        parameters.number("width", above=0.0),
-    )
+dress_pack = of_arms(
+    2,
+    "a dress pack",
+    made(_dress_pack, torque=NUMBER, stiffness=POSITIVE, first=NUMBER, second=NUMBER, centre=NUMBER, width=POSITIVE),
+)
+"""A hose that loads joint 1: ``torque`` [Nm], ``stiffness`` of the drive [Nm/rad], ``first``, ``second``, ``centre``,
+``width``."""
 
 
-def crosstalk(parameters: Parameters) -> Effect:
-    """Build crosstalk. ``amplitude``, ``phase`` [rad]."""
-    parameters.require("amplitude", "phase")
-    _require_joints(parameters, "crosstalk", 5)
-    return Crosstalk(parameters.number("amplitude"), parameters.number("phase"))
+def _elbow_hose(angle: float, share: float, centre: float, width: float) -> Effect:
+    return Hose(2, angle, 1.0, share, centre, width)
 
 
-def wrist_cable(parameters: Parameters) -> Effect:
-    """Build a wrist cable. ``amplitude``, ``phase`` [rad]."""
-    parameters.require("amplitude", "phase")
-    _require_joints(parameters, "a wrist cable", 6)
-    return WristCable(parameters.number("amplitude"), parameters.number("phase"))
+elbow_hose = of_arms(
+    4,
+    "an elbow hose",
+    made(_elbow_hose, angle=NUMBER, share=NUMBER, centre=NUMBER, width=POSITIVE),
+)
+"""A hose over the elbow and the wrist, which loads joint 3: ``angle`` [rad], ``share``, ``centre`` [rad], ``width``
+[rad]."""
+
+crosstalk = of_arms(5, "crosstalk", made(partial(ThreePeriods, 3, 4), amplitude=NUMBER, phase=NUMBER))
+"""The encoder of joint 4 picks up a signal of joint 5: ``amplitude``, ``phase`` [rad]."""
+
+wrist_cable = of_arms(6, "a wrist cable", made(partial(ThreePeriods, 5, 3), amplitude=NUMBER, phase=NUMBER))
+"""A cable around the wrist twists joint 6 with joint 4: ``amplitude``, ``phase`` [rad]."""
+
+base_sway = made(BaseSway, shift=VECTOR, period=POSITIVE, phase=NUMBER)
+"""``shift`` (3) [m] in B: the amplitude; ``period`` [s], ``phase`` [rad]."""
+
+tool_sag = of_arms(5, "a sagging tool", made(ToolSag, shift=VECTOR))
+"""``shift`` (3) [m] in the flange frame with joint 5 at 90 degrees."""
+
+draught = made(Draught, angle=NUMBER, period=POSITIVE, phase=NUMBER)
+"""``angle`` [rad]: the amplitude; ``period`` [s], ``phase`` [rad]."""
+
+warm_floor = made(WarmFloor, per_kelvin=VECTOR)
+"""``per_kelvin`` (3) [m/K] in B."""
 
 
-def base_sway(parameters: Parameters) -> Effect:
-    """Build base sway. ``shift`` (3) [m] in B: the amplitude; ``period`` [s], ``phase`` [rad]."""
-    parameters.require("shift", "period", "phase")
-    return BaseSway(parameters.numbers("shift", 3), parameters.number("period", above=0.0), parameters.number("phase"))
+def _workspace_field(rms: float, length: float, seed: int) -> Effect:
+    return WorkspaceField(rms, RandomField.drawn(seed, length))
 
 
-def tool_sag(parameters: Parameters) -> Effect:
-    """Build tool sag. ``shift`` (3) [m] in the flange frame with joint 5 at 90 degrees."""
-    parameters.require("shift")
-    _require_joints(parameters, "a sagging tool", 5)
-    return ToolSag(parameters.numbers("shift", 3))
-
-
-def draught(parameters: Parameters) -> Effect:
-    """Build a draught. ``angle`` [rad]: the amplitude; ``period`` [s], ``phase`` [rad]."""
-    parameters.require("angle", "period", "phase")
-    return Draught(parameters.number("angle"), parameters.number("period", above=0.0), parameters.number("phase"))
-
-
-def elbow_hose(parameters: Parameters) -> Effect:
-    """Build an elbow hose: ``angle`` [rad], ``share``, ``centre`` [rad], ``width`` [rad]."""
-    parameters.require("angle", "share", "centre", "width")
-    _require_joints(parameters, "an elbow hose", 4)
-    angle, share, centre = (parameters.number(key) for key in ("angle", "share", "centre"))
-    return ElbowHose(angle, share, centre, parameters.number("width", above=0.0))
-
-
-def warm_floor(parameters: Parameters) -> Effect:
-    """Build a warm floor. ``per_kelvin`` (3) [m/K] in B."""
-    parameters.require("per_kelvin")
-    return WarmFloor(parameters.numbers("per_kelvin", 3))
-
-
-def workspace_field(parameters: Parameters) -> Effect:
-    """Build a field. ``rms`` [m] of the shift, its correlation ``length`` [m] and ``seed``."""
-    parameters.require("rms", "length", "seed")
-    field = RandomField.drawn(parameters.integer("seed", least=0), parameters.number("length", above=0.0))
-    return WorkspaceField(parameters.number("rms", least=0.0), field)
+workspace_field = made(_workspace_field, rms=NOT_NEGATIVE, length=POSITIVE, seed=SEED)
+"""``rms`` [m] of the shift, its correlation ``length`` [m] and ``seed``."""
 
 
 def joint_coupling(parameters: Parameters) -> Effect:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, Situation
+from drivers.plant.effect import NOT_NEGATIVE, NUMBERS, POSITIVE, POSITIVES, Effect, Read, Situation, by_law, made
 from drivers.plant.mechanism import Deflection
 
 
@@ -22,61 +23,45 @@ class UnsettledMeasurement(Effect):
     fraction: Array
     time_constant: Array
 
+    def left(self, rest_s: Array) -> Array:
+        """Return the share of the lag that is left (n, N) after times at rest (n, 1) [s]."""
+        return np.asarray(np.exp(-rest_s / self.time_constant))
+
     def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        left = np.exp(-situation.since_rest_s[:, None] / self.time_constant)
-        return Deflection(joints=-self.fraction * situation.last_step * left)
+        return Deflection(joints=-self.fraction * situation.last_step * self.left(situation.since_rest_s[:, None]))
 
 
 @dataclass(frozen=True, eq=False)
-class TwoRateSettling(Effect):
+class TwoRateSettling(UnsettledMeasurement):
     """Two Kelvin-Voigt elements in series, a quick and a slow one; ``slow_share`` of the lag decays slowly."""
 
-    fraction: Array
-    time_constant: Array
     slow_time_constant: Array
     slow_share: float
 
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        rest = situation.since_rest_s[:, None]
-        quick, slow = (np.exp(-rest / time) for time in (self.time_constant, self.slow_time_constant))
-        left = (1.0 - self.slow_share) * quick + self.slow_share * slow
-        return Deflection(joints=-self.fraction * situation.last_step * left)
+    def left(self, rest_s: Array) -> Array:
+        slow = self.slow_share * np.exp(-rest_s / self.slow_time_constant)
+        return np.asarray((1.0 - self.slow_share) * super().left(rest_s) + slow)
 
 
 @dataclass(frozen=True, eq=False)
-class PowerSettling(Effect):
+class PowerSettling(UnsettledMeasurement):
     """Creep of lubricant or polymer: the lag decays with a power of time, ``(1 + t / time_constant)^-power``."""
 
-    fraction: Array
-    time_constant: Array
     power: float
 
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        left = (1.0 + situation.since_rest_s[:, None] / self.time_constant) ** -self.power
-        return Deflection(joints=-self.fraction * situation.last_step * left)
+    def left(self, rest_s: Array) -> Array:
+        return np.asarray((1.0 + rest_s / self.time_constant) ** -self.power)
 
 
-def unsettled_measurement(parameters: Parameters) -> Effect:
-    """Build settling. Per joint: ``fraction`` of the last step missing at its end, ``time_constant`` [s].
+_PLAIN: Mapping[str, Read] = {"fraction": NUMBERS, "time_constant": POSITIVES}
 
-    Other laws: ``law`` two_rates with ``slow_time_constant`` [s] per joint and ``slow_share`` (0 to 1); power with
-    ``power``.
-    """
-    law, parameters = parameters.by_law("exponential", "two_rates", "power")
-    if law == "two_rates":
-        parameters.require("fraction", "time_constant", "slow_time_constant", "slow_share")
-        return TwoRateSettling(
-            parameters.numbers("fraction"),
-            parameters.numbers("time_constant", above=0.0),
-            parameters.numbers("slow_time_constant", above=0.0),
-            parameters.number("slow_share", least=0.0),
-        )
-    if law == "power":
-        parameters.require("fraction", "time_constant", "power")
-        return PowerSettling(
-            parameters.numbers("fraction"),
-            parameters.numbers("time_constant", above=0.0),
-            parameters.number("power", above=0.0),
-        )
-    parameters.require("fraction", "time_constant")
-    return UnsettledMeasurement(parameters.numbers("fraction"), parameters.numbers("time_constant", above=0.0))
+unsettled_measurement = by_law(
+    exponential=made(UnsettledMeasurement, **_PLAIN),
+    two_rates=made(TwoRateSettling, **_PLAIN, slow_time_constant=POSITIVES, slow_share=NOT_NEGATIVE),
+    power=made(PowerSettling, **_PLAIN, power=POSITIVE),
+)
+"""Per joint: ``fraction`` of the last step missing at its end, ``time_constant`` [s].
+
+Other laws: ``law`` two_rates with ``slow_time_constant`` [s] per joint and ``slow_share`` (0 to 1); power with
+``power``.
+"""

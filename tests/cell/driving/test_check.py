@@ -19,14 +19,11 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import refuse_motion
 from cellapp.cell.targets.targets import load_targets
-from cellapp.commands.collect.run import collect_stops
 from cellapp.commands.locate.result import LocateResult
-from cellapp.commands.locate.run import locate_run, typed_pose
+from cellapp.commands.locate.run import typed_pose
 from cellapp.commands.locate.station import excess_of_readings
 from cellapp.commands.locate.view import location_sentences, location_tables
-from cellapp.commands.push.run import push_run
-from cellapp.commands.report.result import read_results
-from cellapp.commands.report.run import report_run
+from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
@@ -42,6 +39,7 @@ from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from drivers.trackers.simulated import SimulatedTracker
 from tests.twin import PROFILES, plant_of, small_twin
+from tests.verbs import collect_stops, locate_run, push_run, report_run
 
 
 @dataclass
@@ -66,7 +64,7 @@ def task(finished_run: Path) -> CheckTask:
     with RunFile.open(finished_run) as run:
         model = model_of(run, stage_in_force(run, read_stages(run)))
         candidates = check_candidates(run.profile, model, {name: run.readings(name) for name in run.profile.arms})
-        stops = [{name: q[row] for name, q in candidates.items()} for row in range(0, 60, 10)]
+        stops = [{name: its.take([row]) for name, its in candidates.items()} for row in range(0, 60, 10)]
         return CheckTask(run.profile, model, stops, excess_of_readings(run, model))
 
 
@@ -150,7 +148,7 @@ def test_readings_without_common_stops_are_paired(task: CheckTask, finished_run:
     found = check_candidates(task.profile, task.model, apart)
     assert 0 < len(found["left"]) == len(found["right"])
     again = check_candidates(task.profile, task.model, apart)
-    np.testing.assert_array_equal(found["left"], again["left"])
+    np.testing.assert_array_equal(found["left"].q, again["left"].q)
 
 
 def test_a_cell_without_a_free_stop_is_refused(task: CheckTask, finished_run: Path) -> None:
@@ -343,6 +341,6 @@ def test_a_pose_that_is_none_is_refused(text: str) -> None:
 
 
 def test_what_cannot_be_done_is_refused_before_anything_moves(run: RunFile) -> None:
-    with pytest.raises(InputError, match="at least 3 points"):
+    with pytest.raises(InputError, match="--points: expected at least 3, got 2"):
         locate_run(run, 2)
     assert typed_pose("3.8,0,0.6,0,0,180", "").rpy[2] == pytest.approx(np.pi)

@@ -19,7 +19,6 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.push.run import push_run
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
@@ -30,6 +29,7 @@ from drivers.trackers.lmf import LmfTracker
 from drivers.trackers.lmf_stream import LmfStreamTracker
 from tests.drivers.trackers.fake_lmf import Scene
 from tests.twin import PROFILES, small_twin, write_profile
+from tests.verbs import push_run
 
 STOPS = 4
 

@@ -103,7 +103,7 @@ class Bench:
 
     @property
     def requests(self) -> list[str]:
-        return [kind for _, kind, _ in self.run.sessions()[-1].requests]
+        return [request.kind for request in self.run.sessions()[-1].requests]
 
 
 @pytest.fixture
@@ -417,7 +417,7 @@ def test_a_stop_during_the_retry_after_a_stall_is_obeyed(bench: Bench) -> None:
     assert bench.collect().outcome == "complete"
     assert asked == ["stop"] * 4
     assert bench.requests[-1:] == ["resume"]
-    assert bench.run.sessions()[-1].requests[-1][2] == "resumed by a person"
+    assert bench.run.sessions()[-1].requests[-1].reason == "resumed by a person"
 
 
 def test_a_safety_stop_during_the_retry_needs_a_person(bench: Bench) -> None:

@@ -26,12 +26,14 @@ from cellapp.cell.targets.goals import goals_of_arm
 from cellapp.cell.targets.records import TargetCommand
 from cellapp.cell.targets.targets import Target, load_targets
 from cellapp.commands.compensate.run import compensate_run
-from cellapp.commands.export.run import export_as_run, export_commands
-from cellapp.commands.push.run import push_run
+from cellapp.commands.export.request import ExportRequest
+from cellapp.commands.export.run import export_commands
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
 from cellapp.ground.errors import InputError
+from cellapp.ground.outputs import NEW_ONLY
 from cellapp.robot.model import CellModel
 from tests.twin import PROFILES
+from tests.verbs import export_as_run, push_run
 
 COMMAND_FORMATS = formats_of(CommandFormat)
 
@@ -205,11 +207,13 @@ def test_bad_input_is_refused_and_nothing_is_written(finished_copy: Path, tmp_pa
 def test_a_run_without_commands(finished_copy: Path, tmp_path: Path, form: str) -> None:
     with RunFile.open(finished_copy) as run:
         found = read_stages(run)
+        out = tmp_path / "new.txt"
+        asked = ExportRequest(folder=run.folder, form=form, out=out)
         bare = replace(found, current={name: one for name, one in found.current.items() if name != "compensate"})
         with pytest.raises(
             InputError, match=r"has no commands of 'compensate'; nothing was written\. Run 'cellapp comp"
         ):
-            export_commands(run, bare, COMMAND_FORMATS[form], tmp_path / "new.txt")
+            export_commands(run, bare, COMMAND_FORMATS[form], out, asked, NEW_ONLY)
 
 
 def commands_of(joints: int, *commands: ExportedCommand) -> ArmCommands:

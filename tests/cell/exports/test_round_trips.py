@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cellapp.cell.exports.arm_export import ArmExport, conversion_mm
 from cellapp.cell.exports.export_format import ExportFormat
 from cellapp.cell.exports.formats import formats_of
-from cellapp.cell.exports.urdf import kinematics_hash, murmur, ur_deltas, urdf_joints
+from cellapp.cell.exports.urdf import kinematics_hash, murmur
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import controller_file_text, controller_table
 from cellapp.ground.errors import InputError
@@ -26,11 +26,10 @@ from cellapp.ground.profile.sections import ControllerTable
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
 from cellapp.robot.kinematics.plain_dh import plain_geometry
 from cellapp.robot.kinematics.statics import Bodies
-from cellapp.robot.kinematics.transforms import rotation_z, rotation_zyx, transform
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import controller_rows, nominal_arm
 from drivers.emulators.ur_controller import personality
-from tests.arms import OFF_AXIS, SEVEN, UR10, at_station, dh, true_geometry
+from tests.arms import OFF_AXIS, at_station, dh, true_geometry
 from tests.cell.exports import readers
 from tests.drivers.arms.test_ur_probe import ask, emulated
 
@@ -42,7 +41,7 @@ SAME_CHAIN = {"ur3e", "ur5e", "ur16e", "ur20"}
 """Types with the chain of the ur10e."""
 TYPES = {
     path.stem: ArmType.model_validate(yaml.safe_load(path.read_text("utf-8")))
-    for path in PROFILES.glob("arms/*")
+    for path in PROFILES.glob("arms/**/*.yaml")
     if path.stem not in SAME_CHAIN
 }
 TWIN = load_profile(PROFILES / "twin.yaml")
@@ -199,33 +198,3 @@ def test_a_controller_that_holds_the_file_computes_by_the_calibrated_rows() -> N
 
 
 # -- What other programs get is the same arm, and what they cannot get is said -----------------------------------------
-
-
-def test_urdf_origins_make_the_same_arm():
-    rng = np.random.default_rng(0)
-    for rows in (UR10, SEVEN):
-        geometry = true_geometry(at_station(rows, OFF_AXIS), rng, length=5e-3, angle=0.02)
-        joints = urdf_joints(geometry)
-        assert [joint.type for joint in joints] == ["revolute"] * len(rows) + ["fixed"]
-        for q in rng.uniform(-3, 3, (5, len(rows))):
-            T = geometry.T_M_B()
-            for joint, angle in zip(joints, [*q, 0.0], strict=True):
-                roll, pitch, yaw = joint.rpy_rad
-                T = T @ transform(rotation_zyx(yaw, pitch, roll), joint.xyz_m)
-                T = T @ transform(rotation_z(angle), np.zeros(3))
-            np.testing.assert_allclose(
-                T[:3, :3] @ geometry.tool + T[:3, 3], smr_positions(geometry, q[None])[0], atol=1e-12
-            )
-
-
-def test_ur_deltas_say_what_they_lose():
-    nominal = at_station(UR10, OFF_AXIS)
-    identified = true_geometry(nominal, np.random.default_rng(1))
-    deltas = ur_deltas(nominal.rows[:, :4], identified)
-    np.testing.assert_allclose(deltas.delta_a_m, identified.rows[:, 2] - nominal.rows[:, 2])
-    assert set(deltas.lost.beta_rad) == {"beta2", "beta3"}
-    lost = deltas.lost.position_mm
-    assert 0.05 < lost.rms < lost.max < 10.0
-    plain = ur_deltas(nominal.rows[:, :4], nominal)
-    assert plain.lost.beta_rad == {}
-    assert plain.lost.position_mm.max == 0.0

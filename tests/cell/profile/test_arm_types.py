@@ -120,6 +120,7 @@ def test_every_arm_type_is_complete(path: Path) -> None:
     assert found.source
     assert found.capsules
     assert all(joint.mass > 0.0 for joint in found.joints)
+    assert "generic" not in found.model, "what is offered can be bought"
 
 
 UR_PUBLISHED = {

@@ -32,7 +32,6 @@ from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.correct import correct_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.sections import controllers_section
@@ -50,6 +49,7 @@ from tests.arms import OFF_AXIS, UR10, UR10_CENTERS, UR10_MASSES, at_station, tr
 from tests.cell.programs.test_truth import FACTOR, Array, Cell, cell_of, corrected, errors, waypoint
 from tests.made_once import made_once
 from tests.twin import small_twin, with_arm
+from tests.verbs import correct_run
 
 TCP = "set_tcp(p[0, 0, 0.1, 0, 0, 0])\n"
 POSE, JOINTS = "p[0.4, -0.2, 0.3, 0, 3.1, 0]", "[0.1, -1.2, 1.3, -1.4, 1.5, 0.6]"

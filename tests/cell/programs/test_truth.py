@@ -15,13 +15,13 @@ from scipy.spatial.transform import Rotation
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.run import RunFile
-from cellapp.commands.correct import correct_run
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.ground.errors import InputError
 from cellapp.robot.model import CellModel
 from drivers.plant import Plant
 from tests.cell.programs.plain_controller import PlainController, Pose, forward, matrix, pose_of
 from tests.postures import far_from_singular
+from tests.verbs import correct_run
 
 Array = NDArray[np.float64]
 FACTOR = 15.0

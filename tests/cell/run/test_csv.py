@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile, write_readings_csv
-from cellapp.commands.import_ import import_new_run
 from cellapp.commands.stages import readings_digest
 from cellapp.estimation.readings import Reading, Readings, joined
 from cellapp.estimation.readings.columns import COLUMNS
@@ -28,6 +27,7 @@ from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import apply, invert, transform
 from tests.cell.run.small_runs import Rows, assert_same, import_csv, read_readings_csv, two_arms, written
 from tests.cell.run.test_measured_again import change, left_alone
+from tests.verbs import import_new_run
 
 ROOT = Path(__file__).parents[3]
 REAL = ROOT / "tests" / "fixtures" / "ur10-real" / "readings.csv"

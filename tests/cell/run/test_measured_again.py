@@ -22,7 +22,7 @@ from cellapp.cell.run.csv_import import WhichSmr
 from cellapp.cell.run.measured_again import earlier_readings, replace_stop, replaced_counts
 from cellapp.cell.run.measurement_order import in_measured_order
 from cellapp.cell.run.records import ArmOrder
-from cellapp.commands.import_ import ImportRequest, import_new_run
+from cellapp.commands.import_ import ImportRequest
 from cellapp.commands.import_ import run as import_run
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.errors import InputError, NotConverged
@@ -41,6 +41,7 @@ from tests.cell.run.small_runs import (
 )
 from tests.commands.emulated_cell import quiet_work
 from tests.twin import PROFILES, small_twin
+from tests.verbs import import_new_run
 
 
 def seen(joints: int, x_m: float) -> Reading:

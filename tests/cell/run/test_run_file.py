@@ -481,7 +481,7 @@ class Model:
         assert {(one.stop, one.arm): one.reason for one in run.outcomes()} == missing
         sessions = run.sessions()
         assert [one.outcome for one in sessions] == [outcome for (outcome,) in self.sessions]
-        assert [(one.number, kind) for one in sessions for _, kind, _ in one.requests] == sorted(
+        assert [(one.number, request.kind) for one in sessions for request in one.requests] == sorted(
             self.requests, key=lambda request: request[0]
         )
         assert [(row.name, row.stops_done) for row in run.references()] == self.references

@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.exports.arm_export import lost_by, workspace
-from cellapp.cell.exports.command_table import COMMAND_TABLE
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate, compensate_result
@@ -26,15 +25,12 @@ from cellapp.cell.targets.targets import (
     same_target,
 )
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.certificate.run import certificate_run
 from cellapp.commands.certificate.view import certificate_sections, certificate_tables
 from cellapp.commands.compensate.tables import measured_turn_tables, turn_tables
 from cellapp.commands.compensate.target_list import target_states
 from cellapp.commands.compensate.view import view as compensated_view
 from cellapp.commands.discover.run import discover_run
-from cellapp.commands.export.run import export_commands
-from cellapp.commands.push.run import push_run
-from cellapp.commands.run_results import read_stage_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.quantities import measurement_conditions
@@ -44,6 +40,7 @@ from cellapp.interfaces.page.page import certificate_page
 from cellapp.robot.kinematics.transforms import Array, apply, transform
 from cellapp.robot.model import CellModel
 from tests.twin import HIDDEN, PROFILES, finished_twin, small_twin
+from tests.verbs import certificate_run, export_as_run, push_run
 
 PROFILE = small_twin()
 
@@ -138,7 +135,7 @@ def test_what_is_predicted_of_the_rotation_holds_when_it_is_measured(run: RunFil
 
 
 def test_the_nominal_command_is_off_by_what_was_predicted(run: RunFile, verified: VerifyResult) -> None:
-    stored = read_stage_results(run).compensate
+    stored = read_results(run).compensate
     assert stored is not None
     for command, measured in zip(stored.targets, verified.targets, strict=True):
         assert command.orientation is not None
@@ -164,7 +161,7 @@ def test_verdicts_follow_the_one_rule(run: RunFile, model: CellModel) -> None:
 
 def test_a_stored_measurement_is_judged_by_another_tolerance(run: RunFile, verified: VerifyResult) -> None:
     target = LEFT[0].model_copy(update={"orientation_tolerance": 1e-6})
-    (state,) = target_states([target], read_stage_results(run))
+    (state,) = target_states([target], read_results(run))
     assert state.verdict == "cannot say"  # some 0.05 mrad are more than a thousandth, not more than U and it
     assert state.measured[0].orientation_tolerance_mrad == pytest.approx(1e-3)
     assert not same_target(target, verified.targets[0])
@@ -202,7 +199,7 @@ def test_the_certificate_states_rotations_with_their_own_budget(run: RunFile, ve
 
 def test_commands_are_exported_with_what_is_known_of_the_rotation(run: RunFile, verified: VerifyResult) -> None:
     out = run.folder / "commands.csv"
-    export_commands(run, read_stages(run), COMMAND_TABLE, out)
+    export_as_run(run, "commands", out)
     rows = list(csv.DictReader(line for line in out.read_text("utf-8").splitlines() if not line.startswith("#")))
     assert [row["orientation_verdict"] for row in rows] == ["in"] * len(LEFT)
     assert all(float(row["orientation_within_mrad"]) < 0.5 < float(row["nominal_mrad"]) for row in rows)

@@ -25,8 +25,8 @@ from cellapp.cell.targets.records import ArmVerification, CompensateResult, Veri
 from cellapp.cell.targets.targets import Target, load_targets, same_target
 from cellapp.commands.compensate.tables import predicted_tables, verification_tables
 from cellapp.commands.compensate.words import verify_lines
-from cellapp.commands.push.run import judge_of, push_run
-from cellapp.commands.report.result import read_results
+from cellapp.commands.push.run import judge_of
+from cellapp.commands.run_results import read_results
 from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.estimation.uncertainty.budget import Judge
 from cellapp.ground.control import JobControl
@@ -39,6 +39,7 @@ from drivers.plant import Clearance
 from tests.cell.planning.planned_cells import three_arms
 from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.twin import PROFILES, plant_of, small_twin
+from tests.verbs import push_run
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 TARGETS = (*ALL[:6], *ALL[20:26], *ALL[6:8])
@@ -116,6 +117,7 @@ def test_a_way_that_the_gate_refuses_is_noted_and_nothing_moves(
 
 def test_without_verification_nothing_is_measured_and_an_earlier_one_is_kept(run: RunFile) -> None:
     verified = push_run(run, TARGETS[:2], verify=True)
+    assert any("common to all are in the flange frame" in line for line in verify_lines(verified))
     assert verified.arms["left"].compensated_mm.n == 2
     pushed = push_run(run, (TARGETS[0], FAR), verify=False)
     (note,) = pushed.notes

@@ -32,9 +32,8 @@ from cellapp.commands.compensate.run import compensate_paths
 from cellapp.commands.compensate.run import run as run_compensate
 from cellapp.commands.compensate.view import paths_view
 from cellapp.commands.compensate.words import verify_lines
-from cellapp.commands.push.run import push_run
 from cellapp.commands.record import Work
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of
 from cellapp.ground.control import JobControl
@@ -48,6 +47,7 @@ from drivers.trackers.protocol import TargetLost
 from tests.cell.targets.pairs import pair_targets, stops_with_room
 from tests.crossed_beam import crossed_beam
 from tests.twin import PROFILES, plant_of, small_twin
+from tests.verbs import push_run
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 TARGETS = (*ALL[:5], *ALL[20:25])

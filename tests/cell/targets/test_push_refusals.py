@@ -23,11 +23,9 @@ from cellapp.cell.targets.ranges import ConditionRanges, payload_covariance
 from cellapp.cell.targets.targets import Target, WorkingConditions, load_targets
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.compensate.run import compensate_run
-from cellapp.commands.export.run import export_as_run
-from cellapp.commands.import_ import import_new_run
-from cellapp.commands.init.own_data import OwnData, write_own_data
-from cellapp.commands.push.run import push_run
-from cellapp.commands.report.result import read_results
+from cellapp.commands.init.own_data import write_own_data
+from cellapp.commands.init.request import InitRequest
+from cellapp.commands.run_results import read_results
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.progress import Cancelled
@@ -40,6 +38,7 @@ from drivers.arms.protocol import ArmIdentity
 from drivers.arms.simulated import SimulatedArm
 from tests.arms import UR5
 from tests.twin import PROFILES, plant_of, small_twin
+from tests.verbs import export_as_run, import_new_run, push_run
 
 ALL = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 TARGETS = (*ALL[:4], *ALL[20:22])
@@ -228,8 +227,8 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     p_M = smr_positions(TRUE, q) + np.random.default_rng(7).normal(0.0, 1e-5, (120, 3))
     rows = [",".join(f"{v:.9f}" for v in (*a, *b)) for a, b in zip(q, p_M, strict=True)]
     (folder / "mine.csv").write_text("\n".join(["q1,q2,q3,q4,q5,q6,x_m,y_m,z_m", *rows]))
-    written = write_own_data(OwnData(folder / "mine.csv", arm="ur5"), folder)
-    import_new_run(load_profile(written.profile), written.readings, folder / "run")
+    written = write_own_data(InitRequest(folder=folder, readings=folder / "mine.csv", arm="ur5"))
+    import_new_run(load_profile(Path(written.profile)), Path(written.readings or ""), folder / "run")
     with RunFile.open(folder / "run", write=True) as run:
         calibrate_run(run)
     return folder / "run"

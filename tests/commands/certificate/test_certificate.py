@@ -13,7 +13,7 @@ from cellapp.commands.certificate.iso9283_judgements import judge_characteristic
 from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.certificate.result import CertificateResult
 from cellapp.commands.certificate.statement import CertificateInput, certificate_of, used_instruments
-from cellapp.commands.report.result import RunResults
+from cellapp.commands.run_results import RunResults
 from cellapp.estimation.discovery.records import DiscoverResult, Noise
 from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoValue, PoseCharacteristics
 from cellapp.estimation.monitoring.check.records import CheckResult, CheckVerdict

@@ -14,8 +14,8 @@ import pytest
 
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.commands.certificate.result import CertificateResult
-from cellapp.commands.certificate.run import PAGE_FILE, SUMS_FILE, certificate_run
-from cellapp.commands.report.result import read_results
+from cellapp.commands.certificate.run import PAGE_FILE, SUMS_FILE
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import CERTIFICATE_FILE, append_stage, complaints_of, read_stages
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -23,6 +23,7 @@ from cellapp.ground.results import CERTIFICATE, VERIFY
 from cellapp.interfaces.page.page import certificate_page
 from cellapp.robot.model import CellModel
 from tests.twin import small_twin
+from tests.verbs import certificate_run
 
 NOON = datetime(2026, 1, 2, 12, tzinfo=UTC)
 

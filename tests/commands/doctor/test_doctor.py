@@ -51,7 +51,6 @@ SAMPLE = UrSample(
 )
 READY = UrProbe(
     host="192.168.0.10",
-    greeting="Connected: Universal Robots Dashboard Server",
     software="3.15.8.106339",
     series="CB3",
     model="UR10",
@@ -321,8 +320,8 @@ def test_the_doctor_finds_emulated_controllers_until_they_are_cancelled(real: Pr
 
     def at_their_ports(host: str, timeout_s: float) -> UrProbe:
         arm = next(arm for arm in listening if arm.host == host)
-        ports = {name: getattr(arm, name) for name in ("dashboard_port", "primary_port", "script_port", "rtde_port")}
-        return probe_ur(host, timeout_s, **ports)
+        ports = (arm.dashboard_port, arm.primary_port, arm.script_port, arm.rtde_port)
+        return probe_ur(host, timeout_s, ports=ports)
 
     found: dict[str, Finding] = {}
 

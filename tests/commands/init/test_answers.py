@@ -6,6 +6,7 @@ from collections.abc import Callable
 from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run.recorded_csv import nobody
 from cellapp.commands.init.answers import write_answers
-from cellapp.commands.init.own_data import OwnData, write_own_data
-from cellapp.commands.init.run import InitResult, view
+from cellapp.commands.init.own_data import write_own_data
+from cellapp.commands.init.request import InitRequest
+from cellapp.commands.init.run import view
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
@@ -68,13 +70,14 @@ def written(folder: Path, text: str) -> Path:
 @pytest.mark.parametrize("joints", [True, False])
 def test_answers_make_a_profile_with_the_surveyed_base(joints: bool, tmp_path: Path) -> None:
     result = write_answers(written(tmp_path, ANSWERS.replace("POINTS", lines(joints=joints))), tmp_path)
-    assert result.path == tmp_path / "profiles" / "hall-3.yaml"
-    profile = load_profile(result.path)
+    path = Path(result.profile)
+    assert path == tmp_path / "profiles" / "hall-3.yaml"
+    profile = load_profile(path)
     base = profile.arms["left"].base
     assert base is not None
     assert np.allclose(pose_matrix(base), pose_matrix(TRUE_BASE), atol=1e-4)
     assert result.notes[0].startswith("arm left: 4 points fit to 0.00 mm rms")
-    assert "# Base from tracker points, arm left: 4 points fit to" in result.path.read_text("utf-8")
+    assert "# Base from tracker points, arm left: 4 points fit to" in path.read_text("utf-8")
     assert (tmp_path / "profiles" / "arms" / "ur10.yaml").is_file()
 
 
@@ -118,7 +121,7 @@ def test_a_second_time_is_refused(tmp_path: Path) -> None:
 
 def test_any_key_of_a_profile_is_an_answer_and_units_stay_as_written(tmp_path: Path) -> None:
     text = ANSWERS.replace("POINTS", lines(joints=False)) + "splits: {identify: 3}\nseed: 7\n"
-    path = write_answers(written(tmp_path, text), tmp_path).path
+    path = Path(write_answers(written(tmp_path, text), tmp_path).profile)
     profile = load_profile(path)
     assert (profile.seed, profile.splits.identify, profile.calibration.robust) == (7, 3, "huber")
     assert "clearance: 80 mm" in path.read_text("utf-8")
@@ -140,6 +143,10 @@ def simulated(rows: Array, n: int = 60, seed: int = 1) -> tuple[Array, Array]:
     return q, p_M + rng.normal(0.0, 1e-5, p_M.shape)
 
 
+def own_data(file: Path, **known: Any) -> InitRequest:
+    return InitRequest(**{"folder": file.parent, "readings": file, **known})
+
+
 def table(path: Path, q: Array, p: Array, names: str = "", separator: str = ",", comma: str = ".") -> Path:
     header = names or ",".join([*(f"q{i + 1}" for i in range(q.shape[1])), "x", "y", "z"])
     lines = [separator.join(f"{v:.9f}".replace(".", comma) for v in (*a, *b)) for a, b in zip(q, p, strict=True)]
@@ -151,49 +158,49 @@ def test_a_german_table_becomes_a_run(tmp_path: Path) -> None:
     q, p_M = simulated(UR10)
     names = ";".join([*(f"A{i} [°]" for i in range(1, 7)), "X [mm]", "Y [mm]", "Z [mm]"])
     file = table(tmp_path / "Meine Messung.csv", np.degrees(q), 1e3 * p_M, names, ";", ",")
-    written = write_own_data(OwnData(file, arm="ur10"), tmp_path)
+    written = write_own_data(own_data(file, arm="ur10"))
     assert "decimal commas; joint positions in degrees, points in millimetres" in written.notes[0]
     assert written.notes[-1].endswith("arm, units and signs fit")
-    profile = load_profile(written.profile)
+    profile = load_profile(Path(written.profile))
     assert (profile.name, list(profile.arms), profile.arms["robot"].driver.kind) == ("meine-messung", ["robot"], "none")
     assert written.readings is not None
-    with import_csv(profile, written.readings, tmp_path / "run") as run:
+    with import_csv(profile, Path(written.readings), tmp_path / "run") as run:
         np.testing.assert_allclose(run.readings("robot").q, q, atol=1e-9)
         np.testing.assert_allclose(run.readings("robot").p_M, p_M, atol=1e-9)
-    shown = view(InitResult(profile=str(written.profile), readings=str(written.readings)))
+    shown = view(written)
     assert str(shown.parts[-1]).startswith("next: cellapp import ")
 
 
 def test_the_kinematics_decide_what_values_leave_open(tmp_path: Path) -> None:
     q, p_M = simulated(UR5)
     file = table(tmp_path / "r.csv", q + 2.0 * np.pi * (np.arange(6) == 5), p_M)  # beyond a revolution
-    written = write_own_data(OwnData(file, arm="ur5"), tmp_path)
+    written = write_own_data(own_data(file, arm="ur5"))
     assert "joint positions in radians, points in metres" in written.notes[0]
 
 
 def test_an_arm_that_is_not_named_is_asked_for_with_what_fits(tmp_path: Path) -> None:
     file = table(tmp_path / "r.csv", *simulated(UR5))
     with pytest.raises(InputError, match=r"which arm\? .*: ur5 \(0\.0 mm\), "):
-        write_own_data(OwnData(file), tmp_path, nobody)
+        write_own_data(own_data(file), nobody)
     asked = []
 
     def choose(question: str, answers: tuple[str, ...]) -> str:
         asked.append((question, answers))
         return answers[0]
 
-    written = write_own_data(OwnData(file), tmp_path, choose)
+    written = write_own_data(own_data(file), choose)
     assert len(asked) == 1
     assert asked[0][1][0] == "ur5"
-    assert load_profile(written.profile).arms["robot"].type.model == "UR5"
+    assert load_profile(Path(written.profile)).arms["robot"].type.model == "UR5"
 
 
 def test_a_wrong_arm_and_wrong_signs_are_told(tmp_path: Path) -> None:
     q, p_M = simulated(UR5)
-    wrong = write_own_data(OwnData(table(tmp_path / "r.csv", q, p_M), arm="ur10"), tmp_path)
+    wrong = write_own_data(own_data(table(tmp_path / "r.csv", q, p_M), arm="ur10"))
     assert wrong.notes[-1].startswith("WARNING: ")
     assert wrong.notes[-1].endswith("the points fit ur5")
     turned = table(tmp_path / "t.csv", q * [1, -1, 1, 1, 1, 1], p_M)
-    assert "with q2 with the opposite sign it leaves" in write_own_data(OwnData(turned, arm="ur5"), tmp_path).notes[-1]
+    assert "with q2 with the opposite sign it leaves" in write_own_data(own_data(turned, arm="ur5")).notes[-1]
 
 
 @pytest.mark.parametrize("modified", [False, True])
@@ -206,16 +213,16 @@ def test_d_h_rows_of_a_table(tmp_path: Path, modified: bool) -> None:
     text = "theta_deg,d_mm,a_mm,alpha_deg\n" + "\n".join(",".join(f"{v:.9f}" for v in row) for row in cells)
     (tmp_path / "my-arm.csv").write_text(text)
     file = table(tmp_path / "r.csv", *simulated(FIVE))
-    written = write_own_data(OwnData(file, arm=str(tmp_path / "my-arm.csv"), modified=modified), tmp_path)
+    written = write_own_data(own_data(file, arm=str(tmp_path / "my-arm.csv"), modified=modified))
     assert written.notes[-1].endswith("arm, units and signs fit")
-    assert len(load_profile(written.profile).arms["robot"].type.joints) == 5
+    assert len(load_profile(Path(written.profile)).arms["robot"].type.joints) == 5
 
 
 def test_wrong_rows_and_arms_are_refused_as_approved(tmp_path: Path) -> None:
     file = table(tmp_path / "r.csv", *simulated(FIVE))
     own = [
-        *(OwnData(table(tmp_path / "six.csv", *simulated(UR5)), arm=arm) for arm in ("ur99", "panda", "x.yaml")),
-        OwnData(table(tmp_path / "eight.csv", *simulated(np.tile(UR5[:1], (8, 1))))),
+        *(own_data(table(tmp_path / "six.csv", *simulated(UR5)), arm=arm) for arm in ("ur99", "panda", "x.yaml")),
+        own_data(table(tmp_path / "eight.csv", *simulated(np.tile(UR5[:1], (8, 1))))),
     ]
     header = "theta_deg,d_mm,a_mm,alpha_deg"
     for number, text in enumerate(
@@ -223,17 +230,17 @@ def test_wrong_rows_and_arms_are_refused_as_approved(tmp_path: Path) -> None:
          header + "\n0,0,0,0")
     ):  # fmt: skip
         (tmp_path / f"rows-{number}.csv").write_text(f"{text}\n")
-        own.append(OwnData(file, arm=str(tmp_path / f"rows-{number}.csv")))
-    said = [refused(partial(write_own_data, one, tmp_path), tmp_path) for one in own]
+        own.append(own_data(file, arm=str(tmp_path / f"rows-{number}.csv")))
+    said = [refused(partial(write_own_data, one), tmp_path) for one in own]
     assert_approved(APPROVED / "arms.txt", "\n".join(said))
 
 
 def test_existing_files_stay(tmp_path: Path) -> None:
     file = table(tmp_path / "r.csv", *simulated(UR5))
-    write_own_data(OwnData(file, arm="ur5"), tmp_path)
+    write_own_data(own_data(file, arm="ur5"))
     (tmp_path / "profiles" / "r.yaml").write_text("mine: yes\n")
     with pytest.raises(InputError, match="exists already"):
-        write_own_data(OwnData(file, arm="ur5"), tmp_path)
+        write_own_data(own_data(file, arm="ur5"))
     assert (tmp_path / "profiles" / "r.yaml").read_text() == "mine: yes\n"
 
 
@@ -241,11 +248,11 @@ def test_joint_positions_of_a_motion_give_a_profile_for_recordings(tmp_path: Pat
     file = tmp_path / "joints.csv"
     file.write_text("time_s,q1,q2,q3,q4,q5,q6\n" + "0.0,0,0,0,0,0,0\n" * 3)
     with pytest.raises(InputError, match="which arm"):
-        write_own_data(OwnData(file), tmp_path)
-    written = write_own_data(OwnData(file, arm="ur5"), tmp_path)
+        write_own_data(own_data(file))
+    written = write_own_data(own_data(file, arm="ur5"))
     assert written.readings is None
-    assert load_profile(written.profile).arms["robot"].smr.offset == "unknown"
-    assert "--points" in written.profile.read_text("utf-8")
+    assert load_profile(Path(written.profile)).arms["robot"].smr.offset == "unknown"
+    assert "--points" in Path(written.profile).read_text("utf-8")
 
 
 def test_joints_and_points_of_a_motion_in_one_file_are_no_stops(tmp_path: Path) -> None:
@@ -261,7 +268,7 @@ def test_joints_and_points_of_a_motion_in_one_file_are_no_stops(tmp_path: Path) 
         rows = [f"{stamp(n)};0.{n:02d};1.2;0.4;2;1;0.{n:02d};1.{n:02d};2.5;0.1" for n in range(60)]
         file = tmp_path / f"both {name}.csv"
         file.write_text("\n".join(["t;J1;J2;J3;J4;J5;J6;X;Y;Z", *rows]) + "\n")
-        own = OwnData(file, arm="ur5", angles="rad", lengths="m")
-        written = write_own_data(own, tmp_path / name)
-        assert written.points_beside is motion
+        own = own_data(file, folder=tmp_path / name, arm="ur5", angles="rad", lengths="m")
+        written = write_own_data(own)
+        assert (written.points == str(file)) is motion
         assert (written.readings is None) is motion

@@ -24,6 +24,8 @@ class DelayedClient:
     """A client that reports the end of a motion at once, while its positions come late."""
 
     supervisor: PathSupervisor
+    now: list[float]
+    """The clock of its worker [s]."""
 
     def __init__(self) -> None:
         self.q, self.stamp = list(HOME), 0.0
@@ -96,6 +98,9 @@ class DelayedClient:
     def servoStop(self, *_: object) -> bool:
         return True
 
+    def setCustomScriptFile(self, _: str) -> None:
+        self.playing = True
+
     def end_program(self, *_: object) -> bool:
         """A command that is not served, because the program ended."""
         self.playing = False
@@ -115,7 +120,7 @@ def delayed_worker(monkeypatch: pytest.MonkeyPatch) -> tuple[DelayedClient, Moni
     control = UrControl("127.0.0.1", client, client, ("target_speed_fraction",))
     supervisor = PathSupervisor(worker, control, 5.0, RestCriterion(dwell_s=0.1, speed=0.005, position=2e-4))
     supervisor.begin()
-    client.supervisor = supervisor
+    client.supervisor, client.now = supervisor, now
     supervisor._unrest.begin()
     supervisor._motion = Motion(list(AWAY), number_before=1, began_s=now[0])
     supervisor.wait_settled(7, 60.0)

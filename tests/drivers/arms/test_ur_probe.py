@@ -104,27 +104,14 @@ def emulated(controller: Personality, **changes: Any) -> Iterator[Emulator]:
 def ask(emulator: Emulator, timeout_s: float = PATIENT_S) -> UrProbe:
     """Probe an emulator, with an open script port and a closed RTDE port."""
     with open_port() as script, closed_port() as rtde:
-        return probe_ur(
-            emulator.host,
-            timeout_s,
-            dashboard_port=emulator.dashboard_port,
-            primary_port=emulator.primary_port,
-            script_port=script,
-            rtde_port=rtde,
-        )
+        ports = (emulator.dashboard_port, emulator.primary_port, script, rtde)
+        return probe_ur(emulator.host, timeout_s, ports=ports)
 
 
 def lost(dashboard_port: int, timeout_s: float = PATIENT_S, host: str = "127.0.0.1") -> str:
     """The message of a probe that finds no dashboard; the other ports are closed."""
     with closed_port() as first, closed_port() as second, closed_port() as third, pytest.raises(LinkLost) as caught:
-        probe_ur(
-            host,
-            timeout_s,
-            dashboard_port=dashboard_port,
-            primary_port=first,
-            script_port=second,
-            rtde_port=third,
-        )
+        probe_ur(host, timeout_s, ports=(dashboard_port, first, second, third))
     return str(caught.value)
 
 
@@ -145,7 +132,6 @@ def test_identity_and_state_of_a_controller_are_probed(controller: Personality, 
     assert probe.remote_control is (True if e_series else None)
     assert probe.safety_status == ("NORMAL" if e_series else None)
     assert list(probe.ports.values()) == [True, True, False]
-    assert probe.greeting == "Connected: Universal Robots Dashboard Server"
     assert probe.kinematics is not None
     assert probe.kinematics.rows.tolist() == [list(row) for row in controller.rows]
     assert probe.kinematics_note == ""
@@ -303,14 +289,7 @@ def test_polyscope_x_is_refused_by_name_with_what_to_do() -> None:
         closed_port() as rtde,
         pytest.raises(LinkLost) as caught,
     ):
-        probe_ur(
-            emulator.host,
-            PATIENT_S,
-            dashboard_port=dashboard,
-            primary_port=emulator.primary_port,
-            script_port=script,
-            rtde_port=rtde,
-        )
+        probe_ur(emulator.host, PATIENT_S, ports=(dashboard, emulator.primary_port, script, rtde))
     words = str(caught.value)
     assert "PolyScope X (version 10) has no dashboard server" in words
     assert "not driven" in words

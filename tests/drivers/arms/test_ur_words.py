@@ -14,12 +14,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
 
-from drivers.arms import ur_worker
+from drivers.arms import ur_control, ur_worker
 from drivers.arms.protocol import (
     ArmError,
     EmergencyStop,
@@ -27,10 +28,11 @@ from drivers.arms.protocol import (
     JointLimits,
     LimitExceeded,
     LinkLost,
+    MotionStopped,
     NotInRemoteControl,
     ProtectiveStop,
 )
-from drivers.arms.ur import UrArm, checked_rows
+from drivers.arms.ur import UrArm, UrRecorder, checked_rows
 from drivers.arms.ur_checks import UrExpectation, checks
 from drivers.arms.ur_control import Refusal, _open_refusal
 from drivers.arms.ur_guarded_link import REFUSALS, FirstDoubt, StopLine, arm_error, arm_state
@@ -38,6 +40,7 @@ from drivers.arms.ur_motion import Unrest
 from drivers.arms.ur_probe import UrProbe
 from drivers.arms.ur_rtde_reader import UrSample
 from drivers.arms.ur_settings import UrSettings
+from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone
 from drivers.patience import Patience
 from tests.drivers.arms.delayed_client import DelayedClient, Monitor
 from tests.drivers.arms.emulated_ur_cell import AWAY, HOME, PATIENT_S, expectation, pause
@@ -158,6 +161,63 @@ def test_requests_that_are_refused(delayed: Delayed) -> None:
     assert_well_said(said(monitor(0.01, PATH)[-1]))
 
 
+def refuse(*_: object) -> bool:
+    raise RuntimeError("servoJ: the client said no")
+
+
+ON_A_PATH: dict[str, tuple[Callable[[DelayedClient], object], str]] = {
+    "late": (lambda client: client.now.__setitem__(0, client.now[0] + 0.2), "late by 0.20 s with the next position"),
+    "refused": (lambda client: setattr(client, "servoJ", refuse), "the RTDE client refused a position of the path"),
+    "not taken": (lambda client: setattr(client, "servoJ", lambda *_: False), "did not take a position of the path"),
+    "not ended": (lambda client: setattr(client, "servoStop", lambda *_: False), "did not take a position of the path"),
+    "slider": (lambda client: setattr(client, "fraction", 0.5), "its speed slider was moved while it followed a path"),
+    "left behind": (lambda client: setattr(client, "q", [0.0] * 6), "rad away from the path that it was to follow"),
+    "protective": (lambda client: setattr(client, "safety", 3), "protective stop"),
+    "ended": (lambda client: setattr(client, "servoJ", client.end_program), "its program ended"),
+}
+
+
+@pytest.mark.parametrize("cause", ON_A_PATH)
+def test_what_ends_a_path(delayed: Delayed, cause: str) -> None:
+    client, monitor = delayed
+    client.running, client.q = False, list(AWAY)
+    monitor(0.5)
+    assert "ok" in monitor(0.1, {**PATH, "q": [list(AWAY)] * 60})[-1]
+    known = len(monitor(0.0, {"do": "settled"}))
+    act, words = ON_A_PATH[cause]
+    act(client)
+    doubt, answer = monitor(2.0)[known:]
+    assert said(doubt) == said(answer)
+    assert words in said(answer)
+    assert_well_said(said(answer))
+
+
+NOT_STARTED: dict[str, tuple[Callable[[DelayedClient], object], str]] = {
+    "local": (lambda client: setattr(client, "local", True), "the pendant is in local control"),
+    "not uploaded": (lambda client: setattr(client, "setCustomScriptFile", refuse), "could not be uploaded"),
+    "not started": (lambda client: setattr(client, "setCustomScriptFile", lambda _: None), "did not start within"),
+    "not ended": (lambda client: setattr(client, "isProgramRunning", lambda: True), "was stopped but still runs"),
+    "no watchdog": (lambda client: setattr(client, "setWatchdog", lambda _: False), "it refused the watchdog"),
+}
+
+
+@pytest.mark.parametrize("cause", NOT_STARTED)
+def test_a_program_that_does_not_start_again(delayed: Delayed, monkeypatch: Any, cause: str) -> None:
+    client, monitor = delayed
+    monkeypatch.setattr(ur_control, "_PROGRAM_WITHIN_S", 0.1)
+    monkeypatch.setattr(ur_control, "in_local_control", lambda host, within_s: client.local)
+    client.running, client.q = False, list(AWAY)
+    monitor(0.5)
+    monitor(0.3, {"brake": True})
+    client.playing = False
+    monitor(0.1, {"do": "release"})
+    act, words = NOT_STARTED[cause]
+    act(client)
+    answer = monitor(0.01, MOVE)[-1]
+    assert words in said(answer)
+    assert_well_said(said(answer))
+
+
 def test_a_motion_that_takes_too_long(delayed: Delayed) -> None:
     client, monitor = delayed
     client.running, client.fraction = True, 0.0
@@ -214,7 +274,6 @@ EXPECTED = UrExpectation(
 )
 PROBE = UrProbe(
     host="192.168.0.10",
-    greeting="",
     software="3.15.8",
     series="CB3",
     model="UR10",
@@ -267,6 +326,45 @@ def test_a_link_in_doubt(lonely: UrArm, kind: str) -> None:
     for told in (raised, heard[0]):
         assert why in str(told)
         assert_well_said(str(told))
+
+
+FAULT = {"kind": "failed", "text": "it left its rest without being asked"}
+
+
+def worker_that(answers: Callable[..., dict[str, Any]]) -> Any:
+    """A worker process that lives and answers requests like this."""
+    alive = {"has_ended": False, "brake": lambda *_: True, "kill": lambda: None, "gaps": HeartbeatGaps()}
+    return SimpleNamespace(call=answers, **alive)
+
+
+def test_a_worker_that_does_not_release_its_arm_is_killed(lonely: UrArm, monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*_: object) -> NoReturn:
+        raise WorkerGone("its driver process ended (signal 9)")
+
+    monkeypatch.setattr(lonely._stop_line, "stop", lambda: None)
+    monkeypatch.setattr(lonely._program, "wait_at_rest", lambda: None)
+    lonely._worker = worker_that(gone)
+    with pytest.raises(LinkLost, match="the stop failed: its driver process ended") as raised:
+        lonely.stop()
+    assert_well_said(str(raised.value))
+    assert lonely._worker is None
+
+
+def test_a_fault_is_told_rather_than_the_stop_that_followed(lonely: UrArm, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lonely._stop_line, "confirm", lambda patience: None)
+    lonely._worker = worker_that(lambda *_: {"fault": FAULT})
+    with pytest.raises(ArmError, match="it left its rest"):
+        lonely.confirm()
+    lonely._doubted("protective", "protective stop: go to the arm, see what stopped it")
+    told = lonely._fault_or(MotionStopped("arm left: it was stopped"))
+    assert "it left its rest" in str(told)
+    lonely._worker = worker_that(lambda *_: {"fault": None})
+    assert isinstance(lonely._fault_or(MotionStopped("arm left: it was stopped")), ProtectiveStop)
+
+
+def test_joints_that_cannot_be_recorded() -> None:
+    with pytest.raises(LinkLost, match=r"arm left: its joints are not recorded: .* no RTDE connection"):
+        UrRecorder("left", own_address(47), 0.008)
 
 
 def test_a_dashboard_that_is_lost(lonely: UrArm) -> None:

@@ -12,14 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from drivers.emulators.ur_controller import ControllerConfig, FreeMotions, Series, personality, poses
-from drivers.emulators.ur_controller.controller import Controller, RobotMode, Runtime, SafetyMode
+from drivers.arms.ur_rtde_reader import ProgramState, RobotMode, SafetyMode
+from drivers.emulators.ur_controller import ControllerConfig, Series, ideal, personality, poses
+from drivers.emulators.ur_controller.controller import Controller
 from drivers.emulators.ur_controller.dashboard import answer
 from drivers.emulators.ur_controller.script import ControlScript, ForeignProgram, Upload
 
 READY, DONE = 1, 2
 RUNNING_BIT = 1 << 15
-MOVE, STOP_JOINTS, PAYLOAD, TCP, WATCHDOG, STEADY, KICK, END = 1, 34, 17, 29, 35, 47, 0, 255
+MOVE, STOP_JOINTS, PAYLOAD, TCP, WATCHDOG, STEADY, KICK, END, SERVO = 1, 34, 17, 29, 35, 47, 0, 255, 11
 
 
 class Bench:
@@ -28,7 +29,7 @@ class Bench:
     def __init__(self, series: Series = "CB3", offset: int = 0, pace: float = 1.0, **changes: Any) -> None:
         who = personality(series, "UR5", "20150001")
         self.config = ControllerConfig("arm", "127.0.0.1", who, **changes)
-        self.motions = FreeMotions({"arm": np.array(self.config.home)}, {"arm": np.full(6, 10.0)})
+        self.motions = ideal([self.config])
         self.controller = Controller(self.config, self.motions, lambda: self.now_s)
         self.offset = offset
         self.pace = pace
@@ -70,7 +71,7 @@ class Bench:
 
     def start_script(self) -> None:
         assert self.controller.upload(ControlScript(self.offset, self.offset))
-        self.until(lambda: self.controller.runtime is Runtime.PLAYING)
+        self.until(lambda: self.controller.runtime is ProgramState.PLAYING)
 
     @property
     def bits(self) -> tuple[int, int]:
@@ -144,6 +145,36 @@ def test_steadiness_payload_and_tcp_are_reported(bench: Bench) -> None:
     assert values["tcp_offset"] == (0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
 
 
+TOOL = (0.0, 0.0, 0.1, 0.0, 0.0, 0.0)
+ANSWERS: dict[str, tuple[int, tuple[float, ...], Callable[[Controller], tuple[float, ...]]]] = {
+    "step time": (26, (), lambda arm: (arm.period_s,)),
+    "joints": (27, (), lambda arm: arm.q),
+    "torques": (38, (), lambda arm: (0.0,) * 6),
+    "flange": (58, (), lambda arm: arm.tool_pose(arm.q, (0.0,) * 6)),
+    "tool": (43, (), lambda arm: arm.tool_pose(arm.q, TOOL)),
+    "tool elsewhere": (44, (0.1,) * 6 + TOOL, lambda arm: arm.tool_pose((0.1,) * 6, TOOL)),
+    "product": (39, TOOL + TOOL, lambda arm: (0.0, 0.0, 0.2, 0.0, 0.0, 0.0)),
+}
+
+
+@pytest.mark.parametrize("asked", ANSWERS)
+def test_what_a_client_asks_of_the_script(bench: Bench, asked: str) -> None:
+    bench.command(TCP, TOOL)
+    command, doubles, expected = ANSWERS[asked]
+    bench.write(command, doubles)
+    bench.cycles(1)
+    values = expected(bench.controller)
+    found = [bench.controller.values[f"output_double_register_{bench.offset + k}"][0] for k in range(len(values))]
+    assert found == pytest.approx(values)
+
+
+def test_what_a_client_sets_by_the_script(bench: Bench) -> None:
+    bench.command(65, (1.5, 0.0, 0.0, 0.03, 0.01, 0.02, 0.03, 0.0, 0.0, 0.0))
+    assert bench.controller.values["payload_inertia"][:3] == (0.01, 0.02, 0.03)
+    bench.write(31)
+    bench.until(lambda: bench.controller.safety_mode is SafetyMode.PROTECTIVE_STOP)
+
+
 @pytest.mark.parametrize(
     ("command", "doubles", "why"),
     [
@@ -151,6 +182,8 @@ def test_steadiness_payload_and_tcp_are_reported(bench: Bench) -> None:
         (MOVE, (7.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0), "7.0000 rad of joint 1 is outside"),
         (MOVE, (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), "above 0"),
         (PAYLOAD, (-1.0, 0.0, 0.0, 0.0), "mass"),
+        (SERVO, (7.0, *(0.0,) * 7, 0.008, 0.1, 300.0), "servoj: 7.0000 rad of joint 1 is outside"),
+        (SERVO, (*(0.0,) * 8, 0.008, 0.0, 300.0), "servoj: look-ahead 0.0 s"),
         (3, (0.0,) * 8, "command 3 of ur_rtde is not emulated"),
         (9, (0.0,) * 8, "command 9 of ur_rtde is not emulated"),
     ],
@@ -159,7 +192,7 @@ def test_an_impossible_request_ends_the_program(command: int, doubles: tuple[flo
     bench = Bench()
     bench.start_script()
     bench.write(command, doubles)
-    bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
+    bench.until(lambda: bench.controller.runtime is ProgramState.STOPPED)
     assert why in bench.controller.log[-1]
     assert bench.controller.moves == 0
 
@@ -176,7 +209,7 @@ def test_the_watchdog_stops_an_arm_whose_client_is_silent(hz: float) -> None:
     assert bench.controller.moving
     took = bench.until(lambda: not bench.controller.running)
     assert took == pytest.approx(1.0 / hz, abs=2.5 * bench.controller.period_s)
-    bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
+    bench.until(lambda: bench.controller.runtime is ProgramState.STOPPED)
     assert not bench.controller.moving
     assert "watchdog" in " ".join(bench.controller.log)
     bench.start_script()
@@ -191,7 +224,7 @@ def test_ending_or_replacing_a_program_brakes_the_arm(bench: Bench) -> None:
     assert not bench.controller.moving
     assert bench.controller.q[0] < 1.0
     bench.write(END)
-    bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
+    bench.until(lambda: bench.controller.runtime is ProgramState.STOPPED)
 
 
 @given(st.lists(st.tuples(st.integers(-3, 300), st.floats(allow_nan=True, allow_infinity=True)), max_size=12))
@@ -216,7 +249,7 @@ def test_a_protective_stop_pauses_and_play_goes_on_where_it_was() -> None:
     bench.write(MOVE, (*target, 1.0, 2.0))
     bench.until(lambda: bench.controller.q[0] > 0.4)
     bench.controller.protective_stop()
-    bench.until(lambda: bench.controller.runtime is Runtime.PAUSED)
+    bench.until(lambda: bench.controller.runtime is ProgramState.PAUSED)
     assert bench.controller.safety_mode is SafetyMode.PROTECTIVE_STOP
     assert bench.controller.robot_mode is RobotMode.RUNNING
     assert bench.bits[1] == 1 << 2 | 1 << 10
@@ -256,7 +289,7 @@ def test_an_emergency_stop_takes_the_power_and_coming_back_goes_in_order() -> No
     bench.until(lambda: bench.controller.q[0] > 0.3)
     speed, at = bench.controller.values["actual_qd"][0], bench.controller.q[0]
     bench.controller.emergency_stop()
-    braking = bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
+    braking = bench.until(lambda: bench.controller.runtime is ProgramState.STOPPED)
     assert not bench.controller.moving
     ramp = math.pi / 0.5  # from the speed limit to rest in half a second
     assert braking == pytest.approx(speed / ramp + 0.024, abs=2 * bench.controller.period_s)
@@ -380,12 +413,12 @@ class ControllerMachine(RuleBasedStateMachine):
     def may_move(self) -> bool:
         arm = self.arm
         powered = arm.robot_mode is RobotMode.RUNNING and arm.safety_mode is SafetyMode.NORMAL
-        return powered and arm.runtime in (Runtime.PLAYING, Runtime.RESUMING)
+        return powered and arm.runtime in (ProgramState.PLAYING, ProgramState.RESUMING)
 
     def check_cycle(self) -> None:
         arm, now_s = self.arm, self.bench.now_s
         assert max(map(abs, arm.values["actual_qd"])) <= SPEED * (1.0 + 1e-6)
-        if not arm.moving or arm.runtime in (Runtime.PLAYING, Runtime.RESUMING):
+        if not arm.moving or arm.runtime in (ProgramState.PLAYING, ProgramState.RESUMING):
             self.stopped_at_s = None
         elif self.stopped_at_s is None:
             self.stopped_at_s = now_s
@@ -487,7 +520,7 @@ class ControllerMachine(RuleBasedStateMachine):
     def remote(self, on: bool) -> None:
         self.arm.remote_control = on
 
-    @precondition(lambda self: self.arm.runtime is Runtime.STOPPED and self.may_start())
+    @precondition(lambda self: self.arm.runtime is ProgramState.STOPPED and self.may_start())
     @rule()
     def foreign(self) -> None:
         self.arm.start_locally(ForeignProgram())
@@ -501,8 +534,8 @@ class ControllerMachine(RuleBasedStateMachine):
     def is_consistent(self) -> None:
         arm = self.arm
         assert all(map(math.isfinite, arm.q))
-        assert arm.runtime is not Runtime.STOPPED or arm.program is None or not arm.moving
-        assert arm.safety_mode is SafetyMode.NORMAL or arm.runtime is not Runtime.PLAYING
+        assert arm.runtime is not ProgramState.STOPPED or arm.program is None or not arm.moving
+        assert arm.safety_mode is SafetyMode.NORMAL or arm.runtime is not ProgramState.PLAYING
         for record in arm.brakes.records:
             assert record.ideal_s <= 0.5 / 0.1
             if record.began_s is not None:
@@ -598,7 +631,7 @@ def test_the_slider_scales_a_motion_in_progress_and_at_zero_the_arm_stands() -> 
     stands = bench.controller.q
     assert bench.controller.at_rest
     assert bench.controller.moving, "its motion is not over"
-    assert bench.controller.runtime is Runtime.PLAYING
+    assert bench.controller.runtime is ProgramState.PLAYING
     assert bench.controller.values["speed_scaling"] == (0.0,)
     assert bench.controller.values["actual_qd"] == (0.0,) * 6
     bench.cycles(500)
@@ -618,7 +651,7 @@ def test_an_arm_that_stands_at_slider_zero_can_be_stopped() -> None:
     bench.cycles(int(0.6 / bench.controller.period_s))
     stands = bench.controller.q
     bench.controller.stop_program()
-    bench.until(lambda: bench.controller.runtime is Runtime.STOPPED)
+    bench.until(lambda: bench.controller.runtime is ProgramState.STOPPED)
     bench.controller.set_slider(1.0)
     bench.cycles(200)
     assert bench.controller.q == stands

@@ -163,9 +163,14 @@ def test_unknown_variables_are_named_and_the_recipe_is_refused(emulator: UrContr
         assert client.outputs(["timestamp", "actual_courage"]) == (0, ["DOUBLE", "NOT_FOUND"])
         assert client.outputs(["ft_raw_wrench"]) == (0, ["NOT_FOUND"]), "the e-Series has it, CB3 has not"
         assert client.ask("S") == b"\x00", "there is nothing to start"
+        client.send("O", b"")
+        client.send("?")
+        assert [client.receive()[1][1:13] for _ in range(2)] == [b"the frequenc", b"unknown pack"]
+        assert client.outputs(["actual_TCP_pose"] * 2000) == (0, ["VECTOR6D"] * 2000), "more than a package holds"
         assert client.inputs(["input_int_register_0", "input_int_register_99"]) == (0, ["INT32", "NOT_FOUND"])
     with Rtde(at(emulator, "new", "rtde")).agree() as client:
         assert client.outputs(["ft_raw_wrench"])[0] == 1
+        assert client.ask("P") == b"\x01", "it pauses although it has not begun"
 
 
 def test_an_input_belongs_to_one_connection_until_it_ends(emulator: UrControllerServer, control: Control) -> None:

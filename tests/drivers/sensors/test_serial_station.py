@@ -133,21 +133,6 @@ def test_a_custom_format() -> None:
         parse_line("68.0;nan;101.0", layout)
 
 
-@pytest.mark.parametrize(
-    ("pattern", "units", "message"),
-    [
-        ("T=(", {}, "not a regular expression"),
-        (r"T=(\d+)", {}, r"needs \(\?P<temperature>"),
-        (r"(?P<temperature>\d+) (?P<wind>\d+)", {}, "may have humidity, humidity_unit"),
-        (r"(?P<temperature>\d+)", {"temperature": "Rankine"}, "'temperature: Rankine' is not known; for temperature"),
-        (r"(?P<temperature>\d+)", {"wind": "m/s"}, "unknown field"),
-    ],
-)
-def test_a_bad_format_is_refused(pattern: str, units: dict[str, str], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        LineFormat(pattern, units)
-
-
 @given(st.text(max_size=60), st.integers(0, len(LINE) - 2))
 def test_mangled_lines_never_give_an_impossible_reading(junk: str, cut: int) -> None:
     good = LINE.decode().strip()

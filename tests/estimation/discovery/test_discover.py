@@ -17,7 +17,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.targets.invert import invert
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_result
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.commands.trials.blind import Noise, blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm
@@ -211,6 +211,7 @@ def test_every_effect_with_a_visible_size_is_named(plan, slug):
     dense = any(term.law.name == "curve" for term in found.terms)
     assert found.result.heldout_mm.after < (1.4 if dense else 1.15) * found.result.noise_floor_mm
     assert found.result.steps[0].heldout_mm == found.result.heldout_mm.before > found.result.heldout_mm.after
+    assert "readings searched" in found.result.steps[0].what, "it is not the geometry that was calibrated"
 
 
 @pytest.mark.parametrize("noise", [Noise("heavy"), Noise(repeatability=8e-6)], ids=["heavy tails", "repeatability"])

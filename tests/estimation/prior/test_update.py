@@ -16,7 +16,7 @@ from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences
 from cellapp.commands.discover.run import discover_run
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.identification import identify

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from cellapp.cell.targets.records import ArmVerification, MeasuredPair, MeasuredTarget, VerifyResult
-from cellapp.commands.report.result import RunResults
+from cellapp.commands.run_results import RunResults
 from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, Iso9283Result, IsoValue, PoseCharacteristics
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import ErrorSummary

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.commands.report.result import RunResults
-from cellapp.commands.run_results import evidence_of
+from cellapp.commands.run_results import RunResults, evidence_of
 from cellapp.estimation.calibration.records import Repeatability
 from cellapp.estimation.discovery.records import DiscoverResult, Noise
 from cellapp.estimation.uncertainty.budget import (

@@ -156,7 +156,7 @@ def _unrecorded(world: World, run: RunFile) -> list[Failure]:
     ]
     if any(kind.startswith(_KEEP_FROM_WRITING) for kind in world.struck):
         return failures
-    found = Counter(kind for one in sessions for _, kind, _ in one.requests)
+    found = Counter(request.kind for one in sessions for request in one.requests)
     found.update(_ENDED_BY.get(one.outcome or "", "") for one in sessions)
     return failures + [
         Failure("not listed", f"{asked - found[verb]} of {asked} requests to {verb} in no session")

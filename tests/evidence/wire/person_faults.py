@@ -164,7 +164,7 @@ def left(bench: PressBench, leave: Leave) -> Left:
     bench.terminal.process.wait(_WITHIN_S)
     with RunFile.open(bench.folder / RUN) as run:
         requests = run.sessions()[-1].requests
-    said = requests[-1][-1] if requests else ""
+    said = requests[-1].reason if requests else ""
     return Left(stopped_ms, float(leave.recorded not in said))
 
 

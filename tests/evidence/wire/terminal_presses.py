@@ -192,7 +192,7 @@ class PressBench:
         """What the run has recorded last, and so why nothing moves."""
         with RunFile.open(self.folder / RUN) as run:
             sessions = run.sessions()
-        said = [f"{kind}: {reason}" for session in sessions for _, kind, reason in session.requests]
+        said = [f"{one.kind}: {one.reason}" for session in sessions for one in session.requests]
         return "; ".join(said[-_TOLD:]) or "nothing"
 
     def _began(self, since_s: float) -> bool:

@@ -607,7 +607,7 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
     one_sentence(call("stop", long_run.name), "no job runs in planned")
     with RunFile.open(long_run) as run:
         (session,) = run.sessions()
-        assert session.requests[0][1] == "pause"
+        assert session.requests[0].kind == "pause"
         assert session.outcome == "stopped"
     check_resumes(long_run, call)
 
@@ -628,7 +628,7 @@ def test_interrupted_it_exits_with_four_says_by_what(long_run: Path, number: int
     assert "'cellapp collect DIR --resume'" in err
     assert not (long_run / "run.sqlite-wal").exists(), "the file is whole"
     with RunFile.open(long_run) as run:
-        assert cause in run.sessions()[-1].requests[-1][-1]
+        assert cause in run.sessions()[-1].requests[-1].reason
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -33,9 +33,9 @@ def numbered(pattern: str, first: int = 1, count: int = 6) -> list[str]:
     return [pattern.format(number) for number in range(first, first + count)]
 
 
-def table(names: list[str], *columns: Any, separator: str = ",", head: str = "", end: str = "") -> str:
+def table(names: list[str], *columns: Any, separator: str = ",", head: str = "", end: str = "", quote: str = "") -> str:
     cells = [np.asarray(one).reshape(N, -1).astype(object) for one in columns]
-    rows = [separator.join(map(str, row)) + end for row in np.hstack(cells).tolist()]
+    rows = [separator.join(f"{quote}{one}{quote}" for one in row) + end for row in np.hstack(cells).tolist()]
     return head + "\n".join([separator.join(names) + end, *rows]) + "\n"
 
 
@@ -48,6 +48,15 @@ def disturbed() -> Array:
     found = smr_places((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0))
     found[7, 5] += 0.3
     return found
+
+
+def written(values: Any, form: str) -> Any:
+    """Each number as another program writes it: a format, and what replaces parts of it."""
+    pattern, *replaced = form.split()
+    texts = np.vectorize(lambda value: format(value, pattern))(values)
+    for old, new in (one.split("=") for one in replaced):
+        texts = np.char.replace(texts, old, new)
+    return texts
 
 
 def lost() -> Array:
@@ -69,6 +78,7 @@ class Case:
     atol: float = 2e-8
 
 
+PLAIN = [*numbered("J{}"), *"XYZ"]
 J, XYZ = numbered("J{} [deg]"), ["X [mm]", "Y [mm]", "Z [mm]"]
 CASES = {
     "measured behind nominal": Case(
@@ -149,6 +159,45 @@ CASES = {
         ("joints in the order of their names: shoulder_pan_joint, shoulder_lift_joint, elbow_joint",),
     ),
     "empty columns of a sheet": Case(table([*J, *XYZ], DEG, MM, separator=";", end=";;;"), ("by semicolons",)),
+    "decimal commas between commas": Case(table([*J, *XYZ], written(np.hstack([DEG, MM]), '.7f .=,'), quote='"'), ()),
+    "thousands with points": Case(
+        table([*J, *XYZ], written(np.hstack([DEG, MM]), ",.7f ,=_ .=, _=."), separator=";"), ("decimal commas",)
+    ),
+    "thousands with commas": Case(table([*J, *XYZ], written(np.hstack([DEG, MM]), ",.7f"), separator="\t"), ()),
+    "a sign of typesetters": Case(table([*J, *XYZ], written(np.hstack([DEG, MM]), ".7f -=\N{MINUS SIGN}")), ()),
+    "Fortran": Case(table([*J, *XYZ], written(np.hstack([DEG, MM]), ".10e e=D")), ()),
+    "its names again": Case(table([*J, *XYZ], DEG, MM).replace("\n", "\n" + ",".join([*J, *XYZ]) + "\n", 9), ()),
+    "a comma behind each row": Case(table([*J, *XYZ], DEG, MM, end=",").replace(",\n", "\n", 1), ()),
+    "units in cells": Case(
+        table(PLAIN, np.char.add(written(DEG, ".7f"), "°"), np.char.add(written(MM, ".7f"), " mm")), ("J1 [°] = q1",)
+    ),
+    "units in words": Case(
+        table([*PLAIN], DEG, MM).replace("Z\n", "Z\n" + 6 * "degrees," + "millimeters,millimeters,millimeters\n"), ()
+    ),
+    "lists in cells": Case(
+        table(["joints", "tracker"], [list(map(str, both)) for both in zip(Q.tolist(), P.tolist())], quote='"'),
+        ("joints 6 = q6", "tracker z = z_m"),
+    ),
+    "inches": Case(table([*J, "X [in]", "Y [in]", "Z (inch)"], DEG, MM / 25.4), ("points in inches",)),
+    "axes of Yaskawa": Case(table([*"SLURBT", *XYZ], DEG, MM), ("S = q1, L = q2, U = q3, R = q4, B = q5, T = q6",)),
+    "robot beside tracker": Case(
+        table([*numbered("q{}"), *(f"{axis}_{of}" for of in ("robot", "tracker") for axis in "xyz")], Q, P + 1.0, P),
+        ("x_tracker = x_m", "kept and not used: x_robot"),
+    ),
+    "tolerances between coordinates": Case(
+        table([*J, *(f"{of}{axis} [mm]" for axis in "XYZ" for of in ("", "±"))], DEG, np.repeat(MM, 2, axis=1)),
+        ("kept and not used: ±X [mm]",),
+    ),
+    "no point": Case(
+        table([*J, *XYZ], DEG, np.where(np.isin(np.arange(N), (3, 9))[:, None], "*****", written(MM, ".7f"))),
+        ("own.csv:5, own.csv:11: ***** ***** ***** for a point: left out",), without=(3, 9),
+    ),
+    "names that are there again": Case(
+        table([*PLAIN, *"XYZ"], DEG, MM + 1.0, MM), ("X (2) = x_m",), options=("--column", "X (2)")
+    ),
+    "commanded positions twice": Case(
+        table([*numbered("q[{}]", 0), *2 * numbered("q_d[{}]", 0), *"xyz"], Q, Q + 1e-3, Q + 1e-3, P), ("q[5] = q6",)
+    ),
     "only the controller's points": Case(
         table([*numbered("actual_q_{}", 0), "TCP_X", "TCP_Y", "TCP_Z"], Q, smr_positions(at_station(UR5, OFF_AXIS), Q)),
         ("computed, not measured",), atol=1.0,
@@ -170,7 +219,7 @@ def test_a_table_of_another_program(name: str, call: Any) -> None:  # noqa: F811
     said = " ".join((made.out + imported.out).split())
     for words in case.says:
         assert words in said, said
-    assert "next: cellapp calibrate 'my cell/logs/own'" in said
+    assert 'next: cellapp calibrate "my cell/logs/own"' in said
     with RunFile.open(Path("my cell/logs/own")) as run:
         (arm,) = run.arms()
         readings = run.readings(arm)
@@ -179,6 +228,22 @@ def test_a_table_of_another_program(name: str, call: Any) -> None:  # noqa: F811
     np.testing.assert_allclose(readings.q, expected[0], atol=1e-9)
     np.testing.assert_allclose(readings.p_M, expected[1], atol=case.atol)
     assert case.check(readings)
+
+
+PROGRAMS = {
+    "ABB": "MODULE a\n  CONST jointtarget p1:=[[0,0,0,0,30,0],[9E9,9E9,9E9,9E9,9E9,9E9]];\nENDMODULE\n",
+    "KUKA": "DEF a()\nDECL E6AXIS XP1={A1 0.0,A2 -90.0,A3 90.0,A4 0.0,A5 0.0,A6 0.0}\nEND\n",
+    "Fanuc": "/PROG A\n/POS\nP[1]{\n   GP1:\n  J1= 0.0 deg, J2= 0.0 deg, J3= 0.0 deg\n};\n/END\n",
+    "Yaskawa": "/JOB\n//NAME A\n//POS\n///NPOS 1,0,0,0,0,0\nC00000=0,0,0,0,0,0\n",
+    "JSON": '[{"q": [0, 0, 0, 0, 0, 0], "p": [1, 2, 3]}]\n',
+    "YAML": "- q: [0, 0, 0, 0, 0, 0]\n  p: [1, 2, 3]\n",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_what_is_no_table_is_named(name: str, call: Any) -> None:  # noqa: F811
+    Path("own.csv").write_text(PROGRAMS[name], "utf-8")
+    one_sentence(call("init", "--readings", "own.csv", "--arm", "ur5"), name, "no table of joint positions and points")
 
 
 T = np.arange(0.0, 20.0, 0.008)
@@ -219,18 +284,36 @@ def test_a_recording_of_other_programs(name: str, call: Any) -> None:  # noqa: F
     text, words = STREAMS[name]
     Path("joints.csv").write_text(JOINTS, "utf-8")
     Path("points.txt").write_text(text, "utf-8")
-    one_sentence(call("init", "--readings", "points.txt", "--arm", "ur5"), "--joints JOINTS.csv --points points.txt")
-    assert call("init", "--readings", "joints.csv", "--arm", "ur5").code == 0
-    ended = call("import", "profiles/joints.yaml", "--joints", "joints.csv", "--points", "points.txt", "--run", "run")
+    one_sentence(call("init", "--readings", "points.txt", "--arm", "ur5"), "its next command takes these points")
+    made = call("init", "my cell", "--readings", "joints.csv", "--arm", "ur5")
+    _, *following = shlex.split(made.out.rpartition("next: ")[2])
+    assert following[-4:] == ["--points", "points.txt", "--run", "my cell/logs/joints"]
+    ended = call(*following)
     assert ended.code == 0, ended.err
     said = " ".join(ended.out.split())
     assert "q3 = field.position0, q2 = field.position1, q1 = field.position2" in said
     for one in words:
         assert one in said, said
-    with RunFile.open(Path("run")) as run:
+    with RunFile.open(Path("my cell/logs/joints")) as run:
         (recording,) = read_recordings_of(run, "robot")
     np.testing.assert_allclose(recording.joints.q, SWUNG, atol=1e-12)
     np.testing.assert_allclose(np.diff(recording.points.time_s), np.diff(T), atol=1e-4)
+
+
+def test_joints_alone_lead_to_the_chapter(call: Any) -> None:  # noqa: F811
+    Path("joints.csv").write_text(JOINTS, "utf-8")
+    assert call("init", "--readings", "joints.csv", "--arm", "ur5").out.endswith("next: cellapp docs readings\n")
+
+
+def test_four_joints_counted_from_0(call: Any) -> None:  # noqa: F811
+    """Their columns look like those of a quaternion."""
+    np.savetxt("rows.csv", UR5[:4], delimiter=",", header="theta_rad,d_m,a_m,alpha_rad", comments="")
+    arm = true_geometry(at_station(UR5[:4], OFF_AXIS), np.random.default_rng(1))
+    points = smr_positions(arm, Q[:, :4])
+    Path("own.csv").write_text(table([*numbered("q{}", 0, 4), *"xyz"], Q[:, :4], points), "utf-8")
+    made = call("init", "--readings", "own.csv", "--arm", "rows.csv")
+    assert "q0 = q1, q1 = q2, q2 = q3, q3 = q4" in " ".join(made.out.split())
+    assert "arm, units and signs fit" in " ".join(made.out.split())
 
 
 def test_tables_of_a_maker(call: Any) -> None:  # noqa: F811
@@ -243,6 +326,34 @@ def test_tables_of_a_maker(call: Any) -> None:  # noqa: F811
     assert "mm: give --modified" in wrong
     right = " ".join(call("init", "b", "--readings", "own.csv", "--arm", "rows.csv", "--modified").out.split())
     assert "arm, units and signs fit" in right
+
+
+ANGLE = {0.0: "0", np.pi / 2.0: "π/2", -np.pi / 2.0: "-pi/2"}
+DH_TABLES = {
+    "a maker's page": (
+        "Kinematics,theta [rad],a [m],d [m],alpha [rad]\n",
+        lambda joint, theta, d, a, alpha: f"Joint {joint},{theta},{a},{d},{ANGLE[alpha]}",
+    ),
+    "a German sheet": (
+        "theta [°];d [mm];a [mm];alpha [°]\n",
+        lambda joint, theta, d, a, alpha: f"{theta};{1e3 * d:.3f};{1e3 * a:.3f};{np.degrees(alpha)}".replace(".", ","),
+    ),
+    "a paper": (
+        "i|α_i|a_i|d_i|θ_i\n",
+        lambda joint, theta, d, a, alpha: f"{joint}|{np.degrees(alpha)}°|{1e3 * a}|{1e3 * d}|θ{joint}",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DH_TABLES)
+def test_tables_of_d_h_rows(name: str, call: Any) -> None:  # noqa: F811
+    head, row = DH_TABLES[name]
+    lines = [row(joint, 0, *(float(one) for one in its[1:])) for joint, its in enumerate(UR5, start=1)]
+    Path("rows.csv").write_text("\n".join([head.strip(), *lines]), "utf-8")
+    Path("own.csv").write_text(table([*J, *XYZ], DEG, MM), "utf-8")
+    said = " ".join(call("init", "a", "--readings", "own.csv", "--arm", "rows.csv").out.split())
+    assert "arm, units and signs fit" in said
+    assert ("theta in degrees, a in millimetres" in said or "by their size" in said) is (name == "a paper")
 
 
 @pytest.mark.parametrize(("turns", "rows"), [(0.3, "motion"), (30.0, "stops"), (1.0, "")])

@@ -42,6 +42,28 @@ def test_the_twin_in_an_empty_folder(call: Any) -> None:  # noqa: F811
     one_sentence(call("init", "--twin"), "twin.yaml exists already; nothing was written")
 
 
+@pytest.mark.parametrize(
+    ("line", "other", "words"),
+    [
+        ("  stops: 80", "  stops: 1", "at least 4 and 1 are needed"),
+        ("targets: targets/twin.yaml", "targets: none.yaml", "none.yaml: cannot be read"),
+        ("  identify: 40", "  identify: 900", ""),
+    ],
+)
+def test_what_run_would_refuse_the_doctor_refuses(call: Any, line: str, other: str, words: str) -> None:  # noqa: F811
+    call("init", "--from", "twin-small")
+    profile = Path("profiles/twin-small.yaml")
+    profile.write_text(profile.read_text("utf-8").replace(line, other), "utf-8")
+    found = call("doctor", profile, "--json", "-")
+    wrong = [one for one in found.json["findings"] if one["status"] != "ok"]
+    assert found.code == bool(words)
+    if words:
+        one_sentence(call("run", profile, "--run", "run"), words)
+        assert any(words in one["text"] for one in wrong)
+    else:
+        assert any("80 stops are too few" in one["text"] for one in wrong)
+
+
 def test_answers_into_another_folder(call: Any) -> None:  # noqa: F811
     call("init", "--from", "ur5-real")
     Path("a.yaml").write_text(

@@ -159,7 +159,6 @@ def test_every_command_has_its_outputs() -> None:
         "--csv",
         "--plan",
         "--out",
-        "--geometry",
         "--results",
         "--joints",
         "--points",

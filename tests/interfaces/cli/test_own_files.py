@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import controller_file_text
 from cellapp.cell.run import RunFile
-from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.kinematics.chain import flange_poses, smr_positions
+from cellapp.robot.kinematics.inverse import solve_pose
 from cellapp.robot.kinematics.plain_dh import plain_geometry
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import OFF_AXIS, UR5, UR10, Array, at_station, true_geometry
@@ -73,6 +74,21 @@ def test_neighbours_are_held_out_together(call: Any) -> None:  # noqa: F811
         held_out = np.array(run.readings("robot").split) == "validate"
     changes = np.count_nonzero(held_out[1:] != held_out[:-1])
     assert changes < 0.5 * np.count_nonzero(held_out), "rows of a line are held out in a row"
+
+
+@pytest.mark.parametrize("first", [[0.3, -1.2, 1.6, -1.9, -1.5, 0.2], [-0.5, -1.4, 1.9, -1.3, 0.7, 1.2]])
+def test_a_grid_at_one_orientation(first: list[float], call: Any) -> None:  # noqa: F811
+    """Where the SMR is on the flange acts like a shift of the base then: what the readings carry is found and said."""
+    rng, nominal, q = np.random.default_rng(0), at_station(UR5, OFF_AXIS), np.tile(first, (125, 1))
+    steps = np.stack(np.meshgrid(*[np.linspace(-0.1, 0.1, 5)] * 3), axis=-1).reshape(-1, 3)
+    wanted = smr_positions(nominal, q) + steps
+    q = solve_pose(nominal, wanted, flange_poses(nominal, q)[0], q).q
+    _, _, found = calibrated(call, q, points(q) + rng.normal(0.0, 2e-5, (125, 3)))
+    notes = " ".join(found["notes"])
+    assert "measure with the wrist turned to more sides" in notes
+    assert "rest more on the prior than on the readings" in notes
+    validate = found["arms"]["robot"]["validate"]
+    assert validate["geometry"]["position_mm"]["rms"] < 0.045 < 0.06 < validate["nominal"]["position_mm"]["rms"]
 
 
 def with_factory(path: Path, table: Array, share: float = 1.0) -> None:

@@ -24,7 +24,8 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.doctor.result import DoctorResult
-from cellapp.commands.export.run import export_run
+from cellapp.commands.export.request import ExportRequest
+from cellapp.commands.export.run import export
 from cellapp.commands.registry import records
 from cellapp.commands.runs.history import summarise
 from cellapp.commands.schema import json_schema
@@ -278,7 +279,7 @@ def test_a_run_of_removed_readings_opens_for_show_and_export_and_calibrate_says_
         state = run_overview(run)
         assert (state.arms["left"].measured, state.next_step) == (3, "cellapp plan PROFILE --run NEW")
         assert state.complaints[0].startswith(f"arm 'left': readings of {what} were removed in ")
-        exported = export_run(run, tmp_path / "out.csv", None)
+        exported = export(run, ExportRequest(folder=run.folder, csv=tmp_path / "out.csv"))
         assert exported.readings == {"left": 3, "right": 1}
         assert (tmp_path / "out.csv").read_text("utf-8").splitlines()[1].endswith(last)
         with pytest.raises(InputError, match=rf"arm 'left': readings of {what}.*'cellapp show'"):

@@ -13,11 +13,11 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.commands.push.run import push_run
 from cellapp.interfaces.page.page import page_text
 from tests.interfaces.page.parsed_page import NOON, Page
 from tests.interfaces.page.runs import EVENT, LEFT, NAME, RIGHT, fill, targets_of, twin_of, without_devices
 from tests.made_once import made_once
+from tests.verbs import push_run
 
 
 @pytest.fixture(scope="session")

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.certificate.run import certificate_run
 from cellapp.interfaces.page.page import certificate_page, page_text
 from tests.interfaces.page.cases import discovery
 from tests.interfaces.page.parsed_page import NOON
 from tests.interfaces.page.runs import LEFT, RIGHT, store_discovery
+from tests.verbs import certificate_run
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

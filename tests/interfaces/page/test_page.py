@@ -24,7 +24,7 @@ from cellapp.commands.calibrate.view import (
     distance_mm,
 )
 from cellapp.commands.report.data import read_report_data
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import CALIBRATION_FILE, append_stage, basis_of, basis_on_model, read_stages
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult

@@ -25,9 +25,9 @@ from cellapp.commands.certificate.result import (
 )
 from cellapp.commands.certificate.view import certificate_sentences, certificate_tables
 from cellapp.commands.report.data import ReportData
-from cellapp.commands.report.result import RunResults
 from cellapp.commands.report.sections import SECTIONS, placed
 from cellapp.commands.report.summary import judged_matrix, summary, verdict
+from cellapp.commands.run_results import RunResults
 from cellapp.commands.view.parts import Section
 from cellapp.commands.view.table import Column, Interval, Number, Table, number_column
 from cellapp.commands.view.words import judged_sentence, judgement_table

@@ -32,7 +32,6 @@ from cellapp.cell.targets.records import (
 from cellapp.cell.targets.targets import Partner, Target
 from cellapp.commands.check.request import VERB as CHECK_VERB
 from cellapp.commands.collect.charts import stored_residual_chart
-from cellapp.commands.collect.run import collect_stops
 from cellapp.commands.collect.state import collection_state
 from cellapp.commands.collect.view import collect_lines, other_notes, residual_range_words, stored_view
 from cellapp.commands.compensate.target_list import target_list, target_state, target_words
@@ -45,8 +44,8 @@ from cellapp.commands.plan.run import new_planned_run, plan_new_run, stored_plan
 from cellapp.commands.plan.view import plan_section
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.report.headlines import out_of_date_lines
-from cellapp.commands.report.result import RunResults, read_results
 from cellapp.commands.report.sections import report_sections
+from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.view import overview_sentences
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
@@ -74,6 +73,7 @@ from tests.interfaces.page.cases import ERRORS, discovery, unknown_effect
 from tests.interfaces.page.plan_cases import plan_design
 from tests.robot.effects.cell import context_of
 from tests.twin import small_twin
+from tests.verbs import collect_stops
 
 APPROVED = Path(__file__).parent / "approved"
 

@@ -16,7 +16,6 @@ from textual.widgets import Static
 
 from cellapp.cell.run import ReferenceRow, RunFile
 from cellapp.cell.run.measured_again import earlier_readings
-from cellapp.commands.collect.run import collect_stops
 from cellapp.commands.plan.run import new_planned_run, plan_new_run
 from cellapp.commands.record import Verb
 from cellapp.ground.errors import InputError
@@ -55,6 +54,7 @@ from tests.interfaces.tui.pilot import (
     until,
 )
 from tests.twin import small_twin
+from tests.verbs import collect_stops
 
 Q0 = (0.5,) * 6
 Q1 = (-1.0, 0.25, 1.0, 1.5, -0.5, 2.0)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.report.result import read_results
+from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.interfaces.tui.app import CellApp
 from tests.interfaces.tui.pilot import SMALL, shows

@@ -19,9 +19,9 @@ from cellapp.commands.correct import VERB as CORRECT
 from cellapp.commands.correct import CorrectRequest
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.record import Request
-from cellapp.commands.report.result import read_results
 from cellapp.commands.run.request import VERB as WHOLE_DAY
 from cellapp.commands.run.run import WholeRunResult
+from cellapp.commands.run_results import read_results
 from cellapp.ground.results import ErrorSummary, Result
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp

@@ -356,7 +356,7 @@ async def test_the_arms_stop_under_ones_finger(profile: Path, tmp_path: Path) ->
                 took.update(await one_session(profile, folder, control))
                 with RunFile.open(folder) as run:
                     (session,) = run.sessions()
-                    assert [kind for _, kind, _ in session.requests] == ["stop", "resume", "pause", "resume", "abort"]
+                    assert [one.kind for one in session.requests] == ["stop", "resume", "pause", "resume", "abort"]
                     assert session.outcome == "aborted"
                     assert len(run.stops_done()) == 1
             except AssertionError:
@@ -369,7 +369,7 @@ def this_computer_stalled(folder: Path) -> bool:
     """Whether a run was stopped because this computer was busy elsewhere, or a key came so late that a stop more was
     measured: nothing is shown by it then."""
     with RunFile.open(folder) as run:
-        reasons = [reason for session in run.sessions() for _, _, reason in session.requests]
+        reasons = [request.reason for session in run.sessions() for request in session.requests]
         return len(run.stops_done()) > 1 or any(map(stalled, reasons))
 
 

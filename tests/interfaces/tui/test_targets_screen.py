@@ -16,7 +16,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.jobs import Job
-from cellapp.interfaces.tui.screens import targets
+from cellapp.interfaces.tui.workspace import Workspace
 from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, until
 from tests.twin import small_twin
 
@@ -77,7 +77,7 @@ async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(
         return Job(verb.name, lambda listener, control, ask: None)
 
     monkeypatch.setattr("cellapp.interfaces.tui.work.verb_job", job)
-    monkeypatch.setattr(targets, "stale_model", lambda results: "'discover' is out of date (new readings)")
+    monkeypatch.setattr(Workspace, "stale", "'discover' is out of date (new readings)")
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_targets(pilot, app, finished_copy, few)

@@ -174,6 +174,10 @@ class SearchResult:
         The probabilities; None if ``fit`` is not the one in which the search ended.
     not_fitted : tuple of str
         Candidates whose fit did not converge, in words: nothing is known of them.
+    unnamed_mm : pair of float, optional
+        Mean error [mm] of left-out readings without and with the unnamed term, where one was tried.
+    spread : float
+        Factor of the predicted standard deviations by which 95 % of left-out readings are within their intervals.
     """
 
     data: ArmData
@@ -186,6 +190,8 @@ class SearchResult:
     improbable: Mapping[str, float] = field(default_factory=dict)
     posteriors: Posteriors | None = None
     not_fitted: tuple[str, ...] = ()
+    unnamed_mm: tuple[float, float] | None = None
+    spread: float = 1.0
 
     @property
     def absent(self) -> list[str]:

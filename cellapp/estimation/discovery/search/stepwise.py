@@ -13,16 +13,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import (
     JointFit,
-    ProjectedResidual,
     cross_validated_gain,
     fit_terms,
     refit,
@@ -58,6 +56,7 @@ from cellapp.estimation.discovery.search.state import (
     scatter,
     within_bounds,
 )
+from cellapp.estimation.discovery.search.unnamed import smooth_numbers, with_unnamed, without_names
 from cellapp.estimation.discovery.terms import (
     UNKNOWN,
     CandidateLaw,
@@ -71,9 +70,8 @@ from cellapp.ground.counting import counted
 from cellapp.ground.progress import CancelToken, Report, ignore_report
 from cellapp.robot.effects import EFFECTS, Channel, DriverVariable
 from cellapp.robot.effects.base_motion import BaseDrift
-from cellapp.robot.effects.periodic import CURVE, LINE_AMPLITUDE, LINES, lines_beside
+from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.effects.thermal import JointDrift
-from cellapp.robot.kinematics.transforms import Array
 
 # -- Addition of a library effect: the best law that passes threshold, physical bounds and cross-validation -----------
 
@@ -180,9 +178,20 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
     threshold = score_threshold(null_maxima, settings.false_alarm)
     problem = SearchProblem(data, tuple(slugs), null_maxima, threshold, cancel, progress.say)
     progress.step("effects of the library")
-    best = _best_model(problem, start, progress)
+    before_names = _smooth(problem, start)
+    best = _best_model(problem, start, before_names, progress)
     progress.finish("review and rivals")
     found = _probable(problem, _result(problem, best, fit), best)
+    if found.fit.terms or not before_names:
+        ended = SearchState(found.data, found.fit, found.steps, found.dropped)
+        extended = _smooth(problem, ended)
+    else:
+        extended = before_names
+    found = with_unnamed(problem, found, extended)
+    if len(found.reviews) < len(found.fit.terms):
+        ended = SearchState(found.data, found.fit, found.steps, found.dropped)
+        added = range(len(found.reviews), len(found.fit.terms))
+        found = replace(found, reviews=(*found.reviews, *(review(problem, ended, number) for number in added)))
     return replace(found, not_fitted=tuple(dict.fromkeys(problem.not_fitted)))
 
 
@@ -226,9 +235,16 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
     """
     while True:
         probable = posteriors_of(found, remaining_scan(found))
+        answers = _probability_of_answers(found, probable)
+        smooth = smooth_numbers(state.fit.terms)
+        if nameless := [number for number in smooth if answers[number][1] or answers[number][0] < _EVEN_ODDS]:
+            improbable = {state.fit.terms[number].slug: answers[number][0] for number in nameless}
+            state = replace(state, fit=without_names(state.fit, nameless))
+            found = replace(_result(problem, state, found.geometry_only), improbable={**found.improbable, **improbable})
+            continue
         doubtful = [
             (probability, number)
-            for number, (probability, led) in enumerate(_probability_of_answers(found, probable))
+            for number, (probability, led) in enumerate(answers)
             if state.fit.terms[number].slug != UNKNOWN and (led or probability < _EVEN_ODDS)
         ]
         reviews = list(found.reviews)
@@ -290,13 +306,20 @@ class _SearchProgress:
         self.say(words)
 
 
-def _best_model(problem: SearchProblem, start: SearchState, progress: _SearchProgress) -> SearchState:
-    """Return the best reviewed model: named effects alone, extended by what the library lacks, or the reverse."""
-    named = reviewed(problem, _with_library_effects(problem, start))
+def _best_model(
+    problem: SearchProblem, start: SearchState, before_names: SearchState | None, progress: _SearchProgress
+) -> SearchState:
+    """Return the best reviewed model: named effects alone, extended by what the library lacks, or the reverse.
+
+    ``before_names`` has free functions alone.
+    """
+    named = start
+    if not _beats_all_names(problem, before_names, start):
+        named = reviewed(problem, _with_library_effects(problem, start))
     progress.step("beyond the library")
-    before_names = cache(partial(_smooth, problem, start))
-    beaten = _far_from_floor(named) and _beats_all_names(problem, before_names(), named)
-    if not beaten and not floor_reached(named):
+    if before_names is not None and _beats_all_names(problem, before_names, named):
+        return best_state([named, _reviewed_again(problem, before_names)])
+    if not floor_reached(named):
         named = _with_contradictions(problem, start, named)
     drift = problem.tried("one drift", partial(with_one_drift, problem, named))
     named = named if drift is None else best_state([named, drift])  # one common cause is one unknown effect
@@ -305,7 +328,7 @@ def _best_model(problem: SearchProblem, start: SearchState, progress: _SearchPro
     if floor_reached(best):  # a law of few parameters explains all
         return best
     named.give_up_scan()
-    free = _with_free_functions(problem, before_names(), named)
+    free = _with_free_functions(problem, before_names, named)
     if best_state([best, free]) is not best:
         best = free
     if floor_reached(best) and best is not free:  # a free function reaches the floor whatever the cause
@@ -337,7 +360,7 @@ def _far_from_floor(state: SearchState) -> bool:
 
 def _beats_all_names(problem: SearchProblem, free: SearchState | None, named: SearchState) -> bool:
     """Return whether free functions beat the names even if every law added all that it explains alone."""
-    lead = -math.inf if free is None else criterion(named.fit) - criterion(free.fit)
+    lead = -math.inf if free is None or not _far_from_floor(named) else criterion(named.fit) - criterion(free.fit)
     if lead <= 0.0:
         return False
     scores = named.scan(problem.slugs).best_of_each_effect(named.fit.projected_residual, least=0.0)
@@ -495,7 +518,7 @@ def _with_process(
     return SearchState(data, fit, tuple(steps), state.dropped)
 
 
-# -- Refinement of an effect in the model: another law of it, further joints, or sharp lines beside a free curve ------
+# -- Refinement of an effect in the model: another law of it, or further joints ---------------------------------------
 #
 # The law of the first effect is refined before a second one is named, as the residual of an imperfect law can look like
 # another effect.
@@ -513,9 +536,7 @@ def refinement(problem: SearchProblem, state: SearchState, needed: float) -> Sea
     best: SearchStep | None = None
     for number, term in enumerate(state.fit.terms):
         least = needed if best is None else best.score
-        if term.law.form == CURVE:
-            best = _lines_beside_curves(problem, state, number, least) or best
-        elif term.is_library_effect:
+        if term.is_library_effect:
             best = _better_law(problem, state, number, least) or best
             best = _further_block(problem, state, number, least if best is None else best.score) or best
     return best
@@ -585,143 +606,3 @@ def _laws_to_try(state: SearchState, number: int) -> list[CandidateLaw]:
         candidates = [one for one in candidates if len(one.columns) <= 2 * MANY_LINES]
     laws = EFFECTS[term.slug].refinements(data.context, term.law, term.names)
     return [*candidates, *(fit.candidate(data, term.slug, law) for law in laws)]
-
-
-def _lines_beside_curves(problem: SearchProblem, state: SearchState, number: int, needed: float) -> SearchStep | None:
-    """Return a step to sharp lines of more cycles than smooth curves reach, searched once; None if none."""
-    data, fit = state.data, state.fit
-    term = fit.terms[number]
-    if LINE_AMPLITUDE.name in term.law.constants:
-        return None
-    beyond = lines_beside(data.context, term.law)
-    candidate = CandidateLaw(term.slug, term.law, tuple(beyond), fit.displacements(beyond))
-    found = shared_lines(candidate, fit.projected_residual, fit.by_joint)
-    if found is None or found.value <= max(needed, problem.threshold):
-        return None
-    names = tuple(beyond[place].name for place in found.columns)
-    constants = {**term.law.constants, LINE_AMPLITUDE.name: found.amplitude}
-    law = replace(term.law, constants=constants, tried=term.law.tried * found.tried)
-    terms = with_term(fit.terms, number, replace(term, law=law, names=(*term.names, *names)))
-    return problem.step(term.slug, f"{EFFECTS[term.slug].title}: lines beside the curve", found.value, terms)
-
-
-# -- Lines of many cycles beside the free curves of the joints: selection of cycle counts and joints by evidence ------
-#
-# The joints of an arm have gears and encoders of one make: a count that shows at one joint is likely at the others. A
-# line is therefore one cycle count with the joints that have it. With G and b the information and moments of its
-# columns in the complement of all fitted parameters, noise 1, and the prior N(0, a^2) of every cosine and sine,
-#
-#     2 ln E = b^T (G + I / a^2)^-1 b - ln det(I + a^2 G)
-#
-# (Rasmussen, Williams, Gaussian Processes for Machine Learning, 2006, section 2.1), less 2 ln T for a choice among T.
-# Noise makes a chosen line look larger than it is; the prior shrinks it.
-
-
-_AMPLITUDES = (1e-5, 1.5e-5, 2e-5, 3e-5, 4e-5, 6e-5)
-"""Standard deviations of the prior [rad] to try: gears and encoders of arms have lines of 10 to 80 µrad."""
-_PERIODS = (128, 256)
-"""Cycle counts that share half of the prior probability: absolute encoders have a power of two of periods a turn, and
-their interpolation error repeats in each period."""
-_MOST_LINES = 24
-"""Most lines: more would be a spectrum without gaps, which is a rougher curve."""
-
-
-@dataclass(frozen=True)
-class ChosenLines:
-    """The chosen lines.
-
-    Attributes
-    ----------
-    value : float
-        Twice the log evidence less the price of choosing.
-    amplitude : float
-        Standard deviation of the prior [rad].
-    tried : int
-        Number of alternatives that the choice was made from.
-    columns : tuple of int
-        Indices of their columns.
-    """
-
-    value: float
-    amplitude: float
-    tried: int
-    columns: tuple[int, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class _Bands:
-    """Cosines and sines of J joints at c cycle counts; ``places`` (c, J, 2) are their indices in ``rows`` (m, d).
-
-    ``own`` (c, J, 2, 2) is the information of each pair. ``alternatives`` (c,) is T of each count: expected counts
-    share half of the probability, all others the other half.
-    """
-
-    rows: Array
-    residual: ProjectedResidual
-    moments: Array
-    places: NDArray[np.intp]
-    own: Array
-    alternatives: NDArray[np.intp]
-
-    @classmethod
-    def of(cls, candidate: CandidateLaw, residual: ProjectedResidual, by_joint: Array) -> _Bands:
-        counts = sorted({column.cycles or 0 for column in candidate.columns})
-        joints = sorted({column.joint or 0 for column in candidate.columns})
-        at = {(one.cycles, one.joint): k for k, one in reversed([*enumerate(candidate.columns)])}  # cosine, then sine
-        places = np.array([[[at[n, joint], at[n, joint] + 1] for joint in joints] for n in counts], dtype=np.intp)
-        rows = candidate.rows
-        offsets = np.array([one.offset for one in candidate.columns])
-        own = np.empty((*places.shape, 2))
-        for place, joint in enumerate(joints):
-            waves = offsets[places[:, place]]
-            own[:, place] = (waves @ residual.projector.kernel(by_joint[:, joint])) @ waves.swapaxes(1, 2)
-        expected = np.isin(counts, _PERIODS)
-        alternatives = 2 * np.where(expected, expected.sum(), (~expected).sum())
-        return cls(rows, residual, rows @ residual.projected, places, own, alternatives)
-
-    def beside(self, taken: Sequence[int], amplitude: float) -> tuple[Array, Array]:
-        """Return information (c, J, 2, 2) and moments (c, J, 2) of each pair beside the columns ``taken``."""
-        kept = list(taken)
-        cross = self.rows @ self.residual.projector.project(self.rows[kept]).T
-        inverse = np.linalg.inv(cross[kept] + np.eye(len(kept)) / amplitude**2)
-        moments = self.moments - cross @ (inverse @ self.moments[kept])
-        known = cross[self.places]
-        return self.own - np.einsum("cjka,ab,cjlb->cjkl", known, inverse, known), moments[self.places]
-
-
-def shared_lines(candidate: CandidateLaw, residual: ProjectedResidual, by_joint: Array) -> ChosenLines | None:
-    """Choose the lines that a residual needs; None if it needs none.
-
-    The candidate's columns are waves of joints; ``by_joint`` (3, N, n) is the whitened SMR motion per radian.
-    """
-    bands = _Bands.of(candidate, residual, by_joint)
-    best = max((_chosen(bands, amplitude) for amplitude in _AMPLITUDES), key=lambda one: one.value)
-    return best if best.columns else None
-
-
-def _chosen(bands: _Bands, amplitude: float) -> ChosenLines:
-    """Add lines one by one, the one with the largest gain first, while the gain exceeds its price."""
-    joints = bands.places.shape[1]
-    which = np.array([joints * math.comb(joints, number) for number in range(1, joints + 1)])
-    prices = 2.0 * np.log(bands.alternatives[:, None] * which)
-    found = ChosenLines(-2.0 * math.log(len(_AMPLITUDES)), amplitude, len(_AMPLITUDES), ())
-    for _ in range(_MOST_LINES):
-        gains = _evidence(*bands.beside(found.columns, amplitude), amplitude)
-        gains[np.isin(bands.places[:, :, 0], found.columns)] = -math.inf
-        order = np.argsort(-gains, axis=1)
-        totals = np.cumsum(np.take_along_axis(gains, order, axis=1), axis=1) - prices
-        count, number = np.unravel_index(int(np.argmax(totals)), totals.shape)
-        if not totals[count, number] > 0.0:
-            break
-        line = bands.places[count, np.sort(order[count, : number + 1])].ravel()
-        tried = found.tried * int(bands.alternatives[count]) * int(which[number])
-        value = found.value + float(totals[count, number])
-        found = ChosenLines(value, amplitude, tried, (*found.columns, *line.tolist()))
-    return found
-
-
-def _evidence(information: Array, moments: Array, amplitude: float) -> Array:
-    """Return twice the log evidence (c, J) of pairs of columns with information (c, J, 2, 2) and moments (c, J, 2)."""
-    precision = information + np.eye(2) / amplitude**2
-    explained = np.einsum("cjk,cjk->cj", moments, np.linalg.solve(precision, moments[..., None])[..., 0])
-    return np.asarray(explained - np.linalg.slogdet(amplitude**2 * precision)[1])

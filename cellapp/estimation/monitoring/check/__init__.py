@@ -4,21 +4,18 @@ from cellapp.estimation.monitoring.check.belief import (
     LENGTH_M,
     TURN_RAD,
     CheckBelief,
-    ChosenStops,
-    Conclusion,
     SequentialState,
     check_belief,
 )
-from cellapp.estimation.monitoring.check.sequential import SequentialTest, choose_stops
+from cellapp.estimation.monitoring.check.sequential import SequentialTest, choose_stops, design_of
 
 __all__ = [
     "LENGTH_M",
     "TURN_RAD",
     "CheckBelief",
-    "ChosenStops",
-    "Conclusion",
     "SequentialState",
     "SequentialTest",
     "check_belief",
     "choose_stops",
+    "design_of",
 ]

@@ -4,11 +4,11 @@ Let y be the measured minus the expected coordinates of all arms, in the order o
 
     y = V b + e,    e ~ N(0, K),    K = X S X^T + R (+ T P T^T)
 
-S is the posterior covariance of all parameters of the calibration, common to all stops; R the covariance of tracker and
-repeatability, independent between stops. V are the effects of changes on y, b their sizes in units of the smallest
-change to be detected. T are the six motions of a tracker that was set up anew, P their wide prior covariance. With
-K = L L^T, the first rows of L^-1 y depend on the first stops alone, so moments and information after each stop are
-cumulative sums from one factor.
+Expected is the model's prediction and, at a stop of the calibration, a share of its residual there, which no model
+explains but which comes again. S is the posterior covariance of all parameters of the calibration, common to all stops,
+X their effects, less that share; R the covariance of tracker and repeatability, independent between stops. V are the
+effects of changes on y, b their sizes in units of the smallest change to be detected. T are the six motions of a
+tracker that was set up anew, P their wide prior covariance.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from cellapp.estimation.monitoring.check.belief import (
     LENGTH_M,
     TRACKER,
     TURN_RAD,
-    VISIBLE,
     ArmBelief,
     ChangeKind,
     CheckBelief,
@@ -227,25 +226,15 @@ def conditions_now(belief: CheckBelief, readings: Mapping[str, Readings]) -> dic
     return {name: replace(own, time_s=None, order=None, record=None) for name, own in found.items()}
 
 
-def expected(belief: CheckBelief, readings: Mapping[str, Readings]) -> dict[str, Array]:
-    """Predict the SMR of every arm at the configurations of ``readings`` by the calibration, (n, 3) [m]."""
-    conditions = conditions_now(belief, readings)
-    return {
-        name: _computed(belief.arms[name], Measured(its, conditions[name], np.ones(len(its))))
-        for name, its in readings.items()
-    }
-
-
-def _computed(arm: ArmBelief, its: Measured) -> Array:
-    """Predict vectors (n, 3) by the calibration; orientations as rotation vectors from the measured to the expected."""
-    computed = arm.model.predict(its.readings.q, conditions=its.conditions)
+def _remembered(arm: ArmBelief, its: Measured) -> tuple[Array, Array]:
+    """Return the calibration's residuals (n, 3) at the same stops, and the shares (n,) of them that are expected."""
+    left, again = np.zeros((len(its), 3)), np.zeros(len(its))
     known = arm.measured
-    for asked, kind in ((its.points, known.points), (~its.points, ~known.points)):
-        if asked.any() and kind.any():
-            distance, nearest = scipy.spatial.KDTree(known.readings.q[kind]).query(its.readings.q[asked])
-            again = np.where(distance < _SAME_STOP_RAD, 1.0, 0.0)[:, None]
-            computed[asked] += again * arm.unexplained[kind][nearest]
-    return np.asarray(computed)
+    for (asked, scatter), (kind, _) in zip(arm.kinds(its), arm.kinds(known), strict=False):
+        distance, nearest = scipy.spatial.KDTree(known.readings.q[kind]).query(its.readings.q[asked])
+        left[asked] = arm.left[kind][nearest]
+        again[asked] = np.where(distance < _SAME_STOP_RAD, scatter.again, 0.0)
+    return left, again
 
 
 def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions: Sequence[Direction]) -> StopRows:
@@ -255,7 +244,9 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
     vectors = {name: measured_vectors(belief.arms[name], readings[name], conditions[name]) for name in names}
     arm_of = np.concatenate([np.full(len(vectors[name]), list(belief.arms).index(name)) for name in names])
     places = np.array([order_of[k] for name in names for k in vectors[name].readings.configuration.tolist()])
-    p_M = np.concatenate([_computed(belief.arms[name], vectors[name]) for name in names])
+    p_M = np.concatenate(
+        [belief.arms[name].model.predict(its.readings.q, conditions=its.conditions) for name, its in vectors.items()]
+    )
     turned = np.concatenate([~its.points for its in vectors.values()])
     total = 3 * len(places)
     station = twists(p_M - centre_of(belief), turned).reshape(total, 6).T
@@ -265,7 +256,10 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
         here = slice(first, first + 3 * len(its))
         X = design(arm.model, its, arm.columns)
         X = X.reshape(-1, 3, len(its)).transpose(0, 2, 1).reshape(len(X), -1)
-        K[here, here] = X.T @ arm.covariance @ X
+        left, again = _remembered(arm, its)
+        p_M[here.start // 3 : here.stop // 3] += again[:, None] * left
+        open_ = X * (1.0 - np.repeat(again, 3))
+        K[here, here] = open_.T @ arm.covariance @ open_
         if arm.day_m:
             at = slice(first // 3, here.stop // 3)
             drift = twists(p_M[at] - arm_centre(arm), turned[at]).reshape(-1, 6) * _day_sizes(arm)
@@ -275,7 +269,7 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
                 rows[k, here] = one.row_of(X)
             elif one.arm == TRACKER:
                 rows[k, here] = one.row_of(station[:, here])
-        _add_noise(K, first, noise_covariance(arm, its))
+        _add_noise(K, first, noise_covariance(arm, its, again))
         first = here.stop
     if belief.station_free:
         K += _STATION_M**2 * station.T @ station
@@ -304,14 +298,13 @@ def twists(p_M: Array, turned: NDArray[np.bool_]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Whitened stops: ``white`` (d,) is L^-1 y, ``directions`` (C, d) the rows V^T L^-T; see ``StopRows``.
+    """Whitened stops: ``white`` (d,) is L^-1 y with K = L L^T, ``directions`` (C, d) the rows V^T L^-T.
 
     ``fitted`` (r, d) are orthonormal directions in which the stops have no residual, because it was fitted.
     """
 
     white: Array
     directions: Array
-    stop_ends: NDArray[np.intp]
     fitted: Array
 
     @classmethod
@@ -320,27 +313,22 @@ class Moments:
         columns = np.column_stack([stops.left.ravel(), stops.rows.T])
         solved = scipy.linalg.solve_triangular(stops.factor, columns, lower=True)
         directions = np.ascontiguousarray(solved[:, 1:].T)
-        return cls(solved[:, 0], directions, stops.stop_ends, spanned(directions[: stops.free]))
+        return cls(solved[:, 0], directions, spanned(directions[: stops.free]))
 
     @property
     def information(self) -> Array:
-        """Non-centrality (n, C) of one step of each direction after each stop."""
-        return np.cumsum(self.directions**2, axis=1)[:, self.stop_ends - 1].T
+        """Non-centrality (C,) of one step of each direction."""
+        return np.asarray(np.sum(self.directions**2, axis=1))
 
     @property
     def moment(self) -> Array:
-        """V^T K^-1 y (n, C) after each stop."""
-        return np.cumsum(self.directions * self.white, axis=1)[:, self.stop_ends - 1].T
+        """V^T K^-1 y (C,)."""
+        return np.asarray(self.directions @ self.white)
 
     @property
-    def chi_squared(self) -> Array:
-        """y^T K^-1 y (n,) after each stop."""
-        return np.asarray(np.cumsum(self.white**2)[self.stop_ends - 1])
-
-    @property
-    def degrees(self) -> NDArray[np.intp]:
-        """Degrees of freedom (n,) of chi-squared after each stop: coordinates minus fitted directions."""
-        return np.maximum(self.stop_ends - len(self.fitted), 0)
+    def degrees(self) -> int:
+        """Degrees of freedom of chi-squared: coordinates minus fitted directions."""
+        return max(len(self.white) - len(self.fitted), 0)
 
 
 def spanned(rows: Array) -> Array:
@@ -384,7 +372,7 @@ def _add_noise(K: Array, first: int, blocks: Array) -> None:
         K[rows, rows] += block
 
 
-# -- Decide which changes are visible, from the SMR's motion by one step at the calibration's readings ----------------
+# -- How far a change moves the SMR at the calibration's readings, of which its visible size follows ------------------
 
 
 def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequence[Direction]) -> Array:
@@ -419,14 +407,12 @@ def calibration_motions(belief: CheckBelief, directions: Sequence[Direction]) ->
     return {name: motions(belief, name, arm.measured, directions) for name, arm in belief.arms.items()}
 
 
-def visibility(
-    belief: CheckBelief, directions: Sequence[Direction], moved: Mapping[str, Array]
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Compute the rms motion (C,) [m] of the SMR by one step of each direction, and the mask of visible ones.
+def visibility(belief: CheckBelief, directions: Sequence[Direction], moved: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Compute the rms motion (C,) of the SMR by one step of each direction, in [m] and in units of the noise.
 
     Motions are judged by the noise of a position, rotations of a probe by that of an orientation. The best-fitting
-    motion of the tracker is subtracted, see ``check.belief``, except from the tracker's own directions; these are not
-    visible if it was set up anew. ``moved`` are the motions at the calibration's readings.
+    motion of the tracker is subtracted, see ``check.belief``, except from the tracker's own directions; these show
+    nothing if it was set up anew. ``moved`` are the motions at the calibration's readings.
     """
     rows = np.concatenate([_as_points(arm, moved[name]) for name, arm in belief.arms.items()], axis=1)
     points = np.concatenate([np.repeat(arm.measured.points, 3) for arm in belief.arms.values()])
@@ -434,14 +420,14 @@ def visibility(
     basis = np.linalg.qr(rows[own].T)[0]
     left = np.where(own[:, None], rows, rows - (rows @ basis) @ basis.T)
     counts = {name: len(arm.positions) for name, arm in belief.arms.items()}
-    noise = {name: arm.noise_m for name, arm in belief.arms.items()}
+    noise = {name: arm.of_points.noise for name, arm in belief.arms.items()}
     counts[TRACKER], noise[TRACKER] = sum(counts.values()), max(noise.values())
     of_arm = np.array([counts[one.arm] for one in directions])
-    visible = np.sqrt(np.sum(left**2, axis=1) / of_arm) >= VISIBLE * np.array([noise[one.arm] for one in directions])
-    return np.sqrt(np.sum(left[:, points] ** 2, axis=1) / of_arm), visible & ~(own & belief.station_free)
+    shown = np.sqrt(np.sum(left**2, axis=1) / of_arm) / np.array([noise[one.arm] for one in directions])
+    return np.sqrt(np.sum(left[:, points] ** 2, axis=1) / of_arm), np.where(own & belief.station_free, 0.0, shown)
 
 
 def _as_points(arm: ArmBelief, moved: Array) -> Array:
     """Return motions (C, 3 n) [m] of an arm's vectors; rotations are scaled to equal standard deviations of a point."""
-    scale = np.where(arm.measured.points, 1.0, arm.noise_m / max(arm.noise_rad, 1e-12))
+    scale = np.where(arm.measured.points, 1.0, arm.of_points.noise / max(arm.of_turns.noise, 1e-12))
     return np.asarray((moved * scale[:, None]).reshape(len(moved), -1))

@@ -40,56 +40,38 @@ from cellapp.robot.kinematics.transforms import (
     transform,
 )
 
-# -- Statistics of the check: evidence that may be evaluated after every stop, and the test after the last one --------
+# -- Statistics of the check: one test, after every stop and after the last one ---------------------------------------
 #
-# After each stop: if nothing has changed, the likelihood ratio of "something changed" to "nothing changed" is a
-# martingale of mean 1; it ever exceeds 1 / a with a probability of at most a (Ville's inequality). "Something" is a
-# mixture of all alternatives, each with normally distributed sizes. Likewise, if a direction did change by one step,
-# the ratio of "nothing" to "this direction changed by one step" ever exceeds 1 / b with a probability of at most b
-# (Wald, Ann. Math. Stat. 16 (1945) 117).
+# Something changed if the least p-value of all alternatives, and of chi-squared, which needs no alternative, is small
+# enough. After the last planned stop its distribution without a change is simulated with the covariance of the belief:
+# the tests are strongly correlated, so the correction is far milder than Bonferroni's. Before, Bonferroni's bound over
+# all alternatives and stops is kept.
 #
-# After the last planned stop: the least p-value of all alternatives and of chi-squared, which needs no alternative.
-# Its distribution without a change is simulated with the covariance of the belief: the tests are strongly correlated,
-# so the correction is far milder than Bonferroni's.
+# Nothing visible changed if the likelihood of nothing is large enough against that of each direction by one step: if a
+# direction did change by one step, the ratio is a martingale of mean 1, which ever exceeds 1 / b with a probability of
+# at most b (Wald, Ann. Math. Stat. 16 (1945) 117; Ville).
 
 SPENT_EARLY = 0.2
 """Share of the false alarms, and of the misses, that is spent before the last stop. The bounds after every stop are
 loose; the share that they take costs the last test little power."""
-_SIZE = 2.0
-"""Prior standard deviation of a change in steps: changes that just have to be detected determine the power."""
 _DRAWS = 8000
 """Number of simulated checks without a change: the 1 % quantile is known to a tenth of itself."""
 _TAIL = 0.02
 """Share of the simulated checks with the smallest p-values, below which the distribution is extrapolated."""
 
 
-@dataclass(frozen=True, eq=False)
-class Looks:
-    """Evidence after each of n stops: see ``SequentialState``."""
+def log_valid(moments: Moments, alternatives: Sequence[Alternative], visible: NDArray[np.bool_]) -> float:
+    """Compute the least log likelihood ratio of no change to one of the directions ``visible`` (C,) by one step.
 
-    log_evidence: Array
-    log_valid: Array
-    p_values: Array
-
-
-def looks(moments: Moments, alternatives: Sequence[Alternative], visible: NDArray[np.bool_]) -> Looks:
-    """Compute the evidence after each stop; ``visible`` (C,) masks directions that must be unchanged to be valid."""
-    information, moment = moments.information, np.abs(moments.moment)
-    single = [one.members[0] for one in alternatives if len(one.members) == 1]
-    several = [_gains(moments, one) for one in alternatives if len(one.members) > 1]
-    gains = np.column_stack([_single_gains(information[:, single], moment[:, single]), *several])
-    valid = np.where(visible, 0.5 * information - moment, np.inf)
+    Equal mixtures of two parameters of one effect count, too: a wave of any phase changes both.
+    """
     mixed = replace(moments, directions=_mixed(moments.directions, alternatives, visible))
-    valid = np.column_stack([valid, 0.5 * mixed.information - np.abs(mixed.moment)])
-    return Looks(
-        log_evidence=np.asarray(scipy.special.logsumexp(gains, axis=1) - math.log(len(alternatives))),
-        log_valid=np.asarray(valid.min(axis=1)) if np.any(visible) else np.zeros(len(information)),
-        p_values=_p(moments.chi_squared, moments.degrees),
-    )
+    found = [0.5 * one.information - np.abs(one.moment) for one in (moments, mixed)]
+    return float(np.concatenate([found[0][visible], found[1]]).min()) if np.any(visible) else 0.0
 
 
 def _mixed(rows: Array, alternatives: Sequence[Alternative], visible: NDArray[np.bool_]) -> Array:
-    """Compute rows (k, d) of equal mixtures of two parameters of one effect: a wave of any phase changes both."""
+    """Compute rows (k, d) of equal mixtures of two parameters of one effect."""
     pairs = [
         pair
         for one in alternatives
@@ -98,22 +80,6 @@ def _mixed(rows: Array, alternatives: Sequence[Alternative], visible: NDArray[np
     ]
     first, second = (rows[[pair[place] for pair in pairs]] for place in (0, 1))
     return np.asarray(np.concatenate([first + second, first - second]) / math.sqrt(2.0))
-
-
-def _single_gains(information: Array, moment: Array) -> Array:
-    """Compute ``_gains`` of single directions from their information and moments, both (n, A)."""
-    inside = 1.0 + _SIZE**2 * information
-    return np.asarray(0.5 * (_SIZE * moment) ** 2 / inside - 0.5 * np.log(inside))
-
-
-def _gains(moments: Moments, one: Alternative) -> Array:
-    """Compute the log Bayes factor (n,) of an alternative with normal sizes (``_SIZE``) after each stop."""
-    rows = moments.directions[list(one.members)] * _SIZE
-    products = np.einsum("id,jd->ijd", rows, rows)
-    G = np.cumsum(products, axis=2)[:, :, moments.stop_ends - 1].transpose(2, 0, 1) + np.eye(len(rows))
-    m = np.cumsum(rows * moments.white, axis=1)[:, moments.stop_ends - 1].T
-    solved = np.linalg.solve(G, m[:, :, None])[:, :, 0]
-    return np.asarray(0.5 * np.sum(m * solved, axis=1) - 0.5 * np.linalg.slogdet(G)[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +99,10 @@ class MinPValueTest:
         """Build the test for the stops of ``moments``."""
         bases = tuple(spanned(moments.directions[list(one.members)]) for one in alternatives)
         return cls(bases, moments.fitted, tuple(seed))
+
+    def least(self, moments: Moments) -> float:
+        """Return the least p-value of all alternatives and of chi-squared."""
+        return float(self.p_values(moments.white[:, None]).min())
 
     def p_values(self, white: Array) -> Array:
         """Compute p-values (A + 1, s) of each alternative, then of chi-squared, for whitened readings (d, s)."""
@@ -169,9 +139,13 @@ class MinPValueTest:
 
     def significant(self, p: float, false_alarm: float) -> bool:
         """Return whether ``corrected(p)`` is at most ``false_alarm``."""
-        if p > false_alarm or p * (len(self.bases) + 1) <= false_alarm:  # one test, and Bonferroni's bound
+        if p > false_alarm or self.bound(p) <= false_alarm:
             return p <= false_alarm
         return self.corrected(p) <= false_alarm
+
+    def bound(self, p: float) -> float:
+        """Return Bonferroni's upper bound of ``corrected(p)``."""
+        return p * (len(self.bases) + 1)
 
     def critical(self, false_alarm: float) -> float:
         """Return the critical value of the least p-value for a probability of false alarms in the tail."""
@@ -193,7 +167,7 @@ def after(moments: Moments, nuisance: Sequence[int]) -> Moments:
     basis = spanned(moments.directions[list(nuisance)])
     white = moments.white - (moments.white @ basis.T) @ basis
     directions = moments.directions - (moments.directions @ basis.T) @ basis
-    return Moments(white, directions, moments.stop_ends, spanned(np.concatenate([moments.fitted, basis])))
+    return Moments(white, directions, spanned(np.concatenate([moments.fitted, basis])))
 
 
 def solved(moments: Moments, members: Sequence[int]) -> tuple[Array, Array]:
@@ -230,9 +204,12 @@ class Design:
     motions : mapping
         Arm -> motion (C, n, 3) [m] of the SMR at the calibration's readings by one step of each direction, then that of
         its orientation [rad] if the check measures it.
+    steps : array, shape (C,)
+        Visible sizes, in units of the least changes that have to be detected.
     moved_m : array, shape (C,)
         Rms motion by one step beside a moved tracker [m], see ``visibility``.
     visible : array, shape (C,)
+        Mask of the directions that have a visible size.
     false_alarm, miss : float
         Probabilities of a false alarm, and of calling a visible change valid.
     """
@@ -241,6 +218,7 @@ class Design:
     directions: tuple[Direction, ...]
     alternatives: tuple[Alternative, ...]
     motions: Mapping[str, Array]
+    steps: Array
     moved_m: Array
     visible: NDArray[np.bool_]
     false_alarm: float
@@ -274,23 +252,17 @@ class Design:
 class Cause:
     """An accepted change: its sizes (r,) in steps with their covariance, its motion (None unless rigid), its evidence.
 
-    ``least_p`` is the least p-value of the ``test`` in which it was found. ``rivals`` explain the stops about as well;
-    ``open_rivals`` are not yet excluded with certainty, but more stops can do it.
+    ``p_value`` is the probability of at least as much evidence for any change if nothing has changed. ``rivals``
+    explain the stops about as well; ``open_rivals`` are not yet excluded with certainty, but more stops can do it.
     """
 
     alternative: Alternative
     sizes: Array
     covariance: Array
     motion: Array | None
-    least_p: float
-    test: MinPValueTest
+    p_value: float
     rivals: tuple[str, ...]
-    open_rivals: tuple[str, ...] = ()
-
-    @property
-    def p_value(self) -> float:
-        """Probability of at least as much evidence for any change if nothing has changed."""
-        return self.test.corrected(self.least_p)
+    open_rivals: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,8 +309,20 @@ def explain(design: Design, stops: StopRows) -> Explanation:
         best = _best(fits, len(rest.white))
         stops, station = fits[best].stops, station @ fits[best].station
         nuisance += fits[best].members
-        found = _Found(left, fits, best, float(p_values[best]), test)
-        causes.append(_cause(design, found, *solved(Moments.of(stops), nuisance)))
+        sizes, covariance = solved(Moments.of(stops), nuisance)
+        own = slice(len(sizes) - len(fits[best].members), len(sizes))
+        rivals, open_rivals = _rivals(design, dict(zip(left, fits, strict=True)), left[best], sizes[own])
+        causes.append(
+            Cause(
+                alternative=left[best],
+                sizes=sizes[own],
+                covariance=covariance[own, own],
+                motion=fits[best].motion,
+                p_value=test.corrected(float(p_values[best])),
+                rivals=rivals,
+                open_rivals=open_rivals,
+            )
+        )
     return Explanation(tuple(causes), float(p_values[-1]), station)
 
 
@@ -362,38 +346,20 @@ class _Fit:
         return 0.5 * self.explained - 0.5 * self.rank * math.log(coordinates)
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """Alternatives with their fits, the index of the best one, and its p-value in the test of all."""
-
-    alternatives: Sequence[Alternative]
-    fits: Sequence[_Fit]
-    best: int
-    p_value: float
-    test: MinPValueTest
-
-
-def _cause(design: Design, found: _Found, sizes: Array, covariance: Array) -> Cause:
-    """Build the cause of the best alternative; ``sizes`` and ``covariance`` are of all changes so far, its own last."""
-    chosen, fit = found.alternatives[found.best], found.fits[found.best]
-    own = slice(len(sizes) - len(fit.members), len(sizes))
+def _rivals(
+    design: Design, fits: Mapping[Alternative, _Fit], chosen: Alternative, sizes: Array
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Name what explains the stops about as well as the ``chosen`` change, and what more stops would exclude."""
+    fit = fits[chosen]
     coordinates = fit.stops.rows.shape[1]
     behind = [
         (min(0.5 * (its.chi_squared - fit.chi_squared), fit.gain(coordinates) - its.gain(coordinates)), one)
-        for one, its in zip(found.alternatives, found.fits, strict=True)
+        for one, its in fits.items()
         if one is not chosen
     ]
-    return Cause(
-        alternative=chosen,
-        sizes=sizes[own],
-        covariance=covariance[own, own],
-        motion=fit.motion,
-        least_p=found.p_value,
-        test=found.test,
-        rivals=tuple(design.name_of(one) for by, one in behind if by <= _ALIKE),
-        open_rivals=tuple(
-            design.name_of(one) for by, one in behind if by <= SURE and _tells(design, chosen, sizes[own], one)
-        ),
+    return (
+        tuple(design.name_of(one) for by, one in behind if by <= _ALIKE),
+        tuple(design.name_of(one) for by, one in behind if by <= SURE and _tells(design, chosen, sizes, one)),
     )
 
 

@@ -76,9 +76,9 @@ class CheckedPoint(Record):
 class CheckedStop(Record):
     """One stop: what was measured there, arm -> point, and where the sequential test stood after it.
 
-    ``log_evidence`` is the log of the likelihood ratio of any change to none, ``log_valid`` that of none to the most
-    likely visible change, ``p_value`` the chance of errors as large without a change; ``time_s`` [s] counts from the
-    first motion.
+    ``log_evidence`` and ``log_valid`` are minus the logarithms of the chances to be wrong in saying that something
+    changed, or that nothing visible did; ``p_value`` is the chance of errors as large without a change; ``time_s`` [s]
+    counts from the first motion.
     """
 
     points: Mapping[str, CheckedPoint]
@@ -89,7 +89,7 @@ class CheckedStop(Record):
 
 
 class WeakChange(Record):
-    """A change of 0.05 mm or 50 µrad that is visible, but that the measured stops show too weakly.
+    """A visible change that the measured stops show too weakly.
 
     ``moved_mm`` is as in ``FoundChange``; ``detected`` is the size in ``unit`` that these stops show surely enough.
     """
@@ -121,6 +121,8 @@ class CheckResult(Result, schema="cellapp-check"):
     changes : tuple of FoundChange
         The most evident first.
     weak : tuple of WeakChange
+    visible : mapping
+        Arm, or "tracker" -> change -> the size from which it is visible [m, rad, or unit of the effect's value].
     station_shift_mm, station_turn_deg, T_new_old
         Motion of the tracker, where one was solved for; ``T_new_old`` (4 x 4) maps coordinates in its earlier frame
         into the present one.
@@ -152,6 +154,7 @@ class CheckResult(Result, schema="cellapp-check"):
     arms: Mapping[str, CheckedArm]
     changes: tuple[FoundChange, ...] = ()
     weak: tuple[WeakChange, ...] = ()
+    visible: Mapping[str, Mapping[str, float]] = {}
     station_shift_mm: float | None = None
     station_turn_deg: float | None = None
     T_new_old: Matrix | None = None

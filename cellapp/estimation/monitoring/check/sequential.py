@@ -8,19 +8,18 @@ from dataclasses import replace
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.station_location import FEWEST_POINTS
 from cellapp.estimation.monitoring.check.belief import (
     FALSE_ALARM,
     MISS,
+    MOST_STEPS,
     TRACKER,
-    ArmBelief,
+    VISIBLE,
     CheckBelief,
-    ChosenStops,
-    Conclusion,
-    Power,
     SequentialState,
-    noise_covariance,
+    measured_vectors,
 )
 from cellapp.estimation.monitoring.check.linear import (
     Direction,
@@ -41,16 +40,14 @@ from cellapp.estimation.monitoring.check.naming import (
     Explanation,
     MinPValueTest,
     explain,
-    looks,
+    log_valid,
     with_station,
 )
-from cellapp.estimation.monitoring.check.records import CheckedArm, CheckVerdict, FoundChange
-from cellapp.estimation.prior.belief import Measured
+from cellapp.estimation.monitoring.check.records import CheckedArm, CheckResult, CheckVerdict, FoundChange, WeakChange
 from cellapp.estimation.readings import Readings, joined
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
-from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.transforms import Array, apply, quaternions_of, rotation_vectors
+from cellapp.robot.kinematics.transforms import Array, apply, rotation_vectors, rows_of, xyz_of
 
 # -- Choose stops that show every visible change ----------------------------------------------------------------------
 #
@@ -60,113 +57,49 @@ from cellapp.robot.kinematics.transforms import Array, apply, quaternions_of, ro
 # uncertainty of the calibration is neglected: it is a fifth of the noise if the calibration has twenty times the
 # stops.
 
-NEEDED = 32.0
-"""Non-centrality at which a change is found with 95 % at 1 % false alarms among some hundred correlated directions: the
-square of 4.0 (the corrected quantile) and 1.65 standard errors."""
 _SOFTNESS = 6.0
-"""``s``: a direction with the needed information weighs 1/200 of one with none."""
+"""``s``: a direction with an information of 32, at which a change is found with 95 %, weighs 1/200 of one with none."""
 _KNOWN = 1e-6
 """Prior information on a step of the tracker's motion: keeps it solvable while one stop does not determine it."""
-_LEAST_INFORMATION = 1e-9
-"""Lower bound of the information in divisions, for directions that the stops do not show at all."""
 
 
-def choose_stops(
-    belief: CheckBelief, candidates: Mapping[str, Array], count: int, *, start: Mapping[str, Array] | None = None
-) -> ChosenStops:
+def choose_stops(design: Design, candidates: Mapping[str, Readings], count: int) -> NDArray[np.intp]:
     """Choose ``count`` stops of all arms, in order, that show the weakest visible change as well as possible.
 
     Parameters
     ----------
-    belief : CheckBelief
+    design : Design
     candidates : mapping
-        Arm -> configurations (n, N) [rad]; row k of all arms is one stop. They must be reachable and visible: the
-        configurations of the calibration's own readings are.
+        Arm -> readings of the calibration; row k of all arms is one stop. They must be reachable and visible.
     count : int
         Number of stops; all n if there are no more.
-    start : mapping, optional
-        Arm -> configuration (N,) before the first stop [rad]: determines the approach signs of its joints.
     """
-    directions = directions_of(belief)
-    moved, visible = visibility(belief, directions, calibration_motions(belief, directions))
-    weights = np.where(visible, 1.0, 0.0) if np.any(visible) else np.ones(len(directions))
-    n = len(next(iter(candidates.values())))
-    here = dict(start or {})
+    directions, station_free = design.directions, design.belief.station_free
+    weights = np.where(design.visible, 1.0, 0.0) if np.any(design.visible) else np.ones(len(directions))
     tracker = [k for k, one in enumerate(directions) if one.arm == TRACKER]
     G = np.zeros((len(directions), len(directions)))
-    free, order = np.ones(n, dtype=bool), []
-    for _ in range(min(count, n)):
-        white = _whitened(belief, candidates, here, directions)
-        gained = _beside_station(G, white, tracker) if belief.station_free else _added(G, white)
+    white = _whitened(design.belief, candidates, directions)
+    free, order = np.ones(white.shape[2], dtype=bool), []
+    for _ in range(min(count, len(free))):
+        gained = _beside_station(G, white, tracker) if station_free else _added(G, white)
         scores = np.where(free, -(weights[:, None] * np.exp(-gained / _SOFTNESS)).sum(axis=0), -np.inf)
         chosen = int(np.argmax(scores))
         G += white[:, :, chosen] @ white[:, :, chosen].T
         free[chosen] = False
         order.append(chosen)
-        here = {name: q[chosen] for name, q in candidates.items()}
-    final = np.diag(G) if not belief.station_free else _projected(G, tracker)
-    power = tuple(
-        power_of(one, float(final[k]), float(moved[k]), bool(visible[k]), NEEDED) for k, one in enumerate(directions)
-    )
-    return ChosenStops(np.array(order, dtype=np.intp), power, NEEDED)
+    return np.array(order, dtype=np.intp)
 
 
-def power_of(one: Direction, noncentrality: float, moved_m: float, visible: bool, needed: float) -> Power:
-    """Compute the power of stops to show a change; ``needed`` is the non-centrality at which it is found."""
-    return Power(
-        arm=one.arm,
-        what=one.what,
-        kind=one.kind,
-        noncentrality=noncentrality,
-        moved_mm=moved_m * 1e3,
-        visible=visible,
-        unit=one.unit,
-        detected=one.step * math.sqrt(needed / max(noncentrality, _LEAST_INFORMATION)),
-    )
-
-
-def _whitened(
-    belief: CheckBelief, candidates: Mapping[str, Array], here: Mapping[str, Array], directions: Sequence[Direction]
-) -> Array:
-    """Compute motions (C, d, n) of all arms at each candidate in units of the noise, approached from ``here``."""
-    readings = {name: _imagined(q, here.get(name)) for name, q in candidates.items()}
-    conditions = conditions_now(belief, readings)
+def _whitened(belief: CheckBelief, candidates: Mapping[str, Readings], directions: Sequence[Direction]) -> Array:
+    """Compute motions (C, d, n) of all arms at each candidate in units of the noise."""
+    conditions = conditions_now(belief, candidates)
     found = []
-    for name, its in readings.items():
+    for name, its in candidates.items():
         arm = belief.arms[name]
-        measured = _as_measured(arm, its, conditions[name])
-        rows, noise = motions(belief, name, measured, directions), noise_covariance(arm, arm.measured)
-        kinds = ((measured.points, arm.measured.points), (~measured.points, ~arm.measured.points))
-        found += [
-            np.einsum("ac,knc->kan", _whitener(noise[known]), rows[:, asked]) for asked, known in kinds if asked.any()
-        ]
+        measured = measured_vectors(arm, its, conditions[name])
+        rows = motions(belief, name, measured, directions)
+        found += [rows[:, asked].transpose(0, 2, 1) / scatter.noise for asked, scatter in arm.kinds(measured)]
     return np.concatenate(found, axis=1)
-
-
-def _as_measured(arm: ArmBelief, imagined: Readings, conditions: MeasurementConditions) -> Measured:
-    """Convert simulated readings to vectors, with the predicted orientation if the check measures it."""
-    if arm.measured.turned is not None:
-        turns = arm.model.orientation(imagined.q, conditions)
-        imagined = replace(imagined, quaternion_M=quaternions_of(turns))
-    return Measured.of(imagined, conditions)
-
-
-def _whitener(covariances: Array) -> Array:
-    """Compute the whitening matrix (3, 3) from the mean covariance (n, 3, 3) of the calibration's readings."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(np.mean(covariances, axis=0))))
-
-
-def _imagined(q: Array, here: Array | None) -> Readings:
-    """Build hypothetical readings at configurations ``q`` (n, N) [rad], each approached from ``here`` (N,)."""
-    step = np.zeros_like(q) if here is None else q - here
-    return Readings(
-        configuration=np.arange(len(q)),
-        time_s=np.full(len(q), np.nan),
-        q=q,
-        approach=np.sign(step).astype(np.int8),
-        step=None if here is None else step,
-        p_M=np.zeros((len(q), 3)),
-    )
 
 
 def _added(G: Array, white: Array) -> Array:
@@ -174,14 +107,8 @@ def _added(G: Array, white: Array) -> Array:
     return np.asarray(np.diag(G)[:, None] + np.einsum("kdn,kdn->kn", white, white))
 
 
-def _projected(G: Array, tracker: Sequence[int]) -> Array:
-    """Compute the information (C,) of each direction with an unknown tracker, from the joint information G (C, C)."""
-    own = G[np.ix_(tracker, tracker)] + _KNOWN * np.eye(len(tracker))
-    return np.asarray(np.diag(G) - np.einsum("tk,tk->k", G[tracker], np.linalg.solve(own, G[tracker])))
-
-
 def _beside_station(G: Array, white: Array, tracker: Sequence[int]) -> Array:
-    """Compute ``_projected`` (C, n) if one of n stops with motions ``white`` (C, d, n) is added."""
+    """Compute ``_added`` (C, n) with an unknown tracker, from the joint information G (C, C)."""
     rows = white[tracker]
     own = G[np.ix_(tracker, tracker)] + _KNOWN * np.eye(len(tracker))
     own = own + np.einsum("idn,jdn->nij", rows, rows)
@@ -203,19 +130,10 @@ _VERDICTS: Mapping[str, CheckVerdict] = {
 
 _MOST_UNSEEN = 3.0
 """Steps of a visible change that stops may miss while the calibration is still called valid; the notes name it."""
+_LEAST_INFORMATION = 1e-9
+"""Lower bound of the information in divisions, for directions that the stops do not show at all."""
 _MOST_NEEDED = 1e4
 """Upper bound of the search for a non-centrality: a hundred standard errors, above any that is needed."""
-
-
-def powers(design: Design, moments: Moments, critical: float) -> list[Power]:
-    """Compute the power of the last test for every direction, with p-values up to ``critical`` significant."""
-    rank = {k: len(one.members) for one in design.alternatives for k in one.members}
-    needed = {r: _needed(critical, r, design.miss) for r in {1, *rank.values()}}
-    information = moments.information[-1].tolist()
-    return [
-        power_of(one, information[k], float(design.moved_m[k]), bool(design.visible[k]), needed[rank.get(k, 1)])
-        for k, one in enumerate(design.directions)
-    ]
 
 
 def _needed(critical: float, rank: int, miss: float) -> float:
@@ -228,49 +146,66 @@ def _needed(critical: float, rank: int, miss: float) -> float:
     return float(scipy.optimize.brentq(surplus, 1e-6, _MOST_NEEDED))
 
 
-def concluded(design: Design, stops: StopRows, state: SequentialState) -> Conclusion:
+def concluded(design: Design, stops: StopRows, state: SequentialState, planned: int) -> CheckResult:
     """Draw the conclusion from all stops and the state of the test, which says whether something changed."""
     here, station = with_station(design, stops)
     moments = Moments.of(here)
     test = MinPValueTest.of(moments, design.alternatives)
     verdict, found, weak, stray = judgement(design, here, state)
-    explained = verdict != "not explained" and stray is None
-    return Conclusion(
+    T = _station(design, station @ found.station, found.causes)
+    arms = design.belief.arms
+    return CheckResult(
         verdict=verdict,
+        planned=planned,
         sure_after=state.stops,
-        p_value=test.corrected(float(test.p_values(moments.white[:, None]).min())),
+        p_value=test.corrected(test.least(moments)),
+        false_alarm=design.false_alarm,
+        miss=design.miss,
+        sure_change=-math.log(design.early_alarm),
+        sure_valid=-math.log(design.early_miss),
         changes=tuple(_change(design, one) for one in found.causes),
-        arms=_checked(design, here, found.causes, explained),
-        T_new_old=_station(design, station @ found.station, found.causes),
+        arms=_checked(design, here, found.causes, verdict != "not explained" and stray is None),
+        station_shift_mm=None if T is None else float(np.linalg.norm(T[:3, 3])) * 1e3,
+        station_turn_deg=None if T is None else math.degrees(float(np.linalg.norm(rotation_vectors(T[None, :3, :3])))),
+        T_new_old=None if T is None else rows_of(T),
         moved_bases={
-            one.alternative.arm: one.motion @ design.belief.arms[one.alternative.arm].model.geometry.T_M_B()
+            one.alternative.arm: rows_of(one.motion @ arms[one.alternative.arm].model.geometry.T_M_B())
             for one in found.causes
             if one.alternative.kind == "base" and one.motion is not None
         },
         smr_offsets_F={
-            one.alternative.arm: design.belief.arms[one.alternative.arm].model.geometry.tool
-            + _in_units(design, one)[:3]
+            one.alternative.arm: xyz_of(arms[one.alternative.arm].model.geometry.tool + _in_units(design, one)[:3])
             for one in found.causes
             if one.alternative.kind == "smr"
         },
         weak=weak,
+        visible=_visible(design),
         notes=_notes(design, found, weak, verdict, stray),
     )
 
 
+def _visible(design: Design) -> dict[str, dict[str, float]]:
+    """Return arm -> change -> its visible size, the largest of several values."""
+    found: dict[str, dict[str, float]] = {}
+    for one, visible in zip(design.directions, design.visible, strict=True):
+        if visible:
+            own = found.setdefault(one.arm, {})
+            own[one.what] = max(one.step, own.get(one.what, 0.0))
+    return found
+
+
 def judgement(
     design: Design, stops: StopRows, state: SequentialState
-) -> tuple[CheckVerdict, Explanation, tuple[Power, ...], int | None]:
+) -> tuple[CheckVerdict, Explanation, tuple[WeakChange, ...], int | None]:
     """Return the verdict, its explanation, visible changes that may be missed, and the index of a stray point or None.
 
     The stops are relative to the belief, with a new station already fitted.
     """
     nothing = Explanation((), 1.0, np.eye(4))
     if not state.changed:
-        weak = () if state.valid else _weak(design, Moments.of(stops))
-        steps = {(one.arm, one.what): one.step for one in design.directions}
-        unseen = any(one.detected > _MOST_UNSEEN * steps[one.arm, one.what] for one in weak)
-        return ("cannot say" if unseen else "valid"), nothing, weak, None
+        weak = {} if state.valid else _weak(design, Moments.of(stops))
+        unseen = any(one.detected > _MOST_UNSEEN * design.directions[k].step for k, one in weak.items())
+        return ("cannot say" if unseen else "valid"), nothing, tuple(weak.values()), None
     found = explain(design, stops)
     if found.holds:
         return _VERDICTS[found.causes[0].alternative.kind], found, (), None
@@ -281,7 +216,7 @@ def judgement(
 def stray_point(stops: StopRows) -> int | None:
     """Find the point without which the others show no change; None if no single point does that."""
     moments, factor = Moments.of(stops), stops.factor
-    white, degrees = moments.white, int(moments.degrees[-1]) - 3
+    white, degrees = moments.white, moments.degrees - 3
     own = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True).reshape(len(factor), -1, 3)
     left = []
     for point in range(own.shape[1]):
@@ -291,12 +226,28 @@ def stray_point(stops: StopRows) -> int | None:
     return best if degrees > 0 and scipy.special.chdtrc(degrees, left[best]) >= NOT_EXPLAINED else None
 
 
-def _weak(design: Design, moments: Moments) -> tuple[Power, ...]:
-    """Return visible changes for which the last test has too little power and that the stops do not rule out."""
+def _weak(design: Design, moments: Moments) -> dict[int, WeakChange]:
+    """Return visible changes for which the last test has too little power and that the stops do not rule out.
+
+    They are keyed by their directions.
+    """
     critical = MinPValueTest.of(moments, design.alternatives).critical(design.last_alarm)
-    ruled_out = 0.5 * moments.information[-1] - np.abs(moments.moment[-1]) >= -math.log(design.miss)
-    found = zip(powers(design, moments, critical), design.directions, ruled_out, strict=True)
-    return tuple(one for one, direction, out in found if one.visible and one.detected > direction.step and not out)
+    rank = {k: len(one.members) for one in design.alternatives for k in one.members}
+    needed = {r: _needed(critical, r, design.miss) for r in {1, *rank.values()}}
+    information = moments.information
+    ruled_out = 0.5 * information - np.abs(moments.moment) >= -math.log(design.miss)
+    found = {}
+    for k in np.flatnonzero(design.visible & ~ruled_out).tolist():
+        one, more = design.directions[k], math.sqrt(needed[rank.get(k, 1)] / max(information[k], _LEAST_INFORMATION))
+        if more > 1.0:
+            found[k] = WeakChange(
+                arm=one.arm,
+                what=one.what,
+                moved_mm=float(design.moved_m[k]) * 1e3,
+                detected=one.step * more,
+                unit=one.unit,
+            )
+    return found
 
 
 def _in_units(design: Design, cause: Cause) -> Array:
@@ -385,7 +336,7 @@ def _station(design: Design, station: Array, causes: Sequence[Cause]) -> Array |
 
 
 def _notes(
-    design: Design, found: Explanation, weak: Sequence[Power], verdict: CheckVerdict, stray: int | None
+    design: Design, found: Explanation, weak: Sequence[WeakChange], verdict: CheckVerdict, stray: int | None
 ) -> tuple[str, ...]:
     notes = [
         f"the stops do not tell {design.name_of(cause.alternative)} from {', '.join(cause.rivals)}"
@@ -403,17 +354,17 @@ def _notes(
         names = dict.fromkeys(f"{one.what} of arm {one.arm}, found from {_amount(one)}" for one in weak)
         notes.append(f"visible changes that the measured stops may miss: {'; '.join(names)}; measure more stops")
     own = [k for k, one in enumerate(design.directions) if one.kind == "parameter"]
-    hidden = int(np.sum(~design.visible[own]))
+    hidden = int(np.sum(~design.visible[own] | (design.steps[own] > 1.0)))
     if verdict == "valid" and hidden:
-        noise_mm = 1e3 * max(arm.noise_m for arm in design.belief.arms.values())
+        noise_mm = 1e3 * max(arm.of_points.noise for arm in design.belief.arms.values())
         notes.append(
             f"a change of 0.05 mm or 50 µrad of {hidden} of {counted(len(own), 'parameter')} of the arms would not"
-            f" be seen: it moves the SMR by less than a measurement scatters ({noise_mm:.3f} mm)"
+            f" be seen: it moves the SMR by less than {VISIBLE:g} times what a measurement scatters ({noise_mm:.3f} mm)"
         )
     return tuple(notes)
 
 
-def _amount(one: Power) -> str:
+def _amount(one: WeakChange) -> str:
     """The size of a change that is found, for people."""
     factor, unit = {"m": (1e3, "mm"), "rad": (1e6, "µrad")}.get(one.unit, (1.0, one.unit))
     return f"{factor * one.detected:.2g} {unit}"
@@ -423,6 +374,10 @@ _FEWEST_STOPS = 6
 """Fewest stops to name a change: six parameters of a moved base, and as many data to show whether they explain it."""
 
 
+NOTHING_YET = SequentialState(0, sure=False, changed=False, valid=False, log_evidence=0.0, log_valid=0.0, p_value=1.0)
+"""State of the test before the first stop."""
+
+
 class SequentialTest:
     """Sequential test of a calibration: add stops until ``state.sure``, then ask for the conclusion.
 
@@ -430,12 +385,12 @@ class SequentialTest:
     at most ``MISS``.
     """
 
-    def __init__(self, belief: CheckBelief, planned: int) -> None:
+    def __init__(self, design: Design, planned: int) -> None:
         """Prepare the test; it ends after ``planned`` stops at the latest."""
-        self._design = design_of(belief)
+        self._design = design
         self._planned = planned
         self._readings: dict[str, Readings] = {}
-        self._standing = SequentialState(0, False, False, False, 0.0, 0.0, 1.0)
+        self._standing = NOTHING_YET
         self._stops: StopRows | None = None
 
     @property
@@ -465,11 +420,11 @@ class SequentialTest:
                 self._readings[name] = its if before is None else joined([before, its])
         if self._readings:
             self._stops = stop_rows(self._design.belief, self._readings, self._design.directions)
-            self._standing = judged(self._design, self._stops, self._planned)
+            self._standing = judged(self._design, self._stops, self._planned, self._standing)
         return self._standing
 
-    def conclusion(self) -> Conclusion:
-        """Return the verdict from all stops so far, with the change that explains them.
+    def conclusion(self) -> CheckResult:
+        """Return the result from all stops so far, with the change that explains them, but without the stops.
 
         Raises
         ------
@@ -478,48 +433,39 @@ class SequentialTest:
         """
         if self._stops is None:
             raise InputError("check: no stop was measured; there is nothing to conclude from")
-        return concluded(self._design, self._stops, self._standing)
+        return concluded(self._design, self._stops, self._standing, self._planned)
 
 
 def design_of(belief: CheckBelief) -> Design:
-    """Define what a check of a cell tests: directions, alternatives, visibility."""
-    directions = tuple(directions_of(belief))
-    motions = calibration_motions(belief, directions)
-    moved, visible = visibility(belief, directions, motions)
+    """Define what a check of a cell tests: directions by visible steps, and alternatives."""
+    least = directions_of(belief)
+    motions = calibration_motions(belief, least)
+    moved, shown = visibility(belief, least, motions)
+    visible = shown >= VISIBLE / MOST_STEPS
+    steps = np.where(visible, np.maximum(1.0, VISIBLE / np.maximum(shown, 1e-300)), 1.0)
+    directions = tuple(replace(one, step=one.step * size) for one, size in zip(least, steps.tolist(), strict=True))
     alternatives = tuple(alternatives_of(belief, directions))
-    return Design(belief, directions, alternatives, motions, moved, visible, FALSE_ALARM, MISS)
+    motions = {name: its * steps[:, None, None] for name, its in motions.items()}
+    return Design(belief, directions, alternatives, motions, steps, moved * steps, visible, FALSE_ALARM, MISS)
 
 
-def judged(design: Design, stops: StopRows, planned: int) -> SequentialState:
-    """Evaluate the test after some stops."""
+def judged(design: Design, stops: StopRows, planned: int, before: SequentialState = NOTHING_YET) -> SequentialState:
+    """Evaluate the test after one more stop than ``before``."""
     here, _ = with_station(design, stops)
-    moments = Moments.of(here)
+    moments, count = Moments.of(here), len(stops.stop_ends)
     if stops.free and np.sum(stops.points) < FEWEST_POINTS:  # too few points to locate the tracker
-        return SequentialState(len(stops.stop_ends), len(stops.stop_ends) >= planned, False, False, 0.0, 0.0, 1.0)
-    seen = looks(moments, design.alternatives, design.visible)
-    count = len(seen.log_evidence)
-    changed_at = _first(seen.log_evidence, design.early_alarm)
-    valid_at = _first(seen.log_valid, design.early_miss)
-    changed, valid = changed_at < count and changed_at <= valid_at, valid_at < changed_at
+        return replace(NOTHING_YET, stops=count, sure=count >= planned)
+    test = MinPValueTest.of(moments, design.alternatives)
+    least, early_valid = test.least(moments), log_valid(moments, design.alternatives, design.visible)
+    evidence = -math.log(min(max(test.bound(least) * planned, 1e-300), 1.0))
+    changed = before.changed or evidence >= -math.log(design.early_alarm)
+    valid = not changed and early_valid >= -math.log(design.early_miss)
     if not changed and not valid and count >= planned:
-        test = MinPValueTest.of(moments, design.alternatives)
-        changed = test.significant(float(test.p_values(moments.white[:, None]).min()), design.last_alarm)
+        changed = test.significant(least, design.last_alarm)
     sure = valid or count >= planned or (changed and count >= _FEWEST_STOPS and _named(design, here))
-    return SequentialState(
-        stops=valid_at + 1 if valid else count,
-        sure=sure,
-        changed=changed,
-        valid=valid,
-        log_evidence=float(seen.log_evidence[-1]),
-        log_valid=float(seen.log_valid[-1]),
-        p_value=float(seen.p_values[-1]),
-    )
-
-
-def _first(values: Array, chance: float) -> int:
-    """Return the first index with a logarithm of at least log(1 / ``chance``); the number of values if none."""
-    reached = np.flatnonzero(values >= -math.log(chance))
-    return int(reached[0]) if len(reached) else len(values)
+    squares = float(moments.white @ moments.white)
+    p_value = float(scipy.special.chdtrc(moments.degrees, squares)) if moments.degrees else 1.0
+    return SequentialState(count, sure, changed, valid, evidence, early_valid, p_value)
 
 
 def _named(design: Design, stops: StopRows) -> bool:

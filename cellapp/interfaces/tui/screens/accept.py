@@ -18,11 +18,10 @@ from textual.worker import get_current_worker
 
 from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
 from cellapp.commands.check.request import VERB as CHECK_VERB
-from cellapp.commands.compensate.target_list import stale_model
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
 from cellapp.commands.report.request import VERB as REPORT
-from cellapp.commands.report.result import RunResults
+from cellapp.commands.run_results import RunResults
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, StageName
 from cellapp.interfaces.tui import work
@@ -125,7 +124,7 @@ class AcceptScreen(DayScreen):
         folder = workspace.folder or new_folder(profile)
         calibrated = results is not None and results.calibrate is not None
         commands = ISO_COMMANDS if calibrated else ("nominal",)
-        stale = stale_model(results) if results is not None and calibrated else ""
+        stale = workspace.stale
         where = f", in {folder}" if workspace.folder is None else ""  # the first line of the screen shows an open run
         text = f"Drive to the test cube's poses{where}; {arms_words(workspace)}."
         if stale:

@@ -29,7 +29,7 @@ from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.record import Request
-    from cellapp.commands.report.result import RunResults
+    from cellapp.commands.run_results import RunResults
     from cellapp.estimation.calibration.records import CalibrateResult
     from cellapp.ground.results import Result
     from cellapp.interfaces.tui.host import Severity

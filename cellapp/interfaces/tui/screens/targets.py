@@ -29,7 +29,6 @@ from cellapp.commands.compensate.request import VERB as COMPENSATE
 from cellapp.commands.compensate.tables import all_measured_tables, stored_tables
 from cellapp.commands.compensate.target_list import (
     COLUMN_GROUPS,
-    stale_model,
     target_list,
     target_state,
     target_states,
@@ -43,7 +42,7 @@ from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.push.request import VERB as PUSH
-from cellapp.commands.report.result import RunResults
+from cellapp.commands.run_results import RunResults
 from cellapp.commands.view.parts import Part
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -394,12 +393,12 @@ class TargetsScreen(DayScreen):
 
     def _push_words(self, measured: str) -> tuple[bool, str]:
         """Return whether the model is out of date, and where a push drives to, with what a person must know."""
-        targets, results = self._edits.targets, self.workspace.results
+        targets, stale = self._edits.targets, self.workspace.stale
         counts = Counter(arm for target in targets for arm in target.arms)
         where = " and ".join(f"arm {arm} to {n}" for arm, n in counts.items())
         pairs = ", except at cooperative targets" if any(target.partner is not None for target in targets) else ""
         text = f"Drive {where} targets{measured}; the other arm waits at home{pairs}; {arms_words(self.workspace)}."
-        if stale := "" if results is None else stale_model(results):
+        if stale:
             text += f"\nThe model is not up to date: {stale}. Better calibrate or discover again first."
         return bool(stale), text
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import candidate_columns
-from cellapp.estimation.monitoring.check import CheckBelief
-from cellapp.estimation.monitoring.check.belief import arm_belief
+from cellapp.estimation.monitoring.check import CheckBelief, SequentialState, choose_stops, design_of
+from cellapp.estimation.monitoring.check.belief import arm_belief, watching
+from cellapp.estimation.monitoring.check.linear import StopRows
+from cellapp.estimation.monitoring.check.naming import Design
+from cellapp.estimation.monitoring.check.sequential import NOTHING_YET, judged
 from cellapp.estimation.prior.belief import Measured, Prior, posterior
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import MeasurementConditions
@@ -36,6 +40,16 @@ class SimulatedCell:
     true: dict[str, Geometry]
     belief: CheckBelief
     candidates: dict[str, Array] = field(repr=False)
+
+    @cached_property
+    def design(self) -> Design:
+        """What a check of it tests."""
+        return design_of(self.belief)
+
+    def chosen(self, count: int) -> NDArray[np.intp]:
+        """The stops that a check of it chooses."""
+        known = {name: arm.positions.readings for name, arm in self.belief.arms.items()}
+        return choose_stops(self.design, known, count)
 
     def measured(self, stops: NDArray[np.intp] | list[int], seed: int, **changed: Geometry) -> dict[str, Readings]:
         """Readings at some candidates, in order, of a cell of which some arms have another true geometry now."""
@@ -83,10 +97,13 @@ def cell_of(arms: dict[str, Geometry], seed: int, readings: int = 150) -> Simula
         its = readings_of(true[name], candidates[name], rng)
         measured = Measured.of(its, MeasurementConditions(approach=its.approach))
         columns = candidate_columns(nominal)
-        precision = np.diag([0.0 if column < 6 or column >= 6 + 5 * nominal.joints else 1e6 for column in columns])
-        prior = Prior(columns, nominal, np.zeros(len(columns)), precision)
-        found = posterior(model_of(nominal, nominal), measured, prior)
-        beliefs[name] = arm_belief(found, measured, found.model)
+        model = watching(model_of(nominal, nominal), measured)
+        count = len(columns) + sum(len(term.names) for term in model.effects)
+        known = [0.0 if column < 6 or column >= 6 + 5 * nominal.joints else 1e6 for column in columns]
+        precision = np.diag([*known, *[0.0] * (count - len(columns))])
+        beliefs[name] = arm_belief(
+            posterior(model, measured, Prior(columns, nominal, np.zeros(count), precision)), measured
+        )
     return SimulatedCell(true, CheckBelief(beliefs), candidates)
 
 
@@ -131,3 +148,26 @@ def probed() -> SimulatedCell:
 @pytest.fixture(scope="session")
 def seven() -> SimulatedCell:
     return cell_of({"only": at_station(SEVEN, OFF_AXIS)}, 5)
+
+
+def decided_prefix(design: Design, stops: StopRows) -> SequentialState:
+    """The state of the test at the first stop at which it decides."""
+    planned, state = len(stops.stop_ends), NOTHING_YET
+    while not state.sure:
+        state = judged(design, first_stops(stops, state.stops + 1), planned, state)
+    return state
+
+
+def first_stops(stops: StopRows, count: int) -> StopRows:
+    """The first ``count`` stops."""
+    d = int(stops.stop_ends[count - 1])
+    return replace(
+        stops,
+        measured=stops.measured[: d // 3],
+        expected=stops.expected[: d // 3],
+        stop_ends=stops.stop_ends[:count],
+        arm_of=stops.arm_of[: d // 3],
+        rows=stops.rows[:, :d],
+        factor=stops.factor[:d, :d],
+        turned=None if stops.turned is None else stops.turned[: d // 3],
+    )

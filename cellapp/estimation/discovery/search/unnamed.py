@@ -1,0 +1,104 @@
+"""The unnamed term: what the named effects leave, as a smooth process over what arms depend on.
+
+Its parts are smooth laws of the library's effects without their names, so that it is a part of the model like any
+effect: in predictions, uncertainty and commands. It is used where its evidence is better than none and left-out
+readings are predicted better by more than the standard error of the difference. Smooth laws that are more probably
+absent than present lose their names and belong to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import replace
+
+import numpy as np
+
+from cellapp.estimation.discovery.accepted import rms_length
+from cellapp.estimation.discovery.joint_fit import JointFit, left_out
+from cellapp.estimation.discovery.records import BeforeAfter, Unnamed
+from cellapp.estimation.discovery.search.state import SearchProblem, SearchResult, SearchState
+from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm
+from cellapp.ground.grouping import grouped
+from cellapp.robot.effects import EFFECTS
+from cellapp.robot.effects.effect import is_unnamed, lent_effect, unnamed
+from cellapp.robot.kinematics.transforms import Array
+
+_95 = 1.959964
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
+_MOSTLY = 0.5
+"""Least rms, relative to the largest, of the places that the unnamed term mostly moves."""
+_CAUSES = 3
+"""Most causes that are stated as the likeliest."""
+
+
+def without_names(fit: JointFit, numbers: Collection[int]) -> JointFit:
+    """Return a fit whose smooth terms ``numbers`` are parts of the unnamed term."""
+    terms, effects = list(fit.terms), list(fit.model.effects)
+    for number in numbers:
+        term = terms[number]
+        law = unnamed(EFFECTS[term.slug], term.law.form).law(term.law.constants, term.law.tried)
+        terms[number] = replace(term, slug=UNKNOWN, law=law)
+        effects[number] = replace(effects[number], slug=UNKNOWN, law=law)
+    return replace(fit, terms=tuple(terms), model=replace(fit.model, effects=tuple(effects)))
+
+
+def smooth_numbers(terms: Collection[ModelTerm]) -> list[int]:
+    """Return the numbers of the smooth terms that are no part of the unnamed term."""
+    return [number for number, term in enumerate(terms) if term.smooth is not None and not is_unnamed(term.law)]
+
+
+def with_unnamed(problem: SearchProblem, found: SearchResult, extended: SearchState | None) -> SearchResult:
+    """Add the smooth terms of ``extended`` to a search's outcome as the unnamed term, if they predict better.
+
+    ``extended`` is None if the residuals need none or the outcome has smooth terms already.
+    """
+    problem.cancel.check()
+    if extended is None:
+        if not any(term.smooth is not None for term in found.fit.terms):
+            return found
+        return replace(found, spread=_spread(left_out(found.data, found.fit)[1]))
+    fit = without_names(extended.fit, [k for k in smooth_numbers(extended.fit.terms) if k >= len(found.fit.terms)])
+    left, scaled = left_out(extended.data, fit)
+    points = slice(None) if found.data.turned is None else ~found.data.turned
+    before, after = (np.linalg.norm(one[points], axis=1) for one in (left_out(found.data, found.fit)[0], left))
+    gain = before - after
+    errors = float(before.mean()) * 1e3, float(after.mean()) * 1e3
+    if gain.mean() <= gain.std() / math.sqrt(len(gain)):
+        return replace(found, unnamed_mm=errors)
+    result = found.with_fit(extended.data, fit, found.reviews)
+    return replace(result, steps=extended.steps, unnamed_mm=errors, spread=_spread(scaled))
+
+
+def _spread(scaled: Array) -> float:
+    """Return the factor by which 95 % of left-out coordinates are within their intervals, at least 1."""
+    return max(float(np.quantile(np.abs(scaled), 0.95)) / _95, 1.0)
+
+
+def unnamed_record(found: SearchResult) -> Unnamed | None:
+    """Return the size of the unnamed term beyond what geometry and named effects can explain, and where it acts."""
+    fit = found.fit
+    parts = [number for number, term in enumerate(fit.terms) if is_unnamed(term.law)]
+    errors = None if found.unnamed_mm is None else BeforeAfter(before=found.unnamed_mm[0], after=found.unnamed_mm[1])
+    if not parts:
+        return None if errors is None else Unnamed(rms_mm=0.0, in_force=False, left_out_mm=errors)
+    kept = np.ones(fit.layout.total, dtype=np.bool_)
+    signals: list[tuple[str, Array]] = []
+    for number in parts:
+        kept[fit.layout.parameters(number)] = False
+        moved = fit.term_values(number)[:, None] * fit.term_rows(number)
+        signals += [(column.where, one) for column, one in zip(fit.term_columns(number), moved, strict=True)]
+    by_place = {where: np.sum(its, axis=0) for where, its in grouped(signals).items()}
+    visible = fit.projector_of(kept).project(np.array([sum(by_place.values()), *by_place.values()]))
+    total, *sizes = [rms_length(fit, one) * 1e3 for one in visible]
+    order = np.argsort(sizes)[::-1]
+    places = [list(by_place)[k] for k in order if sizes[k] >= _MOSTLY * max(sizes)]
+    evidence = {number: smooth.evidence for number in parts if (smooth := fit.terms[number].smooth) is not None}
+    causes = sorted(evidence, key=lambda number: -evidence[number])[:_CAUSES]
+    return Unnamed(
+        rms_mm=total,
+        in_force=True,
+        acts_on=tuple(sorted(places)),
+        causes=tuple(lent_effect(fit.terms[number].law).slug for number in causes),
+        left_out_mm=errors,
+    )

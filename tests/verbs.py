@@ -1,0 +1,123 @@
+"""Verbs on an open run, as an interface asks for them: by a request and the work that it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from cellapp.cell.driving.records import CollectResult, ImportResult
+from cellapp.cell.driving.requests import running_job
+from cellapp.cell.driving.supervision import Opened
+from cellapp.cell.exports.records import ExportResult
+from cellapp.cell.programs.records import CorrectResult
+from cellapp.cell.run import RunFile
+from cellapp.cell.targets.records import VerifyResult
+from cellapp.cell.targets.targets import Target
+from cellapp.commands import correct, import_
+from cellapp.commands.certificate import request as certificate
+from cellapp.commands.certificate.result import CertificateResult
+from cellapp.commands.certificate.run import certify
+from cellapp.commands.check import request as check
+from cellapp.commands.check.run import check_run as check_asked
+from cellapp.commands.collect.request import CollectRequest
+from cellapp.commands.collect.run import collect_planned
+from cellapp.commands.export import request as export
+from cellapp.commands.export.run import export as export_asked
+from cellapp.commands.locate import request as locate
+from cellapp.commands.locate.result import LocateResult
+from cellapp.commands.locate.run import locate_run as locate_asked
+from cellapp.commands.push import request as push
+from cellapp.commands.push.run import push_targets
+from cellapp.commands.record import Work
+from cellapp.commands.report.request import ReportRequest
+from cellapp.commands.report.result import ReportResult
+from cellapp.commands.report.run import run as report
+from cellapp.estimation.monitoring.check.records import CheckResult
+from cellapp.ground.control import JobControl
+from cellapp.ground.outputs import NEW_ONLY, Outputs
+from cellapp.ground.profile import Profile
+from cellapp.ground.profile.schema import Plant
+from cellapp.ground.progress import Listener, ignore
+
+Page = Callable[[CertificateResult], str]
+
+
+def certificate_run(run: RunFile, page: Page, now: datetime | None = None, **asked: Any) -> CertificateResult:
+    request: Any = certificate.VERB.asked({"folder": run.folder, **asked})
+    return certify(run, request, Work(certificate_page=page), now)
+
+
+def check_run(
+    run: RunFile,
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    simulated_plant: Plant | None = None,
+    open_with: Opened | None = None,
+    **asked: Any,
+) -> CheckResult:
+    request: Any = check.VERB.asked({"folder": run.folder, **asked})
+    return check_asked(run, request, Work(listener, control or JobControl()), simulated_plant, open_with)
+
+
+def collect_stops(run: RunFile, **asked: Any) -> CollectResult:
+    return collect_planned(run, CollectRequest(folder=run.folder, **asked), Work())
+
+
+def correct_run(run: RunFile, program: Path, out: Path, arm: str | None = None, **asked: Any) -> CorrectResult:
+    request: Any = correct.VERB.asked({"folder": run.folder, "program": program, "out": out, "arm": arm, **asked})
+    return correct.correct(run, request)
+
+
+def export_as_run(
+    run: RunFile, form: str, out: Path, arm: str | None = None, stage: str | None = None, outputs: Outputs = NEW_ONLY
+) -> ExportResult:
+    values = {"folder": run.folder, "form": form, "out": out, "arm": arm, "stage": stage}
+    request: Any = export.VERB.asked(values)
+    return export_asked(run, request, outputs)
+
+
+def import_new_run(
+    profile: Profile,
+    csv: Path | None,
+    folder: Path,
+    recordings: tuple[Sequence[Path], Sequence[Path]] = ((), ()),
+    **asked: Any,
+) -> ImportResult:
+    values = {"profile": Path("profile.yaml"), "csv": csv, "folder": folder, **asked}
+    request: Any = import_.VERB.asked({**values, "joints": tuple(recordings[0]), "points": tuple(recordings[1])})
+    return import_.import_new_run(profile, request)
+
+
+def locate_run(
+    run: RunFile,
+    points: int = 4,
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    ask: Callable[[str], bool] | None = None,
+    **opening: Any,
+) -> LocateResult:
+    request: Any = locate.VERB.asked({"folder": run.folder, "points": points})
+    return locate_asked(run, request, Work(listener, control or JobControl(), lambda profile_name: ask), **opening)
+
+
+def push_run(
+    run: RunFile,
+    targets: Sequence[Target],
+    listener: Listener = ignore,
+    control: JobControl | None = None,
+    *,
+    ask: Callable[[str], bool] | None = None,
+    **asked: Any,
+) -> VerifyResult:
+    request: Any = push.VERB.asked({"folder": run.folder, "targets": tuple(targets), **asked})
+    control = control or JobControl()
+    with running_job(run, control, request.job_name() or "push", listener) as heard:
+        return push_targets(run, request, Work(heard, control, lambda profile_name: ask))
+
+
+def report_run(run: RunFile, write_page: Callable[[RunFile], Path]) -> ReportResult:
+    return report(ReportRequest(folder=run.folder), Work(write_page=write_page))
