@@ -70,7 +70,8 @@ class Commands(typer.Typer):
 
     @functools.cached_property
     def _built(self) -> Callable[..., Any]:
-        return _as_text(typer.main.get_command(self))
+        command: Callable[..., Any] = _as_text(typer.main.get_command(self))
+        return command
 
     def __call__(self, *args: Any, **settings: Any) -> Any:
         """Parse the arguments and call the command."""
