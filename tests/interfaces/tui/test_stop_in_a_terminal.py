@@ -286,7 +286,7 @@ def profile(tmp_path: Path) -> Path:
     text = path.read_text("utf-8").replace("127.0.0.1:50960", f"{TRACKER_HOST}:{free_port(TRACKER_HOST)}")
     for before, now in HOSTS.items():
         text = text.replace(before, now)
-    path.write_text(text.replace("stops: 80", "stops: 6"), "utf-8")
+    path.write_text(text.replace("stops: 80", "stops: 12"), "utf-8")
     return path
 
 
