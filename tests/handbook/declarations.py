@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 
 from cellapp.commands.docs.effect_parts import declared_part
+from cellapp.commands.docs.keys import KEYS
 from cellapp.commands.registry import records
 from cellapp.commands.schema import written_results
 from cellapp.ground.results import Result
-from cellapp.interfaces.tui.keys import KEYS
 from cellapp.robot.effects import EFFECTS
 from tests.evidence.page import figures_part, readme_part
 from tests.interfaces.tui.states import states_table

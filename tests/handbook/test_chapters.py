@@ -33,6 +33,7 @@ from cellapp.commands.docs.handbook import (
     topic_text,
     topics,
 )
+from cellapp.commands.docs.keys import SHOWN, filled_keys
 from cellapp.commands.doctor.run import installed_findings
 from cellapp.commands.registry import records
 from cellapp.commands.report.sections import SECTIONS
@@ -64,6 +65,24 @@ TEXTS = {"README": README, **{chapter: DOCS / f"{chapter}.md" for chapter in CHA
 MOST_LINES = 150
 LINK = re.compile(r"!?\[[^\]]+\]\((?!https?:)([^)\s#]+)")
 MOST_BYTES = 150_000
+
+
+@pytest.mark.parametrize("name", CHAPTERS)
+def test_files_that_are_named_are_there(name: str) -> None:
+    prose = re.sub(r"^```.*?^```", "", chapter_text(name), flags=re.S | re.M)
+    named = set(re.findall(r"`([\w/]+/\w+\.py)`", prose))
+    assert not [one for one in named if not (ROOT / one).exists() and not list(ROOT.glob(f"[cdt]*/**/{one}"))]
+
+
+@pytest.mark.parametrize("name", ["README", *CHAPTERS])
+def test_keys_in_prose_are_filled_from_the_table(name: str) -> None:
+    text = README.read_text("utf-8") if name == "README" else chapter_text(name)
+    prose = re.sub(r"<!-- declared.*?<!-- end -->|^```.*?^```", "", text, flags=re.S | re.M)
+    keys = "|".join(map(re.escape, SHOWN.values()))
+    typed = re.findall(rf"\*\*([1-8]|{keys})\*\*", prose)
+    typed += re.findall(r"\bkeys? (?:\*\*)?([a-zA-Z1-9])\b", prose)
+    assert not typed, "write {key:MEANING}"
+    assert "{key" not in filled_keys(text)
 
 
 def test_the_readme_is_short() -> None:

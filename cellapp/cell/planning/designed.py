@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import islice
 from typing import TypeVar, get_args
 
@@ -110,6 +110,7 @@ def design_stops(
     for number, name in enumerate(cell.arms):
         listener(Progress("candidates", number, len(cell.arms), f"arm {name}"))
         pools[name] = _pool(profile, roomy, finder.roadmaps[name], name, count, rng, cancel)
+    listener(Progress("candidates", len(cell.arms), len(cell.arms), "done"))
     spares = max(_LEAST_SPARES, math.ceil(_SPARE_SHARE * count))  # for stops that cannot be reached from the others
     rows = select_stops(profile, pools, count + spares, rng, listener, cancel, None if kept is None else kept.q)
     chosen = {name: pool.q[rows[name]] for name, pool in pools.items()}
@@ -234,12 +235,20 @@ def select_stops(
     cancel = cancel or CancelToken()
     q = {name: pool.q for name, pool in pools.items()}
 
-    def choose(name: str, own_rng: np.random.Generator) -> Rows:
-        return _select(profile, name, q, count, None if kept is None else kept.get(name), own_rng, cancel)
+    done, total = dict.fromkeys(pools, 0), 2 * count * len(pools)
+    arms = " and ".join(f"arm {name}" for name in pools)
 
-    listener(Progress("select", 0, len(pools), " and ".join(f"arm {name}" for name in pools)))
+    def tell(name: str, number: int) -> None:
+        done[name] = number
+        listener(Progress("select", min(sum(done.values()), total), total, arms))
+
+    def choose(name: str, own_rng: np.random.Generator) -> Rows:
+        own = None if kept is None else kept.get(name)
+        return _select(profile, name, q, count, own, own_rng, cancel, partial(tell, name))
+
+    tell(next(iter(pools)), 0)
     chosen = of_each_arm(choose, pools, rng)
-    listener(Progress("select", len(pools), len(pools), "done"))
+    listener(Progress("select", total, total, "done"))
     return chosen
 
 
@@ -251,6 +260,7 @@ def _select(
     kept: Array | None,
     rng: np.random.Generator,
     cancel: CancelToken,
+    told: Callable[[int], object],
 ) -> Rows:
     """Choose candidates of one arm; ``pools`` are the configurations of all arms."""
     q, others = pools[name], {other: q for other, q in pools.items() if other != name}
@@ -266,7 +276,7 @@ def _select(
         reference_errors(candidates.mean_information, count, candidates.prior, model.wanted),
         model.prediction_rows(targets, even_conditions(profile, name, targets, others, rng)),
     )
-    chosen = choose_blocks(candidates, count, criterion, rng, cancel=cancel)
+    chosen = choose_blocks(candidates, count, criterion, rng, cancel=cancel, told=told)
     limits = gap_limits(q, len(chosen) + len(kept), profile.plan.largest_gap)
     chosen = close_gaps(candidates, q, chosen, criterion, limits, without_turns(kept, q), rng, cancel)
     return least_informative_last(candidates, chosen, criterion)

@@ -273,6 +273,7 @@ def _held_out(results: RunResults, arm: str, error: Literal["position_mm", "dist
 
 def _distance_errors_mm(targets: Sequence[MeasuredTarget]) -> list[float]:
     """Return the errors [mm] of the distances between measured positions, for all pairs of targets."""
+
     points = [(one.measured_M, one.wanted_M) for one in targets if one.measured_M and one.wanted_M]
     if len(points) < 2:
         return []

@@ -253,8 +253,8 @@ def _values(of: str, a: Mapping[str, Estimate], b: Mapping[str, Estimate]) -> It
             if one.standard_error is not None and other.standard_error is not None:
                 combined = math.hypot(one.standard_error, other.standard_error)
         unit = " or ".join(dict.fromkeys(estimate.unit for estimate in (one, other) if estimate is not None))
-        values = (None if estimate is None else estimate.value for estimate in (one, other))
-        yield _compared(of, name, unit, *values, difference, combined)
+        before, after = (None if estimate is None else estimate.value for estimate in (one, other))
+        yield _compared(of, name, unit, before, after, difference, combined)
 
 
 def view(result: RunComparison, request: Request | None = None) -> View:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 
+from cellapp.commands.docs.keys import filled_keys
 from cellapp.ground.errors import InputError
 from cellapp.ground.removed import removed_command
 
@@ -68,7 +69,7 @@ def topics() -> list[str]:
 
 
 def topic_text(topic: str) -> str:
-    """Return the Markdown of a chapter or of one effect's section, without markers and words for tests.
+    """Return the Markdown of a chapter or of one effect's section with its keys, without markers and words for tests.
 
     Raises
     ------
@@ -81,7 +82,7 @@ def topic_text(topic: str) -> str:
         meant = f"did you mean '{near[0]}'? Topics" if near else "topics"
         said = f"docs: '{topic}' is not a topic; {meant} are {', '.join(topics())}"
         raise InputError(removed_command(f"docs {topic}") or said)
-    return _FOR_TESTS.sub(r"\1", _MARKER.sub("", kept))
+    return filled_keys(_FOR_TESTS.sub(r"\1", _MARKER.sub("", kept)))
 
 
 def chapter_text(chapter: str) -> str:

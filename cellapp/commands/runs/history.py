@@ -19,7 +19,7 @@ from cellapp.commands.run_results import UNREADABLE
 from cellapp.commands.runs.result import ArmFigures, LastSession, RunsResult, RunSummary, StageSummary
 from cellapp.commands.stages import RunStages, counted_basis, read_stages
 from cellapp.estimation.discovery.records import BeforeAfter
-from cellapp.ground.asking import RUNS_NOW, who_uses
+from cellapp.ground.asking import who_uses
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.results import CALIBRATE, DISCOVER, STAGES, VERIFY, Stage, StageName
 
@@ -89,13 +89,6 @@ def list_runs(folder: Path | None = None) -> RunsResult:
     runs = [summarise(path) for path in run_folders(where, LEVELS)]
     newest_first = sorted(runs, key=lambda run: (run.began or run.changed, run.run), reverse=True)
     return RunsResult(folder=str(where), runs=tuple(newest_first))
-
-
-def to_go_on_with(folder: Path | None = None) -> RunSummary | None:
-    """Return the newest run with a job running on this computer, else the newest to resume. Raises as ``list_runs``."""
-    runs = list_runs(folder).runs
-    used = (run for run in runs if run.in_use == RUNS_NOW)
-    return next(used, None) or next((run for run in runs if run.resumable), None)
 
 
 def summarise(folder: Path) -> RunSummary:

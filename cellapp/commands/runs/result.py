@@ -179,7 +179,7 @@ def session_words(run: RunSummary) -> str:
 def next_words(run: RunSummary) -> str:
     """Return the next verb, and whether a result is out of date; ``done`` if nothing is left to do."""
     outdated = any(stage.out_of_date for stage in run.stages)
-    return f"{run.next_verb or 'done'}{' (out of date)' if outdated else ''}"
+    return f"{run.next_verb or ('decide' if run.next_step else 'done')}{' (out of date)' if outdated else ''}"
 
 
 def effects_words(effects: Sequence[str]) -> str:

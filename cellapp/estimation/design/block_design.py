@@ -19,6 +19,7 @@ are updated by matrices of rank three (Woodbury). From time to time all are comp
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -249,20 +250,22 @@ def choose_blocks(
     *,
     subset: int = 1000,
     passes: int = 3,
+    told: Callable[[int], object] = int,
 ) -> Rows:
     """Choose ``count`` candidates by greedy selection and exchange; return their indices, all if there are no more.
 
     ``subset`` candidates are looked at for each batch of the first choice. ``passes`` is the largest number of passes
-    of exchanges, each with new weights W. Both cost time, and the result improves slowly with them.
+    of exchanges, each with new weights W. Both cost time, and the result improves slowly with them. ``told`` is called
+    with how many were chosen so far, then with ``count`` more for those whose exchange was tried.
     """
     cancel = cancel or CancelToken()
     if count >= len(candidates):
         return np.arange(len(candidates))
     random = candidates.prior + candidates.mean_information * count
-    chosen = _greedy(candidates, count, criterion.weights(inverse_psd(random)), rng, subset, cancel)
+    chosen = _greedy(candidates, count, criterion.weights(inverse_psd(random)), rng, subset, cancel, told)
     best = criterion.value(candidates.covariance(chosen))
     for _ in range(passes):
-        exchanged = _exchanged(candidates, chosen, criterion, cancel)
+        exchanged = _exchanged(candidates, chosen, criterion, cancel, told)
         value = criterion.value(candidates.covariance(exchanged))
         if value >= best:  # only the linear criterion improved
             break
@@ -281,7 +284,13 @@ def least_informative_last(candidates: Candidates, chosen: Rows, criterion: Crit
 
 
 def _greedy(
-    candidates: Candidates, count: int, W: Array, rng: np.random.Generator, subset: int, cancel: CancelToken
+    candidates: Candidates,
+    count: int,
+    W: Array,
+    rng: np.random.Generator,
+    subset: int,
+    cancel: CancelToken,
+    told: Callable[[int], object],
 ) -> Rows:
     """Choose stop by stop the largest gain in a subset."""
     free = np.ones(len(candidates), dtype=bool)
@@ -302,11 +311,18 @@ def _greedy(
         come = among[outside < 0.0]
         free[come] = False
         before += len(come)
+        told(before)
         information = information + information_of(candidates.rows[come])
     return np.flatnonzero(~free)
 
 
-def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, cancel: CancelToken) -> Rows:
+def _exchanged(
+    candidates: Candidates,
+    chosen: Rows,
+    criterion: Criterion,
+    cancel: CancelToken,
+    told: Callable[[int], object],
+) -> Rows:
     """Exchange each chosen stop, that of least information first, for the best other candidate or itself."""
     design = candidates.design(chosen, criterion)
     queue = chosen[np.argsort(design.gains(-1.0), kind="stable")][:_MOST_EXCHANGED]
@@ -315,6 +331,7 @@ def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, cance
     promising = np.sort(design.screened(candidates.rows, _PROMISING + len(chosen)))
     for first in range(0, len(queue), _EXCHANGED_AT_ONCE):
         cancel.check()
+        told(len(chosen) + first)
         leaving = queue[first : first + _EXCHANGED_AT_ONCE]
         coming = promising[free[promising]]
         coming = coming[design.screened(candidates.rows[coming], _FOLLOWED)]

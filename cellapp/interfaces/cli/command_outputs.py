@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import typer
+from rich.markup import escape
 
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
@@ -78,7 +79,8 @@ class Commands(typer.Typer):
 
     @functools.cached_property
     def _built(self) -> Callable[..., Any]:
-        return typer.main.get_command(self)
+        command: Callable[..., Any] = _as_text(typer.main.get_command(self))
+        return command
 
     def __call__(self, *args: Any, **settings: Any) -> Any:
         """Parse the arguments and call the command."""
@@ -93,6 +95,16 @@ class Commands(typer.Typer):
             return function
 
         return registered
+
+
+def _as_text(command: Any) -> Any:
+    """Mark brackets in help texts as text, which Rich takes for markup as in "[kg]"; join the lines of paragraphs."""
+    for one in (command, *command.params):
+        if one_help := getattr(one, "help", None):
+            one.help = "\n\n".join(escape(part.replace("\n", " ")) for part in one_help.split("\n\n"))
+    for below in getattr(command, "commands", {}).values():
+        _as_text(below)
+    return command
 
 
 def with_force(function: Callable[..., Any]) -> Callable[..., Any]:

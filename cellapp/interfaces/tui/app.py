@@ -38,30 +38,30 @@ from textual.screen import ModalScreen, Screen
 from textual.theme import Theme
 from textual.widgets import Input, Static
 
+from cellapp.commands.docs.keys import KEYS, SHOWN
 from cellapp.commands.registry import ALL
-from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import terminal
 from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.dialogs.program import MotionQuestion, Palette, possible_commands
 from cellapp.interfaces.tui.dialogs.question import Reading
 from cellapp.interfaces.tui.endings import ENDED, LEFT, UNEXPECTED, Leaving, ending_of, left_behind
-from cellapp.interfaces.tui.host import Host, LeaveAsked, ResumeOffered, Severity, StopGiven, WorkspaceLoaded
+from cellapp.interfaces.tui.host import Host, LastRunRead, LeaveAsked, Severity, StopGiven, WorkspaceLoaded
 from cellapp.interfaces.tui.jobs import JobEnded, MotionAsked
-from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind, key_table, with_keys
+from cellapp.interfaces.tui.keys import bind, key_table, with_keys
 from cellapp.interfaces.tui.live_run import LOOK_EVERY_S, Detached, JobsOfOthers
 from cellapp.interfaces.tui.offers import (
     QuitQuestion,
     offer_at_rest,
     offer_to_quit,
-    offer_to_resume,
     offer_whole_day,
 )
+from cellapp.interfaces.tui.run_state import next_step
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import driver_that_stops
 from cellapp.interfaces.tui.widgets.arm_panel import LiveStrip
 from cellapp.interfaces.tui.widgets.header import StepTab
-from cellapp.interfaces.tui.workspace import Step, holds_run, load_workspace
+from cellapp.interfaces.tui.workspace import Step, holds_run, last_run, load_workspace
 
 _RESUMES = f"{SHOWN['pause']} or {SHOWN['resume']}"
 _RESUME_WHEN_CLEAR = f"{SHOWN['resume']}: resume when the cell is clear"
@@ -212,7 +212,7 @@ HIGH_CONTRAST = Theme(
 
 
 _REQUESTS = ("stop", "stop_job", "pause", "resume", "abort")
-_OWN = ("show", "next_step", "whole_day", "explain", "handbook", "quit", *_REQUESTS)
+_OWN = ("show", "last_run", "runs", "next_step", "whole_day", "explain", "handbook", "quit", *_REQUESTS)
 _ALWAYS = ("stop", "stop_job", "abort", "leave")
 """Actions that stay available over an open dialog."""
 _DRAWING_S = 0.1
@@ -267,6 +267,8 @@ class CellApp(JobKeys):
         bind("abort", "abort", "Abort"),
         Binding("ctrl+x", "abort", show=False, priority=True),
         *(Binding(entry.key, f"show('{entry.step}')", entry.title, show=False) for entry in SCREENS),
+        bind("last", "last_run", "Last run", show=False),
+        bind("runs", "runs", "All runs", show=False),
         bind("day", "whole_day", "Day", "plan, collect, calibrate, discover, push and verify; asks first"),
         bind("next", "next_step", "Next", "show the step that comes next; there, begin it"),
         bind("help", "explain", "Help", "explain this screen"),
@@ -321,6 +323,8 @@ class CellApp(JobKeys):
     def on_mount(self) -> None:
         """Show the first screen of the day, and start the timers."""
         self.register_theme(HIGH_CONTRAST)
+        self.last_run = last_run(self.logs)
+        self.waits = "" if self.last_run is None else str(self.last_run)
         self.push_screen(self._screen_of("cell"))
         self.call_after_refresh(self._welcome)
         self.set_interval(_DRAWING_S, self._draw_events)
@@ -346,8 +350,8 @@ class CellApp(JobKeys):
             importlib.import_module(module)
         gc.collect()
         gc.freeze()  # exempt loaded objects from collection: scanning them held up keys for up to 0.3 s
-        if run := jobs_of_verbs.interrupted_run(self.logs):
-            self.post_message(ResumeOffered(run))
+        if self.last_run is not None:
+            self.post_message(LastRunRead(jobs_of_verbs.words_of_run(self.last_run)))
 
     def on_unmount(self) -> None:
         """Brake all arms and end the job, however the screen closes: no job continues unseen."""
@@ -429,19 +433,35 @@ class CellApp(JobKeys):
 
     def action_next_step(self) -> None:
         """Show the screen of the next step; if it is shown, begin that step."""
-        step, screen = self.workspace.next_step, self.day_screen
+        step, screen, overview = next_step(self.workspace), self.day_screen, self.workspace.overview
         if step != screen.STEP:
             self.action_show(step)
         elif self.jobs.running:
             self.say(f"{self.state.job.words if self.state.job else ''}; the next step follows when it has ended.")
+        elif not screen.begin_next("cellapp plan" if overview is None else overview.next_step):
+            self.say(f"{self.state.next_words}.")
+
+    def action_last_run(self) -> None:
+        """Open the run that was changed last when the application began."""
+        if self.last_run is None:
+            self.say("There is no run yet.", "warning")
         else:
-            screen.begin_next("" if self.workspace.overview is None else self.workspace.overview.next_verb)
+            self.open_run(self.last_run, self.workspace.profile_path)
+
+    def action_runs(self) -> None:
+        """List all runs."""
+        self.action_show("cell")
+        self.call_later(self._screen_of("cell").show_runs)
 
     def action_explain(self) -> None:
         """Explain the current screen, with all its keys."""
+        from cellapp.commands.docs.handbook import sections
+
         screen = self.day_screen
+        title = next(entry.title for entry in SCREENS if entry.step == screen.STEP)
+        said = next(one.terminal_text for one in sections("terminal") if one.heading == f"Screen {title}")
         keys = f"{key_table(screen.BINDINGS)}\n\n## Keys of every screen\n\n{key_table(self.BINDINGS)}"
-        self.push_screen(Reading(f"{screen.HELP.format_map(SHOWN)}\n## Keys of this screen\n\n{keys}\n"))
+        self.push_screen(Reading(f"{said}\n## Keys of this screen\n\n{keys}\n"))
 
     def action_handbook(self) -> None:
         """Open the handbook."""
@@ -479,15 +499,11 @@ class CellApp(JobKeys):
         """Open a profile without a run."""
         self._load(path, None)
 
-    @on(ResumeOffered)
-    def offer_to_resume(self, event: ResumeOffered) -> None:
-        """Offer to resume an interrupted run, unless something else was begun meanwhile."""
-        run = event.run
-        left = counted(run.stops_left, "stop")
-        self.waits = f"{run.run} {'is in use' if run.in_use else f'waits with {left} left'}"
+    @on(LastRunRead)
+    def say_last_run(self, event: LastRunRead) -> None:
+        """Say more of the last run, in the line that names it."""
+        self.waits = event.words
         self.draw_all()
-        if not self.jobs.running and self.workspace.folder is None and isinstance(self.screen, DayScreen):
-            offer_to_resume(self, event.run)
 
     def open_run(self, folder: Path, profile_path: Path | None = None) -> None:
         """Open a run; its own profile is used."""
@@ -524,7 +540,7 @@ class CellApp(JobKeys):
             return  # it was requested before the job began, whose run is read at its end
         self.workspace, self.reading = now, ""
         ended, self._ended = self._ended, None
-        title = next(entry.title for entry in SCREENS if entry.step == now.next_step)
+        title = next(entry.title for entry in SCREENS if entry.step == next_step(now))
         if now.problem:
             self.say(now.problem, "error")
         elif now.edited and not (before.edited and before.folder == now.folder):

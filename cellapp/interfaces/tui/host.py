@@ -20,7 +20,6 @@ from cellapp.interfaces.tui.run_state import RunState, run_state
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
-    from cellapp.commands.runs.result import RunSummary
     from cellapp.ground.progress import CellLive
     from cellapp.ground.results import Result
 
@@ -49,12 +48,12 @@ class WorkspaceLoaded(Message):
         self.workspace = workspace
 
 
-class ResumeOffered(Message):
-    """An interrupted run of collecting was found."""
+class LastRunRead(Message):
+    """What is known of the last run, in words."""
 
-    def __init__(self, run: RunSummary) -> None:
+    def __init__(self, words: str) -> None:
         super().__init__()
-        self.run = run
+        self.words = words
 
 
 class ShowsResults(Protocol):
@@ -75,8 +74,10 @@ class Host(App[None]):
         The screen that started the current job; it gets the result, whichever screen is shown then.
     code : int
         Exit code of the last job.
+    last_run : Path or None
+        The run that was changed last when the application began.
     waits : str
-        An interrupted run that can be resumed, in words; empty if none was found.
+        That run in words; empty if there is none.
     reading : str
         Sentence that the first profile, or the result of the last job, is being read; empty when it is read.
     """
@@ -90,6 +91,7 @@ class Host(App[None]):
         self.presses = StopPresses(self.jobs)
         self.asked_by: ShowsResults | None = None
         self.code = 0
+        self.last_run: Path | None = None
         self.waits = self.reading = ""
         self._state: tuple[tuple[object, ...], RunState] | None = None
 

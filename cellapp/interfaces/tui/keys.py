@@ -1,81 +1,23 @@
-"""Table of all keys: one key per meaning. Screens bind meanings, and sentences name keys by meanings.
+"""Bindings of the keys of the table to actions, and the keys that do a command of the command line.
 
-A meaning has the same key on every screen, and a key has one meaning. Sentences from elsewhere that name a command of
-the command line are shown here with the keys that do it.
+A meaning has the same key on every screen, and a key has one meaning. Sentences from elsewhere that name a command are
+shown here with the keys that do it.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from textual.binding import Binding, BindingType
 
+from cellapp.commands.docs.keys import KEYS, SHOWN
 from cellapp.commands.iso9283.request import VERB as ISO9283
 from cellapp.commands.registry import ALL, name_of
 from cellapp.commands.view.table import Table
 from cellapp.interfaces.tui.workspace import STEPS, Step
 
-
-@dataclass(frozen=True)
-class Key:
-    """Keys with Textual's names, separated by commas; the display name of the first; the meaning on every screen."""
-
-    keys: str
-    shown: str
-    meaning: str
-
-
-KEYS: Mapping[str, Key] = {
-    "stop": Key("escape", "Escape", "STOP while something moves; else close a field or a dialog"),
-    "pause": Key("p", "p", "pause the job after the present stop; again: resume it"),
-    "resume": Key("c", "c", "continue a paused or stopped job"),
-    "abort": Key("x", "x", "end the job; Ctrl-X does so over a dialog, too"),
-    "next": Key("n", "n", "do the step that comes next: show its screen; there, begin it"),
-    "go": Key("b", "b", "begin the work of the screen"),
-    "day": Key("f5", "F5", "the whole day in a new run; asks first"),
-    "open": Key("o", "o", "open a profile, a list, a table, a log or a page"),
-    "plots": Key("g", "g", "show the plots; again: the next one"),
-    "tab": Key("t", "t", "show the next tab"),
-    "search": Key("slash", "/", "search, or filter while you type"),
-    "filter": Key("f", "f", "show only what needs attention or holds a text"),
-    "sort": Key("s", "s", "sort by the next column"),
-    "export": Key("e", "e", "write for others: arms, programs, plans, certificates"),
-    "import": Key("i", "i", "take from elsewhere: readings, an earlier run"),
-    "save": Key("w", "w", "save what is shown: a list, tables, the log"),
-    "copy": Key("y", "y", "copy what is shown or marked"),
-    "add": Key("plus,insert", "+", "add: a profile, stops, a target, a network from all readings"),
-    "remove": Key("minus,delete", "-", "remove the row"),
-    "mark": Key("space", "Space", "mark the row"),
-    "undo": Key("ctrl+z", "Ctrl+Z", "take back the last edit"),
-    "redo": Key("ctrl+y", "Ctrl+Y", "make it again"),
-    "again": Key("r", "r", "again: read the folder, design the rest of a plan, measure marked stops"),
-    "before": Key("comma", ",", "the stop before"),
-    "after": Key("full_stop", ".", "the next stop"),
-    "check": Key("k", "k", "check: the plan, the calibration"),
-    "measure": Key("m", "m", "drive and measure: targets, tests, proposed stops. The arms move"),
-    "push": Key("P", "P", "drive to the targets without measuring. The arms move"),
-    "locate": Key("l", "l", "measure where the tracker stands. The arms move"),
-    "edit": Key("u", "u", "change the profile in $EDITOR"),
-    "forecast": Key("j", "j", "foresee what a plan gives"),
-    "freeze": Key("z", "z", "let later designs leave the marked stops"),
-    "drift": Key("d", "d", "accept a drift of the references"),
-    "debug": Key("D", "D", "show all lines of the log"),
-    "info": Key("I", "I", "show lines of the log from info upwards"),
-    "warning": Key("W", "W", "show warnings and errors of the log"),
-    "error": Key("E", "E", "show errors of the log"),
-    "help": Key("question_mark", "?", "explain this screen, with all its keys"),
-    "handbook": Key("f1,h", "F1", "the handbook: contents, search"),
-    "palette": Key("ctrl+p", "Ctrl+P", "every action by its name, and the themes"),
-    "quit": Key(
-        "q",
-        "q",
-        "quit; asks where something runs or is not saved; in a text to read: close it. Ctrl-Q does so in a text field",
-    ),
-}
-SHOWN: Mapping[str, str] = {meaning: key.shown for meaning, key in KEYS.items()}
-"""Meaning -> display name of its key, for ``str.format_map``."""
 WAYS: Mapping[str, tuple[Step, str]] = {
     "doctor": ("cell", "go"),
     "plan": ("plan", "go"),
@@ -92,11 +34,18 @@ WAYS: Mapping[str, tuple[Step, str]] = {
     "certificate": ("accept", "export"),
     "report": ("accept", "go"),
     "export": ("calibrate", "export"),
-    "runs": ("runs", "again"),
 }
 """Verb -> the screen and the meaning of the key that does it; other verbs are in the palette."""
-_EVERYWHERE: Mapping[str, str] = {"run": "day", "docs": "handbook"}
+_EVERYWHERE: Mapping[str, str] = {"run": "day", "docs": "handbook", "runs": "runs"}
 """Verb -> the meaning of the key that does it on every screen; these verbs are not in the palette."""
+_PARTS: Mapping[str, Step] = {
+    "verify": "targets",
+    "path": "targets",
+    "run": "plan",
+    "compare": "plan",
+    "forecast": "plan",
+}
+"""Name of a stage, or of a part of a day -> its step; planning ends with comparing designs."""
 _VARIANTS = "|".join(re.escape(word) for word in ISO9283.variants)
 """Words after the only verb that has some."""
 _COMMAND = re.compile(
@@ -119,6 +68,19 @@ def key_table(bindings: Sequence[BindingType]) -> str:
             more = one.tooltip or next((key.meaning for key in KEYS.values() if key.keys == one.key), "")
             rows.append(f"| {one.key_display or one.key.title()} | {one.description}{f': {more}' if more else ''} |")
     return "\n".join(rows)
+
+
+def step_of(name: str) -> Step | None:
+    """Return the step that a verb, a stage or a part of a day belongs to; None if none."""
+    return WAYS[name][0] if name in WAYS else _PARTS.get(name)
+
+
+def way_of(command: str) -> tuple[Step, str] | None:
+    """Return the screen and the meaning of the key that do a command; None for words, or if no key does."""
+    if not command.startswith("cellapp "):
+        return None
+    verb = command.split()[1]
+    return WAYS.get("discover --propose" if verb == "discover" and "--propose" in command else verb)
 
 
 def way_to(verb: str) -> str:

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import records
-from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
-from cellapp.interfaces.tui.keys import SHOWN
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.workspace import Workspace, new_folder
 
 if TYPE_CHECKING:
-    from cellapp.commands.runs.result import RunSummary
     from cellapp.ground.results import Result, StageName
 
 BEGIN = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
@@ -48,7 +44,7 @@ def offer_again(
         f"The run has a result that holds ({mark.words}). Nothing it rests on has changed since; what is stored stays."
     )
     answers = (Answer("no", "Not now", "n"), Answer("begin", "Do it again", "b", "warning"))
-    screen.app.push_screen(Choice(title, text, answers), lambda answer: begin() if answer == "begin" else None)
+    screen.ask(Choice(title, text, answers), begin)
 
 
 def offer_whole_day(app: Host) -> None:
@@ -121,17 +117,17 @@ def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:
     app.push_screen(VerbQuestion(verb, text, BEGIN, given, simulated=simulated), begin)
 
 
-def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str, begun: Callable[[], None] = lambda: None) -> None:
-    """Ask for the request of a verb that measures with the model in force, then run it; ``begun`` is called before."""
+def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str) -> bool:
+    """Ask for the request of a verb that measures with the model in force, then run it; return whether it is asked."""
     if (calibrated := screen.calibrated_run()) is None:
-        return
+        return False
     folder, *_ = calibrated
     text = f"{words} {arms_words(screen.workspace)}."
     if stale := screen.workspace.stale:
         text += f"\nThe model is not up to date: {stale}."
     simulated = screen.workspace.kind == "simulated"
-    question = VerbQuestion(verb, text, BEGIN, {"folder": folder}, simulated=simulated)
-    screen.start_from(question, partial(work.verb_job, verb), begun)
+    screen.ask_verb(VerbQuestion(verb, text, BEGIN, {"folder": folder}, simulated=simulated))
+    return True
 
 
 class QuitQuestion(Choice):
@@ -153,23 +149,6 @@ def offer_to_quit(app: Host, leave: Callable[[bool], None], unsaved: Sequence[st
         text += f"'{app.record.name}' is in progress. {brake} and quit?"
     question = QuitQuestion("Quit?", text, (Answer("stay", stay, "n"), quits))
     app.push_screen(question, lambda answer: leave(answer == "leave"))
-
-
-def offer_to_resume(app: Host, run: RunSummary) -> None:
-    """Offer to open an interrupted run of collecting, or one in which another process works now."""
-    folder, title = Path(run.run), "Go on with the last run?"
-    text = f"{folder} was interrupted with {counted(run.stops_left, 'stop')} left. Open it? Nothing moves yet."
-    if run.in_use:
-        title = "Open the run of the job that runs now?"
-        text = f"Another process works in {folder}. Open it? Its job goes on; Escape here stops its arms."
-
-    def open_it(answer: str | None) -> None:
-        if answer == "open":
-            app.open_run(folder, app.workspace.profile_path)
-            app.action_show("collect")
-
-    answers = (Answer("open", "Open", "o", "success"), Answer("later", "Later", "l"))
-    app.push_screen(Choice(title, text, answers), open_it)
 
 
 def offer_at_rest(app: Host, arm: str) -> None:

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui.job_record import JobRecord, within_limit
 from cellapp.interfaces.tui.jobs import Job
-from cellapp.interfaces.tui.keys import SHOWN, WAYS
-from cellapp.interfaces.tui.workspace import STEPS, Step, Workspace, step_of
+from cellapp.interfaces.tui.keys import step_of, with_keys
+from cellapp.interfaces.tui.workspace import STEPS, Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.conclusions import Conclusion
@@ -48,6 +49,29 @@ class Mark:
     is_next: bool = False
 
 
+def next_step(workspace: Workspace) -> Step:
+    """Return the step that comes next; if nothing is left, that of another run."""
+    if workspace.profile is None:
+        return "cell"
+    if workspace.overview is None:
+        return "plan"
+    return step_of(workspace.overview.next_verb) or "cell"
+
+
+def _next_words(workspace: Workspace, waits: str) -> str:
+    """Return what comes next and the key that goes there."""
+    key, words = SHOWN["next"], "" if workspace.overview is None else workspace.overview.next_step
+    last = f"; {SHOWN['last']} goes on with the last run, {waits}" if waits and workspace.folder is None else ""
+    if workspace.profile is None:
+        return f"Next: choose a profile{last}"
+    if workspace.overview is None:
+        return f"Next ({key}): plan a run{last}"
+    if not words:
+        return f"Next: nothing is left to do in this run; {SHOWN['runs']} lists all"
+    verb = workspace.overview.next_verb
+    return f"Next ({key}): {f'{verb}, ' if verb and words.startswith('cellapp ') else ''}{with_keys(words)}"
+
+
 def marks_of(workspace: Workspace, measured: int, planned: int, left: int, running: Step | None) -> dict[Step, Mark]:
     """Return the mark of every step; ``running`` is the step that a job does now."""
     marks: dict[Step, Mark] = {step: Mark("open", "not begun") for step in STEPS}
@@ -60,7 +84,7 @@ def marks_of(workspace: Workspace, measured: int, planned: int, left: int, runni
     if measured:
         marks["collect"] = _collected(workspace, measured, planned, left)
     marks.update(_concluded(workspace))
-    after = workspace.next_step
+    after = next_step(workspace)
     for step, mark in marks.items():
         if step == running:
             marks[step] = Mark("running", "a job does it now")
@@ -103,14 +127,6 @@ def _concluded(workspace: Workspace) -> dict[Step, Mark]:
 Stored = Literal["no cell", "broken", "no run", "no plan", "planned", "part", "complete", "calibrated"]
 """Content of the run file: the most advanced state that applies."""
 COPY_IT = "This folder cannot be written: copy the run to go on with it."
-_DRIVES: Mapping[str, Step] = {
-    **{verb: step for verb, (step, _) in WAYS.items()},
-    "verify": "targets",
-    "run": "plan",
-    "compare": "plan",
-    "forecast": "plan",
-}
-"""Name of a job, or of a part of a day -> its step; planning ends with comparing designs."""
 
 
 @dataclass(frozen=True)
@@ -157,8 +173,8 @@ class RunState:
         Whether the folder of the run cannot be written.
     in_use : str
         Another job that uses the run, as a phrase.
-    waits : str
-        An interrupted run, as "logs/day waits with 185 stops left"; empty if a run is open.
+    next_words : str
+        What comes next and its key, as "Next (n): collect, keys 3, b".
     outcome : str
         How the last session of collecting ended; empty without one, or if the program died in it.
     drift : bool
@@ -180,7 +196,7 @@ class RunState:
     problem: str = ""
     read_only: bool = False
     in_use: str = ""
-    waits: str = ""
+    next_words: str = ""
     outcome: str = ""
     drift: bool = False
     reading: str = ""
@@ -192,8 +208,7 @@ class RunState:
         if job is not None and job.folder is not None and self.folder is None:
             return f"{self.profile} · {job.folder}"
         run = "no run is open" if self.folder is None else str(self.folder)
-        more = f"; {self.waits}" if self.folder is None and self.waits else ""
-        return f"{self.profile or 'no profile'} · {run}{more}" + (" · READ-ONLY" if self.read_only else "")
+        return f"{self.profile or 'no profile'} · {run}" + (" · READ-ONLY" if self.read_only else "")
 
     @property
     def collecting(self) -> bool:
@@ -220,8 +235,7 @@ class RunState:
             return self.problem
         if self.stored == "no cell":
             return "No profile is open: choose one on the screen Cell (key 1)."
-        waits = f" {self.waits}: key 8 lists it." if self.waits else ""
-        return f"No run is open: plan one (keys 2, {SHOWN['go']}), or open one on the screen Runs (key 8).{waits}"
+        return f"No run is open: plan one (keys 2, {SHOWN['go']}), or open one of all runs (key {SHOWN['runs']})."
 
     @property
     def no_profile(self) -> str:
@@ -290,7 +304,7 @@ def run_state(
 ) -> RunState:
     """Return the state of the open run and the running job.
 
-    ``waits`` is a run that was found at the start; ``reading`` says what is not read yet.
+    ``waits`` is the run that was open last, in words; ``reading`` says what is not read yet.
     """
     job = _job_now(record, running)
     here = job is not None and (job.folder is None or job.folder == workspace.folder)
@@ -317,7 +331,7 @@ def run_state(
         problem=workspace.problem,
         read_only=workspace.read_only,
         in_use=workspace.in_use,
-        waits=waits,
+        next_words=_next_words(workspace, waits),
         outcome=_outcome(workspace),
         drift=drift_exceeded(workspace),
         reading="" if running is not None else reading,
@@ -370,7 +384,7 @@ def _job_now(record: JobRecord, running: Job | None) -> JobNow | None:
         record.name,
         record.state,
         None if running is None else running.folder,
-        _DRIVES.get(part),
+        step_of(part),
         record.watched,
         None if collected is None else collected.done,
         running is None or running.moves or running.process is not None,

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from cellapp.cell.run import RunFile
     from cellapp.commands.init.request import InitRequest
     from cellapp.commands.report.data import ReportData
-    from cellapp.commands.runs.result import RunSummary
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
 
@@ -147,13 +146,12 @@ def report_data(folder: Path | None) -> ReportData | None:
     return data
 
 
-def interrupted_run(logs: Path) -> RunSummary | None:
-    """Return the newest run below a folder in which another process works now, else the newest unused run whose
-    collecting was interrupted; None if there is none. Call it in a separate thread."""
-    from cellapp.commands.runs.history import to_go_on_with
-    from cellapp.ground.errors import CellappError
+def words_of_run(folder: Path) -> str:
+    """Return a run and what was left of it, in words. Call it in a separate thread."""
+    from cellapp.commands.runs.history import summarise
+    from cellapp.ground.counting import counted
 
-    try:
-        return to_go_on_with(logs) if logs.is_dir() else None
-    except CellappError:
-        return None  # an unreadable folder offers nothing; the screen Runs says why
+    run = summarise(folder)
+    if run.resumable:
+        return f"{folder}: {counted(run.stops_left, 'stop')} left"
+    return f"{folder}: in use by {run.in_use}" if run.in_use else str(folder)

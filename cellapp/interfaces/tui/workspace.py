@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from cellapp.ground.asking import who_uses
+from cellapp.ground.asking import JOB_FILE, who_uses
 from cellapp.ground.errors import CellappError, InputError
 
 if TYPE_CHECKING:
@@ -23,29 +24,8 @@ if TYPE_CHECKING:
     from cellapp.ground.profile import CellKind, Profile
     from cellapp.ground.results import StageName
 
-Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "accept", "runs"]
-STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "accept", "runs")
-
-_STEP_OF_VERB: Mapping[str, Step] = {
-    "plan": "plan",
-    "collect": "collect",
-    "calibrate": "calibrate",
-    "discover": "discover",
-    "locate": "targets",
-    "compensate": "targets",
-    "push": "targets",
-    "verify": "targets",
-    "path": "targets",
-    "iso9283": "accept",
-    "check": "accept",
-    "certificate": "accept",
-    "report": "accept",
-}
-
-
-def step_of(verb: str) -> Step | None:
-    """Return the step that a verb or a stage belongs to; None if none."""
-    return _STEP_OF_VERB.get(verb)
+Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "accept"]
+STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "accept")
 
 
 @dataclass(frozen=True)
@@ -116,21 +96,25 @@ class Workspace:
         """Why the model in force should not be used; empty if it may be, or there is none."""
         return "" if self.overview is None else self.overview.stale
 
-    @property
-    def next_step(self) -> Step:
-        """The step that comes next."""
-        if self.profile is None:
-            return "cell"
-        if self.overview is None:
-            return "plan"
-        return _STEP_OF_VERB.get(self.overview.next_verb, "runs")
-
 
 def holds_run(folder: Path | None) -> bool:
     """Return whether a folder contains a run file."""
     from cellapp.cell.run.sqlite_file import FILE_NAME
 
     return folder is not None and (folder / FILE_NAME).is_file()
+
+
+_SQLITE = b"SQLite format 3"
+
+
+def last_run(logs: Path) -> Path | None:
+    """Return the run below a folder that was changed last, before all one with a job; quickly, without reading any."""
+    found = []
+    for file in logs.glob("*/run.sqlite"):
+        with suppress(OSError), file.open("rb") as opened:
+            if opened.read(len(_SQLITE)) == _SQLITE:
+                found.append(((file.parent / JOB_FILE).exists(), file.stat().st_mtime, file.parent))
+    return max(found, default=(False, 0.0, None))[2]
 
 
 def load_workspace(profile_path: Path | None, folder: Path | None) -> Workspace:

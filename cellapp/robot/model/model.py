@@ -127,9 +127,12 @@ def network_from_json(content: Mapping[str, Any]) -> ResidualNetwork:
     if content["inputs"] not in get_args(Inputs) or content["activation"] != "tanh":
         raise ValueError(f"unknown inputs '{content['inputs']}' or activation '{content['activation']}' of the network")
     members = [[(_array(one["weights"]), _array(one["offsets"])) for one in layers] for layers in content["members"]]
+    low, high, margin = (_array(content[name]) for name in ("low", "high", "margin"))
     return ResidualNetwork(
         content["inputs"],
-        *(_array(content[name]) for name in ("low", "high", "margin")),
+        low,
+        high,
+        margin,
         rotates_with_joint_1=bool(content["turning_with_joint_1"]),
         scale=float(content["scale_m"]),
         members=tuple(tuple(one) for one in members),

@@ -190,6 +190,14 @@ def one_arm(profile: Profile) -> Profile:
     return profile.model_copy(update={"arms": {"left": profile.arms["left"]}, "plant": plant})
 
 
+def test_the_choice_of_stops_says_how_far_it_is_and_every_part_ends() -> None:
+    events: list[Progress] = []
+    make_stops(quick(30), events.append)
+    newest = {event.job: event for event in events}
+    assert all(one.done == one.total for one in newest.values())
+    assert len({event.done for event in events if event.job == "select"}) > 5
+
+
 @pytest.mark.parametrize("method", ["random", "designed"])
 def test_plans_are_safe_and_follow_what_is_kept(method: str) -> None:
     profile = quick(4, method=method, reserve=1)

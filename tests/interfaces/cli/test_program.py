@@ -61,6 +61,18 @@ def test_short_and_long_help_are_the_same(call: Any, verb: tuple[str, ...]) -> N
     assert short.out == long.out
 
 
+@pytest.mark.parametrize(
+    ("verb", "words"),
+    [
+        ("collect", "carries now [kg], as"),
+        ("correct", "TCP in the flange frame [m,"),
+        ("import", "several are given by repeating both options"),
+    ],
+)
+def test_help_shows_units_and_breaks_lines_at_its_edge_alone(call: Any, verb: str, words: str) -> None:  # noqa: F811
+    assert words in call(verb, "--help").out
+
+
 def test_the_list_of_commands_is_that_of_the_whole_program_and_loads_none_of_them() -> None:
     asked = "import sys; sys.argv = ['cellapp', '--help']; from cellapp.interfaces.cli{} import main; main()"
     loaded = "import atexit, sys; atexit.register(lambda: print({*sys.modules} & {'pydantic', 'numpy'} or 'light')); "

@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
+import threading
+from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from textual.binding import Binding
 from textual.dom import DOMNode
+from textual.screen import ModalScreen
 from textual.widgets import Input, Tree
 
+from cellapp.commands.docs.keys import KEYS, filled_keys
+from cellapp.commands.stages import NextVerb, next_command
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
+from cellapp.interfaces.tui.dialogs.program import possible_commands
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.endings import ERROR_LOG
-from cellapp.interfaces.tui.keys import KEYS, WAYS
+from cellapp.interfaces.tui.jobs import Job
+from cellapp.interfaces.tui.keys import WAYS
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.controls import Entry, key_lines
 from cellapp.interfaces.tui.widgets.log_pane import LogField
-from tests.cell.run.small_runs import collected_run
+from cellapp.interfaces.tui.workspace import load_workspace
+from tests.cell.run.small_runs import collected_run, planned_run
+from tests.handbook.screen_pictures import settle
 from tests.interfaces.tui.pilot import (
     PROFILES,
     SMALL,
@@ -31,6 +42,7 @@ from tests.interfaces.tui.pilot import (
     exit_code,
     opened,
     shown_text,
+    shows,
     tells,
     until,
 )
@@ -127,6 +139,7 @@ def test_a_key_has_one_meaning_and_a_meaning_one_key() -> None:
     used = [name for key in KEYS.values() for name in key.keys.split(",")]
     assert len(used) == len(set(used))
     assert len({key.shown for key in KEYS.values()}) == len(KEYS)
+    assert [filled_keys(f"{{key:{entry.step}}}") for entry in SCREENS] == [f"**{entry.key}**" for entry in SCREENS]
 
 
 @pytest.mark.parametrize("of", [CellApp, *screens()])
@@ -157,8 +170,7 @@ def test_footers_break_between_entries_only_and_keep_the_general_ones(width: int
     assert shown[:-3] == own[: len(shown) - 3], "the last ones are left out, help has them"
 
 
-async def test_the_next_step_is_begun_where_its_screen_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(work, "interrupted_run", lambda logs: None)
+async def test_the_next_step_is_begun_where_its_screen_is_shown() -> None:
     collected_run(RUN, "stopped")
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
@@ -170,6 +182,84 @@ async def test_the_next_step_is_begun_where_its_screen_is_shown(monkeypatch: pyt
         await pilot.press("n")
         await until(pilot, lambda: isinstance(app.screen, Choice), "the question of the step")
         assert "Measure the 2 stops that are left" in " ".join(shown_text(app).split())
+
+
+async def test_the_last_run_stands_on_the_first_screen_and_what_is_read_of_it_takes_no_key(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    collected_run(RUN, "stopped")
+    read, words_of_run = threading.Event(), work.words_of_run
+    monkeypatch.setattr(work, "words_of_run", lambda folder: words_of_run(folder) if read.wait(WAIT_S) else "")
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await shows(pilot, "a goes on with the last run, logs/day")
+        await pilot.press("2")
+        read.set()
+        await shows(pilot, "a goes on with the last run, logs/day: 2 stops left")
+        assert app.screen is app.day_screen
+        assert app.day_screen.STEP == "plan"
+        await pilot.press("a")
+        await until(pilot, lambda: app.workspace.folder == RUN, "the run")
+
+
+NEXT = (
+    *(next_command(verb, RUN) for verb in get_args(NextVerb)),
+    "cellapp collect logs/day --resume",
+    "cellapp discover logs/day --propose 30",
+    "cellapp push logs/day TARGETS --verify --iterate 2",
+    "cellapp compensate logs/day PATHS",
+    "Add cooperative targets (partner) to the list; then measure them: cellapp push logs/day TARGETS --verify",
+    "Measure with a smaller uncertainty, as with the tracker nearer: position error of left.",
+)
+"""Every next step of a run, as ``show`` gives it."""
+
+
+async def test_every_next_step_of_every_state_is_begun_by_n_or_says_what_to_do(
+    finished_run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun: list[Job] = []
+    app = CellApp(PROFILES)
+    monkeypatch.setattr(app, "start_job", begun.append)
+    planned_run(Path("logs/planned")).close()
+    collected_run(Path("logs/part"), "stopped")
+    collected_run(Path("logs/complete"), "complete", 4)
+    shutil.copytree(finished_run, RUN)
+    states = [load_workspace(PROFILES / "twin.yaml", folder) for folder in (None, *sorted(Path("logs").iterdir()))]
+    held = states[2]
+    assert held.folder == RUN
+    assert held.overview is not None
+    for words in NEXT:
+        verb = "push" if words.startswith("Add") else words.split()[1] if words.startswith("cellapp") else ""
+        verb = "" if "PATHS" in words else verb
+        overview = held.overview.model_copy(update={"next_verb": verb, "next_step": words})
+        states.append(replace(held, overview=overview))
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        for workspace in states:
+            begun.clear()
+            app.workspace, app.message = workspace, ""
+            app.draw_all()
+            what = app.state.next_words
+            for _ in range(2):  # to the screen of the step, and there
+                if not (begun or app.message or isinstance(app.screen, ModalScreen)):
+                    await pilot.press("n")
+                    await settle(pilot)
+            assert begun or app.message or isinstance(app.screen, ModalScreen), f"{what}:\n{shown_text(app)}"
+            await pilot.press("f10")
+            await until(pilot, lambda: app.screen is app.day_screen, "the end of the question")
+
+
+@pytest.mark.parametrize("step", [entry.key for entry in SCREENS])
+async def test_the_palette_lists_each_command_once(step: str) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await opened(pilot, app)
+        await pilot.press(step)
+        await settle(pilot)
+        listed = [one.title for one in possible_commands(app, app.day_screen)]
+        assert len(listed) == len(set(listed)), sorted(listed)
+        twice = [verb for verb, (of, _) in WAYS.items() if of == app.day_screen.STEP and f"cellapp {verb}" in listed]
+        assert not twice, "a key of the screen does it"
 
 
 async def test_a_stop_leaves_the_field_so_that_the_next_key_is_one_of_the_job() -> None:

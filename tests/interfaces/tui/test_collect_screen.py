@@ -103,11 +103,6 @@ async def finished(pilot: Pilot[None], app: CellApp, held: HeldJob) -> None:
     await ended(pilot, app)
 
 
-@pytest.fixture(autouse=True)
-def _no_offers(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(work, "interrupted_run", lambda logs: None)
-
-
 # -- a job -------------------------------------------------------------------------------------------------------------
 
 

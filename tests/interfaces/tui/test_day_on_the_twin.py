@@ -36,7 +36,7 @@ def _small_starter(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest
     lines = targets.read_text("utf-8").splitlines()
     targets.write_text("\n".join(line for line in lines if "{name" not in line or any(t in line for t in _TARGETS)))
     monkeypatch.setattr("cellapp.cell.profile.starters.starters_folder", lambda: folder)
-    monkeypatch.setattr("cellapp.interfaces.tui.screens.runs._has_display", lambda: False)
+    monkeypatch.setattr("cellapp.interfaces.tui.widgets.runs_list._has_display", lambda: False)
 
 
 @pytest.mark.slow

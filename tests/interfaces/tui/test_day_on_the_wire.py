@@ -169,7 +169,7 @@ async def test_faults_while_collecting_are_shown_in_words_and_recovered_by_keys(
 
 
 @pytest.mark.slow
-def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(day: Path, cell: StormCell) -> None:
+def test_a_closed_terminal_stops_the_arms_and_the_next_start_goes_on_with_the_run(day: Path, cell: StormCell) -> None:
     with cellapp(day, PATIENT) as terminal:
         shows(terminal, "EMULATED")
         terminal.send("8")
@@ -189,8 +189,10 @@ def test_a_closed_terminal_stops_the_arms_and_the_next_start_offers_to_resume(da
         done = len(run.stops_done())
         assert 2 <= done < STOPS
     with cellapp(day, PATIENT) as terminal:
-        shows(terminal, "Go on with the last run?", f"{STOPS - done} stops left")
-        terminal.send("o")
+        shows(terminal, f"a goes on with the last run, logs/day: {STOPS - done} stops left")
+        terminal.send("a")
+        shows(terminal, "next: Collect")
+        terminal.send("n")
         shows(terminal, f"INTERRUPTED, {done} of {STOPS} stops", "b measures")
         cell.control("*", "pace", UNDISTURBED_PACE)
         terminal.send("b")

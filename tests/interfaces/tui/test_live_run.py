@@ -21,7 +21,7 @@ from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.widgets.header import DayHeader
 from tests.cell.run.small_runs import collected_run
-from tests.interfaces.tui.pilot import PROFILES, ended, log_text, opened, shown_text, until
+from tests.interfaces.tui.pilot import PROFILES, ended, log_text, opened, shown_text, shows, until
 from tests.interfaces.tui.terminal import ROOT
 from tests.waiting import WAIT_S, within
 
@@ -58,14 +58,12 @@ def said(process: subprocess.Popen[str]) -> str:
     return within(process.stdout.readline, "the next line of the job").strip()
 
 
-async def watched(pilot: Pilot[None], app: CellApp, offers: bool = True) -> None:
-    """Wait until the application shows the job; at its start it offers that."""
+async def watched(pilot: Pilot[None], app: CellApp, starts: bool = True) -> None:
+    """Wait until the application shows the job; at its start a line names that run."""
     await opened(pilot, app)
-    if offers:
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the offer")
-        says = "Another process works in logs/day"
-        await until(pilot, lambda: says in " ".join(shown_text(app).split()), says)
-        await pilot.press("o")
+    if starts:
+        await shows(pilot, "a goes on with the last run, logs/day: in use by")
+        await pilot.press("a", "3")
     await until(pilot, lambda: app.jobs.watched, "the job of another process")
 
 
@@ -101,20 +99,19 @@ async def test_a_job_that_begins_or_ends_meanwhile_is_noticed() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=(120, 40)) as pilot:
         await opened(pilot, app)
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the offer to resume")
-        await pilot.press("o")
+        await pilot.press("a", "3")
         await until(pilot, lambda: app.workspace.folder is not None, "the run")
         folder = app.workspace.folder
         assert folder is not None
         with other_job(folder, "batch") as job:
-            await watched(pilot, app, offers=False)
+            await watched(pilot, app, starts=False)
             assert job.stdin is not None
             job.stdin.close()
             job.stdin = None
             await ended(pilot, app)
             assert app.message.startswith(f"collect: process {job.pid} has ended it; the run is in {folder}")
         with other_job(folder, "batch") as job:
-            await watched(pilot, app, offers=False)
+            await watched(pilot, app, starts=False)
             job.kill()
             await ended(pilot, app)
             assert f"process {job.pid}, which ran 'collect' in {folder}, is gone without a word" in app.message
@@ -129,7 +126,7 @@ async def test_what_is_not_watched_any_more_goes_on() -> None:
             await until(pilot, lambda: app.workspace.folder == OTHER and not app.jobs.running, "the other run")
             assert f"'collect' goes on in process {job.pid}" in log_text(app)
             app.open_run(RUN)
-            await watched(pilot, app, offers=False)
+            await watched(pilot, app, starts=False)
             await pilot.press("q")
             await until(pilot, lambda: isinstance(app.screen, Choice), "the question")
             says = "'collect' runs in another process and goes on; its arms are not stopped."

@@ -1,4 +1,4 @@
-"""The screen Runs: listed in a thread, sorted, filtered, opened, resumed; broken ones are rows."""
+"""The list of runs: read in a thread, sorted, filtered, opened; broken ones are rows."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from cellapp.commands.record import Work
 from cellapp.commands.report.request import ReportRequest
 from cellapp.commands.report.result import ReportResult
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.screens import runs
+from cellapp.interfaces.tui.widgets import runs_list
 from tests.cell.run.small_runs import collected_run, set_began
 from tests.interfaces.tui.pilot import (
     PROFILES,
@@ -54,11 +53,8 @@ def about(app: CellApp) -> str:
 async def show_runs(pilot: Pilot[None], app: CellApp, count: int = 4) -> None:
     """Show the screen and wait for the list."""
     await opened(pilot, app)
-    if isinstance(app.screen, Choice):  # the offer to resume
-        await pilot.press("escape")
     await pilot.press("8")
-    await until(pilot, lambda: app.day_screen.STEP == "runs" and len(names(app)) == count, "the list")
-    await until(pilot, lambda: app.screen is app.day_screen, "the end of any offer")
+    await until(pilot, lambda: len(names(app)) == count, "the list")
 
 
 async def go_to(pilot: Pilot[None], app: CellApp, name: str) -> None:
@@ -67,15 +63,9 @@ async def go_to(pilot: Pilot[None], app: CellApp, name: str) -> None:
     await pilot.pause()
 
 
-def app_without_offer(monkeypatch: pytest.MonkeyPatch) -> CellApp:
-    """An application that does not offer the interrupted run at its start."""
-    monkeypatch.setattr("cellapp.interfaces.tui.work.interrupted_run", lambda logs: None)
-    return CellApp(PROFILES)
-
-
 async def test_the_report_opens_in_a_browser_or_its_path_is_said(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = (LOGS / "first" / "report.html").resolve()
-    app = app_without_offer(monkeypatch)
+    app = CellApp(PROFILES)
     threads: list[threading.Thread] = []
 
     class Window:
@@ -88,7 +78,7 @@ async def test_the_report_opens_in_a_browser_or_its_path_is_said(logs: Path, mon
 
     window: Any = Window()
     monkeypatch.setattr(webbrowser, "get", get)
-    monkeypatch.setattr(runs, "_has_display", lambda: True)
+    monkeypatch.setattr(runs_list, "_has_display", lambda: True)
     async with app.run_test(size=(120, 40)) as pilot:
         await show_runs(pilot, app)
         await go_to(pilot, app, "first")
@@ -102,7 +92,7 @@ async def test_the_report_opens_in_a_browser_or_its_path_is_said(logs: Path, mon
         await pilot.press("o")
         await until(pilot, lambda: "No browser with a window" in app.message, "the path")
         monkeypatch.setattr(webbrowser, "get", lambda: pytest.fail("no browser is looked for without a display"))
-        monkeypatch.setattr(runs, "_has_display", lambda: False)
+        monkeypatch.setattr(runs_list, "_has_display", lambda: False)
         app.say("")
         await pilot.press("o")
         await until(pilot, lambda: str(page) in app.message, "the path")
@@ -123,8 +113,8 @@ async def test_a_report_that_is_missing_is_written_then_opened(logs: Path, monke
         return "opened"
 
     monkeypatch.setattr("cellapp.commands.report.run.run", report)
-    monkeypatch.setattr("cellapp.interfaces.tui.screens.runs.open_page", open_page)
-    app = app_without_offer(monkeypatch)
+    monkeypatch.setattr("cellapp.interfaces.tui.widgets.runs_list.open_page", open_page)
+    app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await show_runs(pilot, app)
         await go_to(pilot, app, "first")

@@ -250,10 +250,10 @@ def test_a_terminal_that_reads_nothing_does_not_hold_the_process(
         app.terminal.stall()
         for _ in range(40):  # all that it draws fills what the system keeps, then it waits
             app.terminal.send("1234567")
-            time.sleep(0.02)
+            app.stays(0, 0.02)
         app.terminal.send(b"\x03")
         assert comes_about(lambda: "stop" in app.calls(), time.monotonic() + WAIT_S)
-        time.sleep(1.0)
+        app.stays(1, 1.0)
         leave(app.terminal)
         assert app.terminal.process.wait(ENDS_WITHIN_S) == 4
         app.terminal.hang_up()
@@ -286,7 +286,7 @@ def profile(tmp_path: Path) -> Path:
     text = path.read_text("utf-8").replace("127.0.0.1:50960", f"{TRACKER_HOST}:{free_port(TRACKER_HOST)}")
     for before, now in HOSTS.items():
         text = text.replace(before, now)
-    path.write_text(text.replace("stops: 80", "stops: 6"), "utf-8")
+    path.write_text(text.replace("stops: 80", "stops: 12"), "utf-8")
     return path
 
 

@@ -44,7 +44,7 @@ from cellapp.interfaces.tui.plots.widget import ON_DARK, ON_LIGHT
 from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.terminal import notice_sequence, title_sequence, title_words
 from cellapp.interfaces.tui.widgets.log_pane import LogPane
-from cellapp.interfaces.tui.widgets.progress_bars import Part, _line, ending_words, parts_of
+from cellapp.interfaces.tui.widgets.progress_bars import WHOLE_DAY, Part, _line, ending_words, parts_of
 from cellapp.interfaces.tui.workspace import Workspace
 from tests.cell.run.small_runs import planned_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, shows, until
@@ -251,6 +251,15 @@ def test_the_time_that_is_left_goes_down_between_two_reports() -> None:
     assert Pace(0.0, 15, 100.0).per_minute(215) == pytest.approx(120.0)
     assert Pace(0.0, 15, 100.0).per_minute(15) is None
     assert all(one.waits for one in parts_of(record(HALF, LOST)))
+
+
+def test_the_candidates_of_a_plan_are_no_part_of_the_day_that_goes_on() -> None:
+    day = JobRecord()
+    day.begin("run")
+    day.add(Progress("candidates", 1, 2, "arm right"))
+    assert [part.name for part in parts_of(day)] == [*WHOLE_DAY, "candidates"]
+    day.add(HALF)
+    assert [part.name for part in parts_of(day)] == list(WHOLE_DAY)
 
 
 @pytest.mark.parametrize(("span_s", "words"), [(0.6, "6400/min"), (40.0, "96/min"), (400.0, "9.6/min")])

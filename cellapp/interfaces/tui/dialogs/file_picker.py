@@ -94,12 +94,16 @@ class PathQuestion(FieldsQuestion[Path]):
     BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", "Complete", priority=True)]
     DOES: ClassVar[str] = "Open"
 
-    def __init__(self, title: str, start: str, wanted: Callable[[Path], bool] = lambda path: True) -> None:
+    def __init__(
+        self, title: str, start: str, wanted: Callable[[Path], bool] = lambda path: True, text: str = ""
+    ) -> None:
         super().__init__()
-        self._title, self._start, self._wanted = title, start, wanted
+        self._title, self._start, self._wanted, self._text_above = title, start, wanted, text
 
     def body(self) -> ComposeResult:
         yield Static(self._title, classes="title", markup=False)
+        if self._text_above:
+            yield Static(self._text_above, classes="text", markup=False)
         yield PathField(self._start, self._wanted)
         words = f"Tab completes, Enter {self.DOES.lower()}s, {self.closing_key} closes."
         yield Static(words, id="why", classes="text", markup=False)

@@ -12,8 +12,9 @@ from textual.containers import Horizontal, Vertical, VerticalScroll
 from textual.widgets import Input, OptionList, Static
 from textual.widgets.option_list import Option
 
+from cellapp.commands.docs.keys import KEYS
 from cellapp.interfaces.tui.dialogs.question import Question
-from cellapp.interfaces.tui.keys import KEYS, bind
+from cellapp.interfaces.tui.keys import bind
 
 _SHORTEST_SEARCH = 3
 """Letters from which a search begins: fewer match everywhere."""

@@ -20,6 +20,7 @@ from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.rehearse.request import VERB as REHEARSE
 from cellapp.interfaces.tui.dialogs.question import Question
 from cellapp.interfaces.tui.host import Host
+from cellapp.interfaces.tui.keys import step_of
 from cellapp.interfaces.tui.offers import offer_verb, offer_verb_of_profile, verbs_of_run
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -41,17 +42,19 @@ def possible_commands(app: Host, screen: DayScreen) -> Iterator[SystemCommand]:
     for entry in SCREENS:
         show = partial(app.action_show, entry.step)
         yield SystemCommand(f"Show {entry.title}", f"{entry.purpose} (key {entry.key})", show)
+    listed = set[str]()  # an action with two keys is one command
     for key, active in screen.active_bindings.items():
         binding = active.binding
         own = isinstance(active.node, App | DayScreen) and not binding.system
         hidden = binding.action == "command_palette" or binding.action.startswith("show(")
-        if own and active.enabled and not hidden:
+        if own and active.enabled and not hidden and binding.description and binding.action not in listed:
+            listed.add(binding.action)
             run = partial(app.run_action, binding.action, active.node)
             yield SystemCommand(binding.description, binding.tooltip or f"key {key}", run)
-    for verb in (DOCTOR, REHEARSE):
-        yield SystemCommand(f"cellapp {verb.name}", verb.summary, partial(offer_verb_of_profile, screen, verb))
-    for verb in verbs_of_run():
-        yield SystemCommand(f"cellapp {verb.name}", verb.summary, partial(offer_verb, screen, verb))
+    of_profile = ((verb, offer_verb_of_profile) for verb in (DOCTOR, REHEARSE))
+    for verb, offer in (*of_profile, *((verb, offer_verb) for verb in verbs_of_run())):
+        if step_of(verb.name) != screen.STEP:  # there a key does it, and is listed above
+            yield SystemCommand(f"cellapp {verb.name}", verb.summary, partial(offer, screen, verb))
 
 
 class MotionQuestion(Question[bool]):

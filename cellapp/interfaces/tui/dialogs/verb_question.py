@@ -13,14 +13,14 @@ from types import UnionType
 from typing import Any, Union, get_args, get_origin
 
 from textual.app import ComposeResult
-from textual.containers import Horizontal, ItemGrid
+from textual.containers import ItemGrid
 from textual.widget import Widget
-from textual.widgets import Button, Input, Static
+from textual.widgets import Input, Static
 
 from cellapp.commands.record import Asked, Request, Verb
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.tui.dialogs.file_picker import PathField
-from cellapp.interfaces.tui.dialogs.question import Answer, AnswerQuestion, FieldsQuestion
+from cellapp.interfaces.tui.dialogs.file_picker import PathField, PathQuestion
+from cellapp.interfaces.tui.dialogs.question import Answer, AnswerQuestion
 from cellapp.interfaces.tui.widgets.controls import Box, Labelled, text_field
 
 _COLUMN = 30
@@ -185,7 +185,7 @@ def _fits(path: Path, words: Asked) -> bool:
     return not words.suffixes or path.suffix in words.suffixes
 
 
-class NewRunQuestion(FieldsQuestion[Path]):
+class NewRunQuestion(PathQuestion):
     """Dialog for the folder of a new run. Returns it; None if the dialog is closed.
 
     Parameters
@@ -196,35 +196,16 @@ class NewRunQuestion(FieldsQuestion[Path]):
         The proposed folder.
     """
 
+    DOES = "Plan"
+
     def __init__(self, text: str, folder: Path) -> None:
-        super().__init__()
-        self._text, self._folder = text, folder
-
-    def body(self) -> ComposeResult:
-        yield Static("A new run with a plan", classes="title", markup=False)
-        yield Static(self._text, classes="text", markup=False)
-        field = Input(str(self._folder), id="folder", compact=True)
-        field.tooltip = "Folder of the new run; it must not exist, or be empty"
-        yield field
-        yield Static(
-            f"Folder of the new run. Enter plans, {self.closing_key} closes.", id="why", classes="text", markup=False
-        )
-        with Horizontal(classes="answers"):
-            yield Button("Plan", id="plan", variant="success", compact=True)
-            yield Button("Close", id="close", compact=True)
-
-    def on_mount(self) -> None:
-        """Focus the field."""
-        field = self.query_one("#folder", Input)
-        field.focus()
-        field.cursor_position = len(field.value)
+        super().__init__("A new run with a plan", str(folder), text=text)
 
     def action_send(self) -> None:
         """Close with the folder, if a new run can use it."""
-        text = self.typed("folder")
+        text = self.typed("path")
         folder = Path(text).expanduser()
-        why = _why_not(text, folder)
-        if why:
+        if why := _why_not(text, folder):
             self.explain(why)
         else:
             self.dismiss(folder)
@@ -236,7 +217,7 @@ def _why_not(text: str, folder: Path) -> str:
         return "Type the name of a folder, for instance logs/monday."
     try:
         if folder.is_dir() and any(folder.iterdir()):
-            return f"{folder} exists and is not empty: type another name, or open that run on the screen Runs (8)."
+            return f"{folder} exists and is not empty: type another name, or open that run (key 8)."
         if folder.exists() and not folder.is_dir():
             return f"{folder} is a file: type the name of a folder."
     except OSError as error:

@@ -28,13 +28,12 @@ class ScreenEntry:
 
 
 SCREENS: tuple[ScreenEntry, ...] = (
-    ScreenEntry("cell", "1", "Cell", "CellScreen", "profile, devices, doctor"),
+    ScreenEntry("cell", "1", "Cell", "CellScreen", "profile, devices, doctor; all runs"),
     ScreenEntry("plan", "2", "Plan", "PlanScreen", "stops that the arms will visit"),
     ScreenEntry("collect", "3", "Collect", "CollectScreen", "drive and measure"),
     ScreenEntry("calibrate", "4", "Calibrate", "CalibrateScreen", "identify, errors by stage"),
     ScreenEntry("discover", "5", "Discover", "DiscoverScreen", "name the missing effect"),
     ScreenEntry("targets", "6", "Targets", "TargetsScreen", "compensate, push, verify"),
     ScreenEntry("accept", "7", "Accept", "AcceptScreen", "verdict, check, ISO 9283, certificate, report"),
-    ScreenEntry("runs", "8", "Runs", "RunsScreen", "every run; open, go on, report"),
 )
 assert tuple(entry.step for entry in SCREENS) == STEPS

@@ -7,20 +7,18 @@ The verbs of the screen Accept as jobs. Packages that a verb needs are loaded in
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from textual import on
 from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.message import Message
 from textual.widgets import Static, TabbedContent, TabPane
 from textual.worker import get_current_worker
 
 from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
 from cellapp.commands.check.request import VERB as CHECK_VERB
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
 from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.run_results import RunResults
@@ -29,85 +27,17 @@ from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, StageName
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
-from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
+from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.charts_view import PartsView, VerdictBars
-from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables, show_next_tab
+from cellapp.interfaces.tui.widgets.parts_view import PartsView, words_first
+from cellapp.interfaces.tui.widgets.tables import show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.commands.report.summary import RunVerdict
     from cellapp.commands.view.parts import Parts
-
-
-class ScreenOfResults(DayScreen):
-    """Interface of the screen Accept for these jobs: it has a tab for each result."""
-
-    def show_tab(self, stage: StageName) -> None:
-        """Show the tab of a result."""
-        raise NotImplementedError
-
-
-def ask_check(screen: ScreenOfResults) -> None:
-    """Ask how many stops, then measure them against the calibration."""
-    words = (
-        "Drive to a few stops that tell most, and measure: does the calibration still hold? It ends as soon as it is"
-        " sure; no model is changed;"
-    )
-    ask_of_calibrated(screen, CHECK_VERB, words, lambda: screen.show_tab(CHECK))
-
-
-def ask_iso9283(screen: ScreenOfResults) -> None:
-    """Ask which tests, then make them in the open run, or else in a new run of the profile."""
-    workspace = screen.workspace
-    profile, results = workspace.profile, workspace.results
-    if profile is None:
-        screen.say(screen.state.no_run, "warning")
-        return
-    folder = workspace.folder or new_folder(profile)
-    calibrated = results is not None and results.calibrate is not None
-    commands = ISO_COMMANDS if calibrated else ("nominal",)
-    stale = workspace.stale
-
-    where = f", in {folder}" if workspace.folder is None else ""  # the first line of the screen shows an open run
-    text = f"Drive to the test cube's poses{where}; {arms_words(workspace)}."
-    if stale:
-        text += f"\nThe model is not up to date: {stale}."
-    cell = workspace.profile_path if workspace.folder is None else None  # a run has its own profile
-    dialog = VerbQuestion(
-        ISO9283_VERB,
-        text,
-        USE_STALE if stale else BEGIN,
-        {"profile": cell, "folder": folder, "out_of_date": bool(stale)},
-        proposed={"tests": ("pose",), "commands": commands},
-        choices={
-            "tests": [test for test in ISO_TESTS if test != "cooperative" or len(profile.arms) > 1],
-            "commands": commands,
-            "arms": tuple(profile.arms),
-        },
-    )
-    screen.start_from(dialog, partial(work.verb_job, ISO9283_VERB), partial(screen.show_tab, ISO9283))
-
-
-def ask_certificate(screen: ScreenOfResults) -> None:
-    """Ask for number and data, then write the certificate."""
-    if (folder := screen.open_folder()) is not None:
-        text = f"{_certificate_words(screen.workspace)} Nothing moves."
-        dialog = VerbQuestion(CERTIFICATE_VERB, text, _sent("Write", "w"), {"folder": folder})
-        screen.start_from(dialog, partial(work.verb_job, CERTIFICATE_VERB), partial(screen.show_tab, CERTIFICATE))
-
-
-def write_report(screen: ScreenOfResults) -> None:
-    """Write the report of the open run."""
-    if (calibrated := screen.calibrated_run()) is not None:
-        screen.start(work.job_of(REPORT, folder=calibrated[0]))
-
-
-def _sent(label: str, key: str) -> tuple[Answer, Answer]:
-    """Return the answers to a question after which nothing moves."""
-    return Answer("send", label, key, "success"), Answer("no", "Not now", "n")
 
 
 def _certificate_words(workspace: Workspace) -> str:
@@ -143,37 +73,11 @@ _NOMINAL = "Tests by ISO 9283 with nominal commands need no calibration."
 _UNREADABLE = "The run cannot be judged; the message line says what is wrong with it."
 
 
-class VerdictRead(Message):
-    """The run of a workspace was judged; None if it cannot be read."""
-
-    def __init__(self, workspace: Workspace, verdict: RunVerdict | None) -> None:
-        super().__init__()
-        self.workspace, self.verdict = workspace, verdict
-
-
-class AcceptScreen(ScreenOfResults):
+class AcceptScreen(DayScreen):
     """Verdict, check, ISO 9283, certificate, report."""
 
     AUTO_FOCUS = "#verdict-tables"
     STEP: ClassVar[Step] = "accept"
-    HELP: ClassVar[str] = """\
-# Accept
-
-Is the cell good, by which norm, is it still good, who says so. The first lines hold the verdict against the tolerances
-of the profile, and in red whatever is out of date.
-
-- *Verdict*: each judged error with its uncertainty and its tolerance, and what comes next.
-- *Check*: **{check}** drives to about 20 stops that tell most, compares them with the calibration and ends as soon as
-  it is sure: still valid, tracker or base moved, or what changed on the arm. It changes no model.
-- *ISO 9283*: **{measure}** asks for tests, cycles and speed, drives and measures, commanded by the nominal model, the
-  calibrated one, or both.
-- *Certificate*: **{export}** writes the certificate, all that it rests on, and the sums of these files. What nobody
-  gave stands there as not given; the profile's section *traceability* takes it.
-- **{go}** writes the report: the page.
-
-The check and the tests ask first, and real arms ask again with the first path. The handbook's chapters *check*,
-*iso9283* and *certificate* explain the figures.
-"""
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "report", "Report", "write the page"),
         bind("check", "check", "Check", "does the calibration still hold? THE ARMS MOVE"),
@@ -181,16 +85,6 @@ The check and the tests ask first, and real arms ask again with the first path. 
         bind("export", "certificate", "Certificate", "write the certificate; nothing moves"),
         bind("tab", "next_tab", "Next tab"),
     ]
-    DEFAULT_CSS = """
-    AcceptScreen #decision { height: auto; max-height: 3; text-style: bold; padding-left: 1; }
-    AcceptScreen #decision.conforms { color: $text-success; }
-    AcceptScreen #decision.does-not-conform { color: $text-error; }
-    AcceptScreen #decision.cannot-say { color: $text-warning; }
-    AcceptScreen #outdated { height: auto; max-height: 5; padding-left: 1; background: $error; color: white; }
-    AcceptScreen #outdated { text-style: bold; }
-    AcceptScreen PartsView { overflow-x: auto; }
-    AcceptScreen PartsView .table { min-width: 110; }
-    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -201,8 +95,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
         yield Static("", id="outdated", markup=False)
         with TabbedContent(id="accept"):
             with TabPane("Verdict", id="verdict-pane"):
-                yield VerdictBars(id="verdict-bars")
-                yield WrappedTables(_NOT_JUDGED, id="verdict-tables")
+                yield PartsView(_NOT_JUDGED, id="verdict-tables")
             with TabPane("Check", id="check-pane"):
                 yield PartsView(id="check-tables")
             with TabPane("ISO 9283", id="iso9283-pane"):
@@ -213,20 +106,55 @@ The check and the tests ask first, and real arms ask again with the first path. 
     # -- keys ----------------------------------------------------------------------------------------------------------
 
     def action_check(self) -> None:
-        """Ask, then measure a few stops against the calibration."""
-        ask_check(self)
+        """Ask how many stops, then measure them against the calibration."""
+        words = (
+            "Drive to a few stops that tell most, and measure: does the calibration still hold? It ends as soon as it"
+            " is sure; no model is changed;"
+        )
+        if ask_of_calibrated(self, CHECK_VERB, words):
+            self.show_tab(CHECK)
 
     def action_iso9283(self) -> None:
-        """Ask for tests, then measure by ISO 9283."""
-        ask_iso9283(self)
+        """Ask which tests, then make them in the open run, or else in a new run of the profile."""
+        workspace = self.workspace
+        profile, results = workspace.profile, workspace.results
+        if profile is None:
+            self.say(self.state.no_run, "warning")
+            return
+        folder = workspace.folder or new_folder(profile)
+        calibrated = results is not None and results.calibrate is not None
+        commands = ISO_COMMANDS if calibrated else ("nominal",)
+        stale = workspace.stale
+        where = f", in {folder}" if workspace.folder is None else ""  # the first line of the screen shows an open run
+        text = f"Drive to the test cube's poses{where}; {arms_words(workspace)}."
+        if stale:
+            text += f"\nThe model is not up to date: {stale}."
+        cell = workspace.profile_path if workspace.folder is None else None  # a run has its own profile
+        tests = [test for test in ISO_TESTS if test != "cooperative" or len(profile.arms) > 1]
+        self.show_tab(ISO9283)
+        self.ask_verb(
+            VerbQuestion(
+                ISO9283_VERB,
+                text,
+                USE_STALE if stale else BEGIN,
+                {"profile": cell, "folder": folder, "out_of_date": bool(stale)},
+                proposed={"tests": ("pose",), "commands": commands},
+                choices={"tests": tests, "commands": commands, "arms": tuple(profile.arms)},
+            )
+        )
 
     def action_certificate(self) -> None:
         """Ask for number and data, then write the certificate."""
-        ask_certificate(self)
+        if (folder := self.open_folder()) is not None:
+            self.show_tab(CERTIFICATE)
+            text = f"{_certificate_words(self.workspace)} Nothing moves."
+            write = Answer("send", "Write", "w", "success"), Answer("no", "Not now", "n")
+            self.ask_verb(VerbQuestion(CERTIFICATE_VERB, text, write, {"folder": folder}))
 
     def action_report(self) -> None:
-        """Write the report."""
-        write_report(self)
+        """Write the report of the open run."""
+        if (calibrated := self.calibrated_run()) is not None:
+            self.start(work.job_of(REPORT, folder=calibrated[0]))
 
     def action_next_tab(self) -> None:
         """Show the next tab."""
@@ -241,7 +169,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
 
     def _scroll(self, pane: str) -> None:
         """Let the keys scroll the tables of a tab."""
-        self.call_after_refresh(self.query_one(f"#{pane}").query_one(TablesView).focus)
+        self.call_after_refresh(self.query_one(f"#{pane}").query_one(PartsView).focus)
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
@@ -276,21 +204,19 @@ The check and the tests ask first, and real arms ask again with the first path. 
     @in_thread(thread=True, exclusive=True, group="verdict")
     def _judge(self, workspace: Workspace) -> None:
         assert workspace.folder is not None
-        read = VerdictRead(workspace, verdict(workspace.folder))
+        read = verdict(workspace.folder)
         if not get_current_worker().is_cancelled:  # else another run is being read
-            self.post_message(read)
+            self.call_later(self._show_verdict, workspace, read)
 
-    @on(VerdictRead)
-    def show_verdict(self, event: VerdictRead) -> None:
+    def _show_verdict(self, workspace: Workspace, verdict: RunVerdict | None) -> None:
         """Draw the judgements, unless another workspace was opened meanwhile."""
-        if event.workspace is self._drawn:
-            self._draw_verdict(event.verdict, _UNREADABLE)
+        if workspace is self._drawn:
+            self._draw_verdict(verdict, _UNREADABLE)
 
     def _draw_verdict(self, verdict: RunVerdict | None, why_not: str) -> None:
         from cellapp.commands.report.summary import verdict_sentences, verdict_tables
 
-        tables = self.query_one("#verdict-tables", TablesView)
-        self.query_one(VerdictBars).judgements = () if verdict is None else verdict.judgements
+        tables = self.query_one("#verdict-tables", PartsView)
         if verdict is None:
             self._draw_decision("", why_not)
             tables.show([])
@@ -298,7 +224,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
         needs = self.state.not_calibrated
         words = f"{needs} {_NOMINAL}" if needs else f"{verdict.title}. {verdict.sentence}"
         self._draw_decision(verdict.state or "", words)
-        tables.show(verdict_tables(verdict), after=verdict_sentences(verdict))
+        tables.show((*verdict_tables(verdict), *verdict_sentences(verdict)))
 
     def _draw_decision(self, state: str, sentence: str) -> None:
         decision = self.query_one("#decision", Static)
@@ -315,7 +241,7 @@ The check and the tests ask first, and real arms ask again with the first path. 
 
     def _draw_stage(self, stage: StageName, again: str, parts: Parts) -> None:
         """Draw a result, below a mark if it is out of date."""
-        self.query_one(f"#{stage}-tables", PartsView).show_parts(parts, self._outdated(stage, again))
+        self.query_one(f"#{stage}-tables", PartsView).show(words_first(parts), self._outdated(stage, again))
 
     def _outdated(self, stage: StageName, again: str) -> list[str]:
         """Return the mark of a result that is out of date; empty if it is valid."""

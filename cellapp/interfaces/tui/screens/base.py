@@ -2,44 +2,42 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, TypeVar, cast
+from typing import TYPE_CHECKING, ClassVar, cast
 
 from textual.app import ComposeResult
 from textual.binding import Binding
 from textual.containers import Vertical
 from textual.events import Resize, ScreenResume
 from textual.geometry import Size
-from textual.screen import ModalScreen, Screen
+from textual.screen import Screen
 from textual.widgets import Static
 
+from cellapp.commands.docs.keys import KEYS
+from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import JobRecord
-from cellapp.interfaces.tui.keys import KEYS, WAYS
+from cellapp.interfaces.tui.keys import way_of
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.widgets.arm_panel import JobPanel, LiveStrip
 from cellapp.interfaces.tui.widgets.controls import KeyLine
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
+from cellapp.interfaces.tui.work import verb_job
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
+    from cellapp.commands.record import Request
     from cellapp.commands.run_results import RunResults
     from cellapp.estimation.calibration.records import CalibrateResult
     from cellapp.ground.results import Result
     from cellapp.interfaces.tui.host import Severity
     from cellapp.interfaces.tui.jobs import Job
 
-A = TypeVar("A")
-
 _LEAST = (60, 16)
 """Columns and lines of the smallest terminal in which tables and plots are readable."""
 _TOO_SMALL = "Make the terminal larger, at least 80x24. Jobs go on; STOP and all keys work."
-
-
-READING_RUNS = "reading the folder of runs ..."
-"""Placeholder for data of the runs."""
 
 
 class DayScreen(Screen[None]):
@@ -52,8 +50,6 @@ class DayScreen(Screen[None]):
     STEP: ClassVar[Step]
     SHOWS_JOB: ClassVar[bool] = True
     """Whether the panel of the live job is above the body; a screen that shows the whole job has none."""
-    HELP: ClassVar[str] = ""
-    """Markdown for the key ``?``: what the screen shows and what one can do here."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -96,6 +92,7 @@ class DayScreen(Screen[None]):
         yield Static(_TOO_SMALL, classes="too-small", markup=False)
         with Vertical(classes="body"):
             yield from self.body()
+        yield Static("", classes="next-words", markup=False)
         yield Static("", classes="message", markup=False)
         yield KeyLine()
 
@@ -115,6 +112,9 @@ class DayScreen(Screen[None]):
             panel.show(record)
         if state != self._state:
             self.query_one(StepLine).show(state.marks, self.STEP)
+            line = self.query_one(".next-words", Static)
+            line.display = state.job is None
+            line.update(state.next_words)
             self.show_state(state)
             self._state = state  # only now: if a widget was missing above, the next call draws it
 
@@ -137,29 +137,32 @@ class DayScreen(Screen[None]):
         if self.cell_app.start_job(job):
             self.cell_app.asked_by = self
 
-    def start_from(
-        self, question: ModalScreen[A], job_of: Callable[[A], Job], begun: Callable[[], object] = lambda: None
-    ) -> None:
-        """Ask, then start the job of the answer; a question that is left starts none. ``begun`` is called before."""
+    def ask(self, question: Choice, begin: Callable[[], None]) -> None:
+        """Ask, and begin unless the answer is no."""
+        self.app.push_screen(question, lambda answer: begin() if answer not in (None, "no") else None)
 
-        def begin(answer: A | None) -> None:
-            if answer is not None:
-                begun()
-                self.start(job_of(answer))
+    def ask_verb(self, question: VerbQuestion) -> None:
+        """Ask for the request of a verb, then run it."""
+
+        def begin(request: Request | None) -> None:
+            if request is not None:
+                self.start(verb_job(question.verb, request))
 
         self.app.push_screen(question, begin)
 
-    def start_if(self, answer: str, question: ModalScreen[str], job_of: Callable[[], Job]) -> None:
-        """Ask, then start a job if this is the answer."""
-        self.app.push_screen(question, lambda given: self.start(job_of()) if given == answer else None)
-
-    def begin_next(self, verb: str) -> None:
-        """Begin the next verb, which belongs to this step; empty: the step's own work."""
-        _, meaning = WAYS.get(verb, (self.STEP, "go"))
-        for binding in type(self).BINDINGS:
+    def begin_next(self, command: str) -> bool:
+        """Begin the next command, as its key on this screen does; return False if none does it now."""
+        step, meaning = way_of(command) or ("", "")
+        for binding in type(self).BINDINGS if step == self.STEP else ():
             if isinstance(binding, Binding) and binding.key == KEYS[meaning].keys:
-                self.call_next(self.run_action, binding.action)
-                return
+                possible = bool(self.check_action(binding.action, ()))
+                if possible:
+                    self.call_next(self.run_action, binding.action)
+                return possible
+        return False
+
+    def show_runs(self) -> None:
+        """List all runs; only the screen Cell does."""
 
     def leave_field(self) -> None:
         """Leave a text field: the next key is a command."""

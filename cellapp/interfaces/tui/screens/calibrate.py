@@ -14,7 +14,6 @@ from textual import on
 from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.message import Message
 from textual.widget import Widget
 from textual.widgets import Input, OptionList, TabbedContent, TabPane
 from textual.widgets.option_list import Option
@@ -29,8 +28,8 @@ from cellapp.commands.calibrate.charts_accuracy import (
     stage_chart,
 )
 from cellapp.commands.calibrate.view import calibration_tables, merged_sentences, parameter_tables, tracker_sentences
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.export.request import STAGES, VERB
-from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.charts import Chart
 from cellapp.estimation.calibration.records import CalibrateResult
@@ -39,12 +38,12 @@ from cellapp.ground.results import CALIBRATE, Result
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Answer, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
-from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.offers import WRITE, offer_again
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.charts_view import PartsView
-from cellapp.interfaces.tui.widgets.tables import TablesView, show_next_tab
+from cellapp.interfaces.tui.widgets.parts_view import PartsView
+from cellapp.interfaces.tui.widgets.tables import show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 
@@ -57,10 +56,6 @@ class ExportArms(VerbQuestion):
         Folder of the run, where files are proposed.
     arms : sequence of str
     answers : sequence of Answer
-    """
-
-    DEFAULT_CSS = """
-    ExportArms #formats { height: auto; }
     """
 
     def __init__(self, folder: Path, arms: Sequence[str], answers: Sequence[Answer]) -> None:
@@ -105,34 +100,10 @@ class ExportArms(VerbQuestion):
             super().action_answer(value)
 
 
-class DataRead(Message):
-    """The readings and models of a workspace's run were read; None if there is nothing to draw."""
-
-    def __init__(self, workspace: Workspace, data: ReportData | None) -> None:
-        super().__init__()
-        self.workspace, self.data = workspace, data
-
-
 class CalibrateScreen(DayScreen):
     """Errors by stage, residuals, parameters; calibrate again."""
 
     STEP: ClassVar[Step] = "calibrate"
-    HELP: ClassVar[str] = """\
-# Calibrate
-
-**{go}** identifies the geometry of both arms, trains the residual network and evaluates every stage at stops that were
-held out. Nothing moves.
-
-- *Stages*: held-out errors of the nominal model, of the identified geometry, with the network, with named effects.
-- *Errors*: how many held-out stops have which error, by stage.
-- *Parameters*: what was identified, with standard errors.
-
-**{import}** calibrates with an earlier run of the same arms as prior: base and tool are found anew, the arms are
-believed as far as they were certain then. What has changed on them since stands below the errors. The handbook's
-chapter *signature* describes it. **{add}** calibrates with a network from all readings and recordings instead of 1200
-readings; chapter *motion*. **{export}** writes the calibrated arms for other programs: UR controllers, ROS, URDF,
-tables; chapter *exports*.
-"""
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "begin", "Calibrate", "identify and evaluate; nothing moves"),
         bind("import", "begin_with_prior", "With prior", "calibrate with an earlier run as prior", show=False),
@@ -150,11 +121,11 @@ tables; chapter *exports*.
     def body(self) -> ComposeResult:
         with TabbedContent(id="calibration"):
             with TabPane("Stages", id="stages"):
-                yield TablesView(id="stage-tables")
+                yield PartsView(id="stage-tables")
             with TabPane("Errors", id="errors"):
                 yield PartsView(id="error-charts")
             with TabPane("Parameters", id="parameters"):
-                yield TablesView(id="parameter-tables")
+                yield PartsView(id="parameter-tables")
 
     # -- keys ----------------------------------------------------------------------------------------------------------
 
@@ -175,9 +146,16 @@ tables; chapter *exports*.
             return
         from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 
+        def begin(path: Path | None) -> None:
+            if path is not None:
+                self.start(work.job_of(request.VERB, folder=folder, prior=path.parent))
+
         title = f"{FILE_NAME} of the earlier run of the same arms"
         picker = FilePicker(title, folder.parent, lambda path: path.name == FILE_NAME)
-        ask = partial(self.start_from, picker, lambda path: work.job_of(request.VERB, folder=folder, prior=path.parent))
+
+        def ask() -> None:
+            self.app.push_screen(picker, begin)
+
         offer_again(self, "Calibrate again, with a prior?", self._result, CALIBRATE, ask)
 
     def action_plots(self) -> None:
@@ -192,8 +170,7 @@ tables; chapter *exports*.
         """Ask for format and file, then write the calibrated arms."""
         if (calibrated := self.calibrated_run()) is not None:
             folder, _, calibration = calibrated
-            question = ExportArms(folder, tuple(calibration.arms), WRITE)
-            self.start_from(question, partial(work.verb_job, EXPORT))
+            self.ask_verb(ExportArms(folder, tuple(calibration.arms), WRITE))
 
     def show_result(self, result: Result) -> None:
         """Show what was exported, and what the files do not contain."""
@@ -216,10 +193,7 @@ tables; chapter *exports*.
             return
         self._drawn = workspace
         result = self._result
-        tables, parameters = (
-            self.query_one("#stage-tables", TablesView),
-            self.query_one("#parameter-tables", TablesView),
-        )
+        tables, parameters = self.query_one("#stage-tables", PartsView), self.query_one("#parameter-tables", PartsView)
         if result is None or workspace.results is None:
             tables.show([])
             parameters.show([])
@@ -228,23 +202,23 @@ tables; chapter *exports*.
             return
         reason = workspace.results.out_of_date.get(CALIBRATE)
         outdated = [] if reason is None else [f"! out of date: {reason}; {SHOWN['go']} calibrates again"]
-        tables.show(calibration_tables(result), outdated, (*tracker_sentences(result), *result.notes))
-        parameters.show(parameter_tables(result), outdated, merged_sentences(result))
+        tables.show((*calibration_tables(result), *tracker_sentences(result), *result.notes), outdated)
+        parameters.show((*parameter_tables(result), *merged_sentences(result)), outdated)
         self._read(workspace)
 
     def show_state(self, state: RunState) -> None:
         """Say why there is no calibration."""
-        for view in self.query(TablesView):
+        for view in self.query(PartsView):
             view.say_empty(state.nothing(self.STEP, ""))
 
     @in_thread(thread=True, exclusive=True)
     def _read(self, workspace: Workspace) -> None:
-        self.post_message(DataRead(workspace, work.report_data(workspace.folder)))
+        self.call_later(self._take, workspace, work.report_data(workspace.folder))
 
-    def on_data_read(self, event: DataRead) -> None:
+    def _take(self, workspace: Workspace, data: ReportData | None) -> None:
         """Draw the plots of the data, unless another workspace was opened meanwhile."""
-        if event.workspace is self._drawn:
-            self._data = event.data
+        if workspace is self._drawn:
+            self._data = data
             self._draw_plots()
 
     def _draw_plots(self) -> None:
@@ -255,4 +229,4 @@ tables; chapter *exports*.
                 charts.append(stage_chart(name, shown.arms[name]))
                 charts.append(error_histogram_chart(name, arm.errors_mm, shown.arms[name].tracker_mm))
             charts.append(pair_histogram_chart(shown))
-        self.query_one("#error-charts", PartsView).show_parts(charts)
+        self.query_one("#error-charts", PartsView).show(charts)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, cast
 
 from rich.text import Text
 from textual import on
@@ -14,13 +14,13 @@ from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical
 from textual.widgets import DataTable, OptionList, Static, TabbedContent, TabPane
 
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.doctor.request import VERB as DOCTOR
 from cellapp.commands.doctor.request import DoctorRequest
 from cellapp.ground.starters import offered_profiles
 from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.job_record import JobRecord
-from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.cell_views import (
     CellMap,
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from cellapp.commands.plan.result import StopsResult
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
+    from cellapp.interfaces.tui.widgets.runs_list import RunsList
 
 _REFRESH_S = 5.0
 """Interval of drawing the age of the doctor's verdict."""
@@ -44,24 +45,11 @@ _OLD = timedelta(minutes=10)
 _PLACED = re.compile(r"(.+?):(\d+): (.*)")
 """A problem of a profile: file, line, and what is wrong there."""
 
-HELP = """\
-# Cell
-
-Which cell is calibrated, what the profile says of it, what its devices say, and what would be refused.
-
-- Choose a profile in the list (Enter while a run is open), or open one by its path.
-- The doctor asks every device and makes every check; nothing moves. The line above the tables is its verdict; failed
-  checks come first, and the sentence below the table is that of the selected row, in full.
-- *Profile* is the profile in words, or what is wrong with it, line by line; your editor opens it, and it is checked
-  again when you come back. *Map* shows where bases and tracker stand.
-"""
-
 
 class CellScreen(DayScreen):
     """Choose a profile, read its content, see its devices, ask the doctor."""
 
     STEP: ClassVar[Step] = "cell"
-    HELP: ClassVar[str] = HELP
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "doctor", "Doctor", "check devices and placement; nothing moves"),
         bind("open", "open", "Open profile", "open a profile by its path"),
@@ -71,20 +59,6 @@ class CellScreen(DayScreen):
         bind("tab", "next_tab", "Next tab", "show the next of the tabs"),
         bind("add", "write", "New profile", "write a profile that explains its keys, and edit it"),
     ]
-    DEFAULT_CSS = """
-    #profiles { width: 22; height: 1fr; }
-    CellScreen.-wide #profiles { width: 32; }
-    #cell-verdict { height: auto; max-height: 3; }
-    #cell-verdict.old { color: $text-warning; }
-    #cell-verdict.failed { color: $text-error; }
-    #cell-verdict.ready { color: $text-success; }
-    #cell-detail { height: auto; max-height: 5; background: $panel; padding: 0 1; }
-    #cell-tabs { height: 1fr; }
-    #cell-tabs DataTable { height: 1fr; scrollbar-size-horizontal: 0; }
-    #cell-side-map { display: none; width: 1fr; }
-    CellScreen.-wide #cell-side-map { display: block; }
-    CellScreen.-wide #cell-middle { width: 2fr; }
-    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -96,6 +70,7 @@ class CellScreen(DayScreen):
         self._doctor_at = datetime.now()
         self._written_ns = self._read_ns = 0
         self._problem = ""
+        self._listed: Workspace | None = None
         self._drawn: tuple[Profile | None, StopsResult | None] = (None, None)
 
     def body(self) -> ComposeResult:
@@ -112,6 +87,7 @@ class CellScreen(DayScreen):
                         )
                     with TabPane("Map", id="tab-map"):
                         yield CellMap("above", id="cell-map")
+                    yield TabPane("Runs", id="tab-runs")
                 yield Static("", id="cell-detail", markup=False)
             yield CellMap("above", id="cell-side-map")
 
@@ -196,6 +172,32 @@ class CellScreen(DayScreen):
 
         take_own_readings(self.cell_app)
 
+    def show_runs(self) -> None:
+        """List all runs."""
+        self.query_one("#cell-tabs", TabbedContent).active = "tab-runs"
+
+    def leave_field(self) -> None:
+        """Leave the field that filters the runs."""
+        if self._runs is not None:
+            self._runs.enter_list()
+
+    @property
+    def _runs(self) -> RunsList | None:
+        """The list of runs while it is shown."""
+        return cast("RunsList | None", next(iter(self.query("RunsList")), None)) if self.has_class("-runs") else None
+
+    @on(TabbedContent.TabActivated)
+    def list_runs(self, event: TabbedContent.TabActivated) -> None:
+        """Read the folder of runs when it is looked at; it has the whole width."""
+        self.set_class(event.pane.id == "tab-runs", "-runs")
+        if self._runs is not None:
+            self._runs.enter_list()
+            self._runs.action_read()
+        elif self.has_class("-runs"):
+            from cellapp.interfaces.tui.widgets.runs_list import RunsList  # numerics, which the start must not wait for
+
+            event.pane.mount(RunsList())
+
     def action_map(self) -> None:
         """Show the map."""
         self.query_one("#cell-tabs", TabbedContent).active = "tab-map"
@@ -216,8 +218,12 @@ class CellScreen(DayScreen):
         self.start(verbs.verb_job(DOCTOR, DoctorRequest(profile=path)))
 
     def show_result(self, result: Result) -> None:
-        """Draw the doctor's findings."""
+        """Draw the doctor's findings, or open the report of a run."""
         from cellapp.commands.doctor.result import DoctorResult
+        from cellapp.commands.report.result import ReportResult
+
+        if isinstance(result, ReportResult) and self._runs is not None:
+            self._runs.open_page(Path(result.page))
 
         if isinstance(result, DoctorResult):
             self._doctor, self._doctor_path, self._doctor_at = result, self._asked_path, datetime.now()
@@ -238,13 +244,12 @@ class CellScreen(DayScreen):
             self._drawn = drawn
             for plot in self.query(CellMap):
                 plot.show_cell(workspace.profile, () if workspace.stops is None else workspace.stops.stops)
+        if workspace is not self._listed:
+            self._listed = workspace
+            if self._runs is not None:
+                self._runs.action_read()
         self._draw_doctor()
         self._draw_detail()
-
-    def show_job(self, record: JobRecord) -> None:
-        """Mark measured stops on the maps."""
-        for drawn in self.query(CellMap):
-            drawn.follow(record if self.state.collecting else None)
 
     def _show_profile(self, profile: Profile | None, problem: str) -> None:
         changed = profile is None or self._profile is None or profile != self._profile

@@ -18,7 +18,6 @@ from textual.binding import BindingType
 from textual.containers import Container, Horizontal
 from textual.content import Content
 from textual.events import Resize
-from textual.message import Message
 from textual.widgets import Static
 
 from cellapp.cell.run import RunFile
@@ -33,6 +32,7 @@ from cellapp.commands.collect.charts import (
 )
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.collect.view import collection_tables
+from cellapp.commands.docs.keys import KEYS, SHOWN
 from cellapp.commands.show.overview import run_log
 from cellapp.commands.view.charts import Chart
 from cellapp.ground.control import Request
@@ -40,21 +40,21 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError
 from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui import work as jobs
-from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.job_record import LEVELS, ArmRecord, JobRecord, LogRow, level_of
 from cellapp.interfaces.tui.jobs import Job
-from cellapp.interfaces.tui.keys import KEYS, SHOWN, bind
+from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.offers import BEGIN, arms_words
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import since_words
-from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel, residual_line
+from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
+from cellapp.interfaces.tui.widgets.copied import Copied, Copy
 from cellapp.interfaces.tui.widgets.log_pane import LogPane, as_text
+from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
-from cellapp.interfaces.tui.widgets.tables import WrappedTables
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 Look = Literal["idle", "running", "waiting", "halted", "done"]
@@ -143,37 +143,11 @@ _PLOTTING_S = 0.2
 """Interval between the drawings of two plots: a stop takes seconds, and a plot on a large screen about 10 ms."""
 
 
-class StoredLog(Message):
-    """The log stored in a run was read; else a sentence why not."""
-
-    def __init__(self, folder: Path, rows: Sequence[LogRow], problem: str = "") -> None:
-        super().__init__()
-        self.folder, self.rows, self.problem = folder, rows, problem
-
-
-class CollectScreen(DayScreen):
+class CollectScreen(DayScreen, Copied):
     """Drive and measure; watch it; resume it."""
 
     STEP: ClassVar[Step] = "collect"
     SHOWS_JOB: ClassVar[bool] = False
-    HELP: ClassVar[str] = """\
-# Collect
-
-The arms visit the planned stops, and the tracker measures both at each. The large line says in which state the job is
-and what you can do now. **{go}** begins, or goes on with what is left; real arms ask before they move.
-
-**Escape** or a click on STOP brakes all arms, always. **{pause}** pauses after the present stop, **{resume}** resumes,
-**{abort}** ends the job. **{drift}** accepts a drift of the references that you understand, and resumes.
-
-- Each arm: joint positions, joint temperatures, distance of the newest point from the model, standard error so far.
-- **{tab}** goes from the log to the plots, the stops and the tables of what is stored; **{plots}** shows the plots.
-- Stops one by one: **{sort}** sorts by the next column, **{filter}** shows only suspicious ones. The plot marks the
-  residual of the row under the cursor; **{before}** and **{after}** go to another stop, there and in the plots.
-- **{mark}** marks a stop, **{again}** measures the marked ones again, all arms, as they were planned. What was measured
-  before is kept and not used; a calibration is out of date then.
-
-Log: **{search}** shows only lines with a text; **End** follows the newest line.
-"""
     VERTICAL_BREAKPOINTS = [(0, "-low"), (34, "-tall")]  # noqa: RUF012 - as Textual declares it
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "begin", "Begin", "measure the stops that are left: THE ARMS MOVE"),
@@ -189,41 +163,6 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
         bind("before", "step(-1)", "Stop before", "go to the stop before", show=False),
         *(bind(level, f"least('{level}')", f"Log: {level}", KEYS[level].meaning, show=False) for level in LEVELS),
     ]
-    DEFAULT_CSS = """
-    CollectScreen #state { height: auto; max-height: 4; padding: 0 1; background: $panel; }
-    CollectScreen.-tall #state { padding: 1 1; max-height: 6; }
-    CollectScreen.-low #suspicions { max-height: 1; text-wrap: nowrap; text-overflow: ellipsis; }
-    CollectScreen #state.running { background: $success-muted; color: $foreground; }
-    CollectScreen #state.waiting { background: $warning-muted; color: $foreground; }
-    CollectScreen #state.halted { background: $error; color: white; text-style: bold; }
-    CollectScreen #arms { height: auto; }
-    CollectScreen.unheard #arms, CollectScreen.unheard TrackerPanel { display: none; }
-    CollectScreen #suspicions { height: auto; max-height: 3; color: $text-warning; text-style: bold; display: none; }
-    CollectScreen #suspicions.any { display: block; }
-    CollectScreen #residual-line { height: 1; padding: 0; display: none; }
-    CollectScreen.measured #residual-line { display: block; }
-    CollectScreen.measured.-wide #residual-line, CollectScreen.measured.plots #residual-line,
-    CollectScreen.measured.-tall #residual-line { display: none; }
-    CollectScreen #plots { layout: horizontal; height: 5fr; display: none; }
-    CollectScreen #log, CollectScreen #stops, CollectScreen #collected { height: 4fr; display: none; }
-    CollectScreen.-low.-narrow #plots ChartPlot, CollectScreen.-low.-medium #plots ChartPlot { display: none; }
-    CollectScreen.-low #plots ChartPlot.chosen { display: block; }
-    CollectScreen.-tall #plots { display: block; }
-    CollectScreen #plots ChartPlot { padding-right: 1; }
-    CollectScreen.-wide #plots {
-        layout: vertical; dock: right; width: 45%; height: 100%; display: block; padding-left: 1;
-    }
-    CollectScreen.-wide #plots ChartPlot { display: block; }
-    CollectScreen.-wide #plots ChartPlot.empty, CollectScreen.-tall #plots ChartPlot.empty { display: none; }
-    CollectScreen.-tall.unplotted #plots ChartPlot.chosen { display: block; }
-    CollectScreen.log #log, CollectScreen.collected #collected, CollectScreen.plots #plots { display: block; }
-    CollectScreen.stops #stops { display: block; }
-    CollectScreen.-wide.plots #plots { width: 65%; }
-    CollectScreen.-wide.plots #log { display: block; }
-    CollectScreen #plots #sweep.empty { display: none; }
-    CollectScreen.unplotted #plots { display: none; }
-    CollectScreen.unplotted.plots #plots { display: block; }
-    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -242,14 +181,13 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
         yield Horizontal(id="arms")
         yield TrackerPanel()
         yield ProgressBars()
-        yield Static("", id="residual-line", markup=False)
         yield Static("", id="suspicions", markup=False)
         with Container(id="plots"):
             for name in _PLOTS:
                 yield ChartPlot(id=name, classes="empty" if name == "sweep" else None)
         yield LogPane(id="log")
         yield CollectedStops(id="stops")
-        yield WrappedTables(id="collected")
+        yield PartsView(id="collected")
 
     def on_mount(self) -> None:
         """Set the tooltips, and focus the log."""
@@ -311,7 +249,7 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
             return
         moves = arms_words(self.workspace) + (", after one more question" if kind == "real" else "")
         text = f"Measure {what}. In {folder}; {moves}. Escape stops at any time; what is measured is kept."
-        self.start_if("begin", Choice(title, text, BEGIN), lambda: job)
+        self.ask(Choice(title, text, BEGIN), lambda: self.start(job))
 
     # -- views ---------------------------------------------------------------------------------------------------------
 
@@ -324,7 +262,7 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
             self.query_one(f"#{name}").set_class(number == self._plot, "chosen")
         self.update_classes({one: one == view for one in _VIEWS})
         log, stops = self.query_one(LogPane).view, self.query_one(CollectedStops).table
-        self.set_focus({"log": log, "stops": stops, "collected": self.query_one(WrappedTables)}.get(view))
+        self.set_focus({"log": log, "stops": stops, "collected": self.query_one(PartsView)}.get(view))
 
     def action_next_tab(self) -> None:
         """Switch from the log to the plots, to the list of stops, and to the tables of stored data."""
@@ -348,22 +286,10 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
         """Show a level of the log and the more important ones."""
         self.query_one(LogPane).show_from(level_of(level))
 
-    def action_save(self) -> None:
-        """Save the shown lines of the log."""
+    def as_copy(self) -> Copy:
+        """Return the shown lines of the log."""
         rows = self.query_one(LogPane).shown
-        proposed = (self.workspace.folder or Path()) / "log.txt"
-
-        def saved(path: Path | None) -> None:
-            if path is not None:
-                self.notify(f"{counted(len(rows), 'line')} saved as {path}")
-
-        self.app.push_screen(SaveAs(f"{counted(len(rows), 'line')} of the log", as_text(rows), proposed), saved)
-
-    def action_copy(self) -> None:
-        """Copy the shown lines of the log."""
-        rows = self.query_one(LogPane).shown
-        self.app.copy_to_clipboard(as_text(rows))
-        self.notify(f"{counted(len(rows), 'line')} copied")
+        return Copy(counted(len(rows), "line"), as_text(rows), (self.workspace.folder or Path()) / "log.txt")
 
     # -- the stored log ------------------------------------------------------------------------------------------------
 
@@ -383,23 +309,22 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
             with RunFile.open(folder) as run:
                 lines = run_log(run).lines
         except CellappError as error:
-            self.post_message(StoredLog(folder, (), str(error)))
+            self.call_later(self._show_stored, folder, (), str(error))
             return
         rows = [
             LogRow(datetime.fromisoformat(line.written).astimezone(), level_of(line.level), line.text) for line in lines
         ]
-        self.post_message(StoredLog(folder, rows))
+        self.call_later(self._show_stored, folder, rows)
 
-    @on(StoredLog)
-    def show_stored(self, event: StoredLog) -> None:
+    def _show_stored(self, folder: Path, rows: Sequence[LogRow], problem: str = "") -> None:
         """Draw the log stored in a run, if it is still wanted."""
         pane = self.query_one(LogPane)
-        if event.folder != self.workspace.folder or self.cell_app.jobs.running:
+        if folder != self.workspace.folder or self.cell_app.jobs.running:
             return
-        if event.problem:
-            self.say(event.problem, "warning")
-        elif event.rows:
-            pane.show(f"Log stored in {event.folder.name}", event.rows)
+        if problem:
+            self.say(problem, "warning")
+        elif rows:
+            pane.show(f"Log stored in {folder.name}", rows)
         else:
             pane.show_session(self.cell_app.record)
 
@@ -410,7 +335,7 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
         if workspace is not self._tabled:
             self._tabled = workspace
             state = workspace.collection
-            self.query_one(WrappedTables).show([] if state is None else collection_tables(state))
+            self.query_one(PartsView).show([] if state is None else collection_tables(state))
             self.query_one(CollectedStops).show(state)
         if workspace.folder != self._opened and not self.cell_app.jobs.running:
             self._opened = workspace.folder
@@ -420,7 +345,7 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
 
     def show_state(self, state: RunState) -> None:
         """Say what is collected, if no table does."""
-        self.query_one(WrappedTables).say_empty(state.not_collected)
+        self.query_one(PartsView).say_empty(state.not_collected)
         self.query_one(CollectedStops).say_empty(state.not_collected)
 
     def show_job(self, record: JobRecord) -> None:
@@ -438,11 +363,7 @@ Log: **{search}** shows only lines with a text; **End** follows the newest line.
         told = running or "collect" in record.progress  # the result of another finished job is on its own screen
         self.query_one(ProgressBars).parts = parts_of(record) if told else ()
         self._draw_suspicions(record)
-        line = residual_line(record.stops, self.query_one("#residual-line").size.width or self.size.width - 2)
-        self.query_one("#residual-line", Static).update(line)
-        unheard = record.state is None and not record.arms
-        # at once: each change restyles the whole screen
-        self.update_classes({"measured": bool(line), "unheard": unheard})
+        self.set_class(record.state is None and not record.arms, "unheard")
         self._draw_plots(record)
 
     def _begin_to_watch(self, job: Job, record: JobRecord) -> None:

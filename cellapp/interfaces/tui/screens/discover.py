@@ -16,17 +16,18 @@ from cellapp.commands.discover.charts import candidates_chart, gap_chart, pictur
 from cellapp.commands.discover.tables import discovery_tables
 from cellapp.commands.discover.view import explanation_text, proposal_lines
 from cellapp.commands.discover.words import verdict_lines, verdict_sentence
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.counting import counted
 from cellapp.ground.results import DISCOVER
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
+from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.offers import BEGIN, arms_words, offer_again
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.charts_view import PartsView
-from cellapp.interfaces.tui.widgets.tables import TablesView, WrappedTables, show_next_of, show_next_tab
+from cellapp.interfaces.tui.widgets.parts_view import PartsView
+from cellapp.interfaces.tui.widgets.tables import show_next_of, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 _PLOTS = ("gap", "pictures")
@@ -40,21 +41,6 @@ class DiscoverScreen(DayScreen):
     """Search for missing effects; see what was found and what to do about it."""
 
     STEP: ClassVar[Step] = "discover"
-    HELP: ClassVar[str] = """\
-# Discover
-
-**{go}** searches for physical effects that the calibrated model lacks, names them, adds them to the model, and shows
-how the error at held-out stops shrinks. Nothing moves.
-
-- *Gap*: the error after each step of the search, down to the tracker's noise, and the verdict.
-- *Names*: what was accepted, with its probability, its evidence and its size at each joint.
-- *Pictures*: each effect as these data show it.
-- *Check*: the cause of each effect, how large it usually is, what to check on the machine, what would settle it.
-- *Proposed stops*: **{add}** plans further stops that best settle what is open; **{measure}** measures them. Real arms
-  ask before they move.
-
-The handbook explains each effect.
-"""
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "begin", "Discover", "search for missing effects; nothing moves"),
         bind("add", "propose", "Propose stops", "plan further stops that settle what is open; nothing moves"),
@@ -72,7 +58,7 @@ The handbook explains each effect.
             with TabPane("Gap", id="gap"):
                 yield PartsView(id="gap-parts")
             with TabPane("Names", id="names"):
-                yield WrappedTables(id="name-tables")
+                yield PartsView(id="name-tables")
             with TabPane("Pictures", id="pictures"):
                 yield PartsView(id="effect-pictures")
             with TabPane("Check", id="check"), VerticalScroll():
@@ -105,12 +91,11 @@ The handbook explains each effect.
             return
         text = f"{counted(left, 'stop is', 'stops are')} left to measure in {folder}; {arms_words(self.workspace)}."
 
-        def begin(answer: str | None) -> None:
-            if answer == "begin":
-                self.start(work.job_of(COLLECT, folder=folder, resume=True))
-                self.cell_app.action_show("collect")
+        def begin() -> None:
+            self.start(work.job_of(COLLECT, folder=folder, resume=True))
+            self.cell_app.action_show("collect")
 
-        self.app.push_screen(Choice("Collect?", text, BEGIN), begin)
+        self.ask(Choice("Collect?", text, BEGIN), begin)
 
     def action_plots(self) -> None:
         """Show a tab with plots; if one is shown, the next."""
@@ -133,29 +118,29 @@ The handbook explains each effect.
             return
         self._drawn = workspace
         found = self._result
-        tables = self.query_one("#name-tables", WrappedTables)
+        tables = self.query_one("#name-tables", PartsView)
         gap, pictures = self.query_one("#gap-parts", PartsView), self.query_one("#effect-pictures", PartsView)
         if found is None or workspace.results is None:
             tables.show([])
-            gap.show_parts(())
-            pictures.show_parts(())
+            gap.show(())
+            pictures.show(())
             self.query_one("#proposal", Static).update(_NO_PROPOSAL)
         else:
             reason = workspace.results.out_of_date.get(DISCOVER)
             outdated = [] if reason is None else [f"! out of date: {reason}; {SHOWN['go']} searches again"]
-            tables.show(discovery_tables(found), outdated, verdict_lines(found))
+            tables.show((*discovery_tables(found), *verdict_lines(found)), outdated)
             self.query_one("#meaning", Static).update(with_keys(explanation_text(found)))
             proposal = _NO_PROPOSAL if found.proposal is None else with_keys("\n".join(proposal_lines(found.proposal)))
             self.query_one("#proposal", Static).update(proposal)
             verdicts = [f"Arm {name}: {arm.verdict}. {verdict_sentence(name, arm)}" for name, arm in found.arms.items()]
             charts = (chart(name, arm) for name, arm in found.arms.items() for chart in (gap_chart, candidates_chart))
-            gap.show_parts((*verdicts, *charts), outdated)
-            pictures.show_parts([picture_chart(name, one) for name, arm in found.arms.items() for one in arm.pictures])
+            gap.show((*verdicts, *charts), outdated)
+            pictures.show([picture_chart(name, one) for name, arm in found.arms.items() for one in arm.pictures])
 
     def show_state(self, state: RunState) -> None:
         """Say why there is no discovery, if none is stored."""
         if self._result is None:
             empty = state.nothing(self.STEP, _EMPTY)
-            for view in self.query(TablesView):
+            for view in self.query(PartsView):
                 view.say_empty(empty)
             self.query_one("#meaning", Static).update(empty)

@@ -5,8 +5,6 @@ Keys of the screen Plan that change a plan: freeze, add, design again, write and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -15,9 +13,9 @@ from textual import on, work
 from textual.app import ComposeResult
 from textual.binding import BindingType
 from textual.containers import Horizontal, Vertical
-from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.plan.request import VERB as PLAN
@@ -27,21 +25,19 @@ from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, SaveAs
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice
 from cellapp.interfaces.tui.dialogs.verb_question import NewRunQuestion, VerbQuestion
-from cellapp.interfaces.tui.job_record import JobRecord
-from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.cell_views import CellMap
-from cellapp.interfaces.tui.widgets.charts_view import ChartsView
+from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.stops_table import StopsTable
-from cellapp.interfaces.tui.widgets.tables import WrappedTables, explain_tabs, show_next_of, show_next_tab
+from cellapp.interfaces.tui.widgets.tables import explain_tabs, show_next_of, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
     from cellapp.commands.plan.result import StopsResult
-    from cellapp.commands.view.charts import Chart
-    from cellapp.commands.view.table import Table
+    from cellapp.commands.view.parts import Parts
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
 
@@ -73,36 +69,34 @@ class PlanEdits(DayScreen):
 
     def action_add(self) -> None:
         """Ask how many stops to append."""
-        folder = self.planned_folder()
-        if folder is None:
-            return
-
-        text = "They tell most beside those that are planned or measured already. Nothing moves."
-        proposed = {"add": _FURTHER}
-        question = VerbQuestion(PLAN, text, _TAKE, {"folder": folder}, proposed=proposed)
-        self.start_from(question, partial(verbs.verb_job, PLAN))
+        if folder := self.planned_folder():
+            text = "They tell most beside those that are planned or measured already. Nothing moves."
+            self.ask_verb(VerbQuestion(PLAN, text, _TAKE, {"folder": folder}, proposed={"add": _FURTHER}))
 
     def action_replan(self) -> None:
         """Ask, then design the unmeasured stops again."""
         folder = self.planned_folder()
         if folder is None:
             return
-
         text = (
             "Stops that are measured, proposed by discovery or frozen stay, as far as they could be reached; all others"
             " of this run are replaced. Nothing moves."
         )
         answers = (Answer("no", "Leave the plan", "l"), Answer("replan", "Design again", "d", "warning"))
-        job_of = partial(verbs.job_of, PLAN, folder=folder, replan=True)
-        self.start_if("replan", Choice("Design the rest again?", text, answers), job_of)
+        job = verbs.job_of(PLAN, folder=folder, replan=True)
+        self.ask(Choice("Design the rest again?", text, answers), lambda: self.start(job))
 
     def action_write(self) -> None:
         """Ask where to write the plan."""
-        if (folder := self.planned_folder()) is not None:
-            self.start_from(
-                SaveAs("the plan", None, folder / _PLAN_FILE),
-                lambda path: verbs.verb_job(EXPORT, ExportRequest(folder=folder, plan=path), RENEWED),
-            )
+        folder = self.planned_folder()
+        if folder is None:
+            return
+
+        def begin(path: Path | None) -> None:
+            if path is not None:
+                self.start(verbs.verb_job(EXPORT, ExportRequest(folder=folder, plan=path), RENEWED))
+
+        self.app.push_screen(SaveAs("the plan", None, folder / _PLAN_FILE), begin)
 
     def action_read(self) -> None:
         """Ask for an edited plan, and check it."""
@@ -110,8 +104,13 @@ class PlanEdits(DayScreen):
         if self.workspace.file_profile is None or profile is None:
             self.say(self.state.no_profile, "warning")
             return
-        picker = FilePicker("A plan as CSV", self.workspace.folder or Path(), lambda path: path.suffix == ".csv")
-        self.start_from(picker, lambda path: verbs.job_of(PLAN, profile=profile, check=path))
+
+        def begin(path: Path | None) -> None:
+            if path is not None:
+                self.start(verbs.job_of(PLAN, profile=profile, check=path))
+
+        start = self.workspace.folder or Path()
+        self.app.push_screen(FilePicker("A plan as CSV", start, lambda path: path.suffix == ".csv"), begin)
 
     def offer_file(self, file: Path) -> None:
         """Ask what to do with a plan that is safe."""
@@ -119,12 +118,20 @@ class PlanEdits(DayScreen):
         if profile is None or path is None:
             return
 
+        def into(around: bool) -> None:
+            def begin(folder: Path | None) -> None:
+                if folder is not None:
+                    how_used = {"keep" if around else "source": file}
+                    self.start(verbs.job_of(PLAN, profile=path, folder=folder, **how_used))
+
+            how = "with other stops designed around these" if around else "exactly as it is written"
+            self.app.push_screen(
+                NewRunQuestion(f"The plan of {file}, {how}. Nothing moves.", new_folder(profile)), begin
+            )
+
         def answered(answer: str | None) -> None:
             if answer in ("from", "keep"):
-                how = "with other stops designed around these" if answer == "keep" else "exactly as it is written"
-                question = NewRunQuestion(f"The plan of {file}, {how}. Nothing moves.", new_folder(profile))
-                used = {"keep" if answer == "keep" else "source": file}
-                self.start_from(question, lambda folder: verbs.job_of(PLAN, profile=path, folder=folder, **used))
+                into(answer == "keep")
 
         answers = (
             Answer("look", "Only look", "l"),
@@ -134,41 +141,15 @@ class PlanEdits(DayScreen):
         self.app.push_screen(Choice("This plan is safe", f"{file} holds at every stop and way.", answers), answered)
 
 
-HELP = """\
-# Plan
-
-Which stops the arms will visit, before anything moves.
-
-- A new plan makes a new run of the profile; you may change the proposed folder.
-- The check runs the safety gate again over every stop and every way of the open run's plan.
-- The forecast foresees what the plan gives: time, joint ranges used, expected standard errors, and for each effect
-  whether the plan can show it and from which size on.
-- *Limits* is what the profile demands, *Design* what the stops tell beside random ones; *Stops* lists them, *Above* and
-  *Tracker* show them with obstacles and what these hide. The sentence below the stops is that of the selected one.
-
-Sizes and errors *alone* are for the tracker's noise alone; *with scatter* adds 0.1 mm, what gravity and backlash leave
-in such arms. More stops, wider joint ranges (`plan.ranges`) or another payload let more effects be seen.
-"""
 _PLOTS = ("tab-design", "tab-above", "tab-tracker")
 _NO_CHECK = f"{SHOWN['check']} checks the plan again."
 _NO_FORECAST = f"Not foreseen yet: {SHOWN['forecast']} computes time, expected errors and visible effects."
-
-
-class Drawn(Message):
-    """The design was drawn in a thread: charts, tables and sentences; ``of`` are the stops that they describe."""
-
-    def __init__(
-        self, of: StopsResult, charts: Sequence[Chart], tables: Sequence[Table], sentences: Sequence[str]
-    ) -> None:
-        super().__init__()
-        self.of, self.charts, self.tables, self.sentences = of, charts, tables, sentences
 
 
 class PlanScreen(PlanEdits):
     """Plan a run, look at its plan, check it, forecast its results."""
 
     STEP: ClassVar[Step] = "plan"
-    HELP: ClassVar[str] = HELP
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "plan", "New plan", "make a new run with a plan"),
         bind("check", "check", "Check", "run the safety gate over all stops and ways again; nothing moves"),
@@ -182,17 +163,6 @@ class PlanScreen(PlanEdits):
         bind("plots", "plots", "Plots", "the design as charts; again: the maps", show=False),
         bind("tab", "next_tab", "Next tab", "show the next of the tabs"),
     ]
-    DEFAULT_CSS = """
-    #plan-state, #plan-time, #plan-safety { height: auto; max-height: 3; }
-    #plan-safety.safe { color: $text-success; }
-    #plan-safety.unsafe { color: $text-error; }
-    #plan-tabs { height: 1fr; }
-    #plan-tabs StopsTable { height: 1fr; scrollbar-size-horizontal: 0; }
-    #plan-detail { height: auto; max-height: 4; background: $panel; padding: 0 1; }
-    #plan-side { display: none; width: 1fr; }
-    PlanScreen.-wide #plan-side { display: block; }
-    PlanScreen.-wide #plan-middle { width: 2fr; }
-    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -211,15 +181,15 @@ class PlanScreen(PlanEdits):
                 yield Static("", id="plan-time", markup=False)
                 with TabbedContent(id="plan-tabs", initial="tab-constraints"):
                     with TabPane("Limits", id="tab-constraints"):
-                        yield WrappedTables(id="constraints")
+                        yield PartsView(id="constraints")
                     with TabPane("Design", id="tab-design"):
-                        yield ChartsView("", id="plan-design")
+                        yield PartsView(id="plan-design")
                     with TabPane("Stops", id="tab-stops"):
                         yield StopsTable(id="stops")
                     with TabPane("Forecast", id="tab-forecast"):
-                        yield WrappedTables(_NO_FORECAST, id="forecast")
+                        yield PartsView(_NO_FORECAST, id="forecast")
                     with TabPane("Check", id="tab-check"):
-                        yield WrappedTables(_NO_CHECK, id="refusals")
+                        yield PartsView(_NO_CHECK, id="refusals")
                     with TabPane("Above", id="tab-above"):
                         yield CellMap("above", id="plan-above")
                     with TabPane("Tracker", id="tab-tracker"):
@@ -249,8 +219,12 @@ class PlanScreen(PlanEdits):
             f"{counted(profile.plan.stops, 'stop')}{reserve} of the cell '{profile.name}', read from {path}."
             " Nothing moves."
         )
-        question = NewRunQuestion(text, new_folder(profile))
-        self.start_from(question, lambda folder: verbs.job_of(PLAN, profile=path, folder=folder))
+
+        def begin(folder: Path | None) -> None:
+            if folder is not None:
+                self.start(verbs.job_of(PLAN, profile=path, folder=folder))
+
+        self.app.push_screen(NewRunQuestion(text, new_folder(profile)), begin)
 
     def action_check(self) -> None:
         """Check the plan of the open run."""
@@ -281,7 +255,7 @@ class PlanScreen(PlanEdits):
         tabs = self.query_one("#plan-tabs", TabbedContent)
         show_next_tab(tabs)
         if tabs.active_pane is not None:
-            for content in tabs.active_pane.query("StopsTable, ChartsView, WrappedTables"):
+            for content in tabs.active_pane.query("StopsTable, PartsView"):
                 content.focus()
 
     # -- drawing -------------------------------------------------------------------------------------------------------
@@ -326,16 +300,11 @@ class PlanScreen(PlanEdits):
         """Say how much is planned and measured, or what to do."""
         self.query_one("#plan-state", Static).update(_state_words(state, self.workspace))
 
-    def show_job(self, record: JobRecord) -> None:
-        """Mark measured stops on the maps."""
-        for drawn in self.query(CellMap):
-            drawn.follow(record if self.state.collecting else None)
-
     def _draw_constraints(self) -> None:
         from cellapp.commands.doctor.view import profile_tables
 
         tables = [] if self._profile is None else profile_tables(self._profile)
-        self.query_one("#constraints", WrappedTables).show(tables[1:])
+        self.query_one("#constraints", PartsView).show(tables[1:])
 
     def _draw_maps(self, workspace: Workspace) -> None:
         stops = () if workspace.stops is None else workspace.stops.stops
@@ -358,16 +327,14 @@ class PlanScreen(PlanEdits):
 
         profile, stops, ways, design = workspace.profile, workspace.stops, workspace.ways, workspace.design
         if profile is not None and ways is not None and stops is not None and stops.stops:
-            charts = design_charts_of(profile, stops.stops, ways, design)
-            tables = tuple(design_tables_of(design))
             sentences = (*load_sentences(stops.loads), *sweep_sentences(stops.sweeps))
-            self.post_message(Drawn(stops, charts, tables, sentences))
+            charts = design_charts_of(profile, stops.stops, ways, design)
+            self.call_later(self._show_design, stops, (*sentences, *charts, *design_tables_of(design)))
 
-    @on(Drawn)
-    async def show_drawn(self, event: Drawn) -> None:
+    def _show_design(self, of: StopsResult, parts: Parts) -> None:
         """Show the design, unless another run was opened meanwhile."""
-        if event.of is self._stops:
-            await self.query_one("#plan-design", ChartsView).show(event.charts, event.tables, event.sentences)
+        if of is self._stops:
+            self.query_one("#plan-design", PartsView).show(parts)
 
     def _draw_results(self) -> None:
         """Draw check and forecast, or which keys start them."""
@@ -375,13 +342,13 @@ class PlanScreen(PlanEdits):
         self._draw_constraints()
         self._draw_check(has_plan=has_plan)
         words = _NO_FORECAST if has_plan else ""
-        shown = self.query_one("#forecast", WrappedTables)
+        shown = self.query_one("#forecast", PartsView)
         if (forecast := self._forecast) is None:
             shown.show(())
         else:
             from cellapp.commands.plan.check_view import forecast_sentences, forecast_tables, time_sentence
 
-            shown.show(forecast_tables(forecast), forecast_sentences(forecast))
+            shown.show((*forecast_sentences(forecast), *forecast_tables(forecast)))
             words = " ".join([time_sentence(forecast.time), *forecast.notes])
         line = self.query_one("#plan-time", Static)
         line.update(words)
@@ -398,7 +365,7 @@ class PlanScreen(PlanEdits):
             line.update(_check_lines(check)[0])
             line.set_classes("safe" if check.is_safe else "unsafe")
         listed = self._file_check or check
-        self.query_one("#refusals", WrappedTables).show((), () if listed is None else _check_lines(listed))
+        self.query_one("#refusals", PartsView).show(() if listed is None else _check_lines(listed))
 
     @on(DataTable.RowHighlighted)
     @on(TabbedContent.TabActivated)

@@ -9,9 +9,8 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import ClassVar, Literal, Self
 
 from rich.text import Text
 from textual import on
@@ -19,7 +18,6 @@ from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.events import Resize
-from textual.message import Message
 from textual.widgets import DataTable, Static, TabbedContent, TabPane, Tabs
 from textual.worker import get_current_worker
 
@@ -40,6 +38,7 @@ from cellapp.commands.compensate.view import target_parts
 from cellapp.commands.compensate.words import compensate_summary, unknown_lines, verify_summary
 from cellapp.commands.correct import ENDINGS, correct_table
 from cellapp.commands.correct import VERB as CORRECT
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.locate.request import VERB as LOCATE
 from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.push.request import VERB as PUSH
@@ -54,11 +53,11 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, SaveAs
 from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
 from cellapp.interfaces.tui.dialogs.target_form import TargetForm
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
-from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, WRITE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.charts_view import PartsView
+from cellapp.interfaces.tui.widgets.parts_view import PartsView, words_first
 from cellapp.interfaces.tui.widgets.tables import TextTable, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
@@ -171,95 +170,6 @@ def _unfit(targets: Sequence[Target], profile: Profile) -> str:
     return f"Target '{targets[index].name}'{problem.text}. Enter edits it."
 
 
-# -- The jobs of the screen Targets, with the questions before each ---------------------------------------------------
-
-
-def begin_compensate(screen: DayScreen, targets: Sequence[Target]) -> None:
-    """Compute commands for a list."""
-    if (folder := _ready(screen, targets)) is not None:
-        screen.start(work.job_of(COMPENSATE, folder=folder, targets=tuple(targets)))
-
-
-def ask_push(screen: DayScreen, targets: Sequence[Target]) -> None:
-    """Ask, then drive to the targets."""
-    if (given := _pushed(screen, targets, verify=False)) is None:
-        return
-
-    stale = screen.workspace.stale
-    text = _push_words(screen, targets, "", stale)
-    screen.start_if("begin", Choice("Push?", text, USE_STALE if stale else BEGIN), partial(work.job_of, PUSH, **given))
-
-
-def ask_verify(screen: DayScreen, targets: Sequence[Target]) -> None:
-    """Ask, also how often each target is corrected; then drive to the targets and measure."""
-    if (given := _pushed(screen, targets, verify=True)) is None:
-        return
-
-    stale = screen.workspace.stale
-    measured = " with the nominal and the compensated command, measured by the tracker"
-    text = _push_words(screen, targets, measured, stale)
-    question = VerbQuestion(PUSH, text, USE_STALE if stale else BEGIN, given)
-    screen.start_from(question, partial(work.verb_job, PUSH))
-
-
-def ask_locate(screen: DayScreen) -> None:
-    """Ask how, then measure the pose of the tracker after it was moved."""
-    ask_of_calibrated(screen, LOCATE, LOCATE.summary)
-
-
-def ask_correct(screen: DayScreen) -> None:
-    """Ask for a program and the file of its corrected copy."""
-    if (calibrated := screen.calibrated_run()) is None:
-        return
-    folder, _, calibration = calibrated
-    arms = tuple(calibration.arms)
-
-    def ask(program: Path | None) -> None:
-        if program is not None:
-            given = {"folder": folder, "program": program}
-            proposed = {
-                "out": program.with_stem(f"{program.stem}-corrected"),
-                "arm": arms[0] if len(arms) == 1 else None,
-            }
-            text = f"{program.name}; nothing moves."
-            dialog = VerbQuestion(CORRECT, text, WRITE, given, proposed=proposed, choices={"arm": arms})
-            screen.start_from(dialog, partial(work.verb_job, CORRECT))
-
-    title = f"A program of a UR controller ({', '.join(ENDINGS)})"
-    screen.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in ENDINGS), ask)
-
-
-# -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _ready(screen: DayScreen, targets: Sequence[Target]) -> Path | None:
-    """Return the run's folder if commands can be computed for a list; else say why not and return None."""
-    if reason := why_not(screen.workspace, screen.state, targets):
-        screen.say(reason, "warning")
-        return None
-    return screen.workspace.folder
-
-
-def _pushed(screen: DayScreen, targets: Sequence[Target], *, verify: bool) -> dict[str, Any] | None:
-    """Return the request values of a push except those of the question; None with a sentence if it cannot be pushed."""
-    if (folder := _ready(screen, targets)) is None:
-        return None
-    stale = bool(screen.workspace.stale)
-    return {"folder": folder, "targets": tuple(targets), "verify": verify, "out_of_date": stale}
-
-
-def _push_words(screen: DayScreen, targets: Sequence[Target], measured: str, stale: str) -> str:
-    """Return where a push drives to, and what a person must know."""
-    counts = Counter(arm for target in targets for arm in target.arms)
-    where = " and ".join(f"arm {arm} to {n}" for arm, n in counts.items())
-    pairs = any(target.partner is not None for target in targets)
-    others = "the other arm waits at home, except at cooperative targets" if pairs else "the other arm waits at home"
-    text = f"Drive {where} targets{measured}; {others}; {arms_words(screen.workspace)}."
-    if stale:
-        text += f"\nThe model is not up to date: {stale}. Better calibrate or discover again first."
-    return text
-
-
 _NO_TARGET = f"No target: {SHOWN['open']} opens a list, {SHOWN['add']} adds a target."
 _NOT_MEASURED = f"Nothing was computed yet: {SHOWN['go']} compensates, {SHOWN['measure']} pushes and verifies."
 _WIDEST = 26
@@ -267,14 +177,6 @@ _WIDEST = 26
 _BESIDE = 6
 """Columns of the terminal beside the list: padding and a scroll bar."""
 LIST_SUFFIXES = (".yaml", ".yml", ".csv")
-
-
-class ListRead(Message):
-    """A list was read; else why it cannot be read."""
-
-    def __init__(self, path: Path, targets: tuple[Target, ...], problem: str = "") -> None:
-        super().__init__()
-        self.path, self.targets, self.problem = path, targets, problem
 
 
 class TargetGrid(TextTable):
@@ -288,28 +190,6 @@ class TargetsScreen(DayScreen):
 
     AUTO_FOCUS = "#grid"
     STEP: ClassVar[Step] = "targets"
-    HELP: ClassVar[str] = """\
-# Targets
-
-Points to which the calibrated arms are sent. The list that the profile names is opened by itself. An edited list is
-used as it is shown, saved or not.
-
-- *List*: **Enter** edits a target. **{filter}** shows only what needs attention: refused, out of tolerance, undecided.
-- **{go}** computes the joint positions by the calibrated model; nothing moves. **{measure}** drives with the nominal
-  and with the compensated command and measures both; its question takes how often each target is then corrected by
-  measuring it. **{push}** drives without measuring. Each asks first; real arms ask again, with the first path.
-- **{locate}** locates the tracker after it was moved: a few measured points, and the calibration holds again.
-- **{export}** corrects a program of a UR controller (`.script`, `.urp`): its copy leads a plain controller to the true
-  poses. `cellapp compensate DIR PATHS` computes joint paths of lines and arcs.
-- *tol.* is how far the SMR may be from the target. *state* says whether that is met: predicted from the uncertainty of
-  the model (in, out, cannot say), or measured; or why the target is refused. *95 %* is the bound that a measured error
-  keeps with that probability.
-- *Target*: all about the target under the cursor: where it is, what its uncertainty is made of, which conditions nobody
-  stated, what was predicted and what was measured.
-- *Results*: charts of what was measured; errors, joint positions, uncertainties.
-
-The handbook's chapter *targets* explains frames, conditions and verdicts.
-"""
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "compensate", "Compensate", "compute commands; nothing moves"),
         bind("push", "push", "Push", "drive to the targets: THE ARMS MOVE"),
@@ -326,12 +206,6 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
         bind("plots", "plots", "Plots", "show what was measured", show=False),
         bind("tab", "next_tab", "Next tab"),
     ]
-    DEFAULT_CSS = """
-    TargetsScreen #list { padding: 0; }
-    TargetsScreen #about-list { height: auto; }
-    TargetsScreen TargetGrid { height: 1fr; }
-    TargetsScreen #about-target { height: auto; max-height: 4; }
-    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -396,19 +270,18 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
     @in_thread(thread=True, exclusive=True, group="list of targets")
     def _read(self, path: Path, profile: Profile) -> None:
         try:
-            read = ListRead(path, load_targets(path, profile))
+            read, problem = load_targets(path, profile), ""
         except InputError as error:
-            read = ListRead(path, (), str(error))
+            read, problem = (), str(error)
         if not get_current_worker().is_cancelled:  # else another list is being read
-            self.post_message(read)
+            self.call_later(self._show_read, path, read, problem)
 
-    @on(ListRead)
-    def show_list(self, event: ListRead) -> None:
+    def _show_read(self, path: Path, targets: tuple[Target, ...], problem: str) -> None:
         """Draw the list that was read; an invalid one leaves the current list."""
-        if event.problem:
-            self.say(f"{event.problem}. {SHOWN['open']} opens another list.", "error")
+        if problem:
+            self.say(f"{problem}. {SHOWN['open']} opens another list.", "error")
             return
-        self._edits = TargetEdits(event.path, event.targets, event.targets)
+        self._edits = TargetEdits(path, targets, targets)
         self._draw_list()
 
     @on(DataTable.RowSelected, "#grid")
@@ -491,25 +364,64 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
 
     # -- the jobs ------------------------------------------------------------------------------------------------------
 
+    def _ready(self) -> Path | None:
+        """Return the run's folder if commands can be computed for the list; else say why not and return None."""
+        if reason := why_not(self.workspace, self.state, self._edits.targets):
+            self.say(reason, "warning")
+            return None
+        return self.workspace.folder
+
     def action_compensate(self) -> None:
         """Compute commands for the shown list."""
-        begin_compensate(self, self._edits.targets)
+        if (folder := self._ready()) is not None:
+            self.start(work.job_of(COMPENSATE, folder=folder, targets=self._edits.targets))
 
     def action_push(self) -> None:
         """Ask, then drive to the targets."""
-        ask_push(self, self._edits.targets)
+        if (folder := self._ready()) is not None:
+            stale, text = self._push_words("")
+            given = {"folder": folder, "targets": self._edits.targets, "verify": False, "out_of_date": stale}
+            answers = USE_STALE if stale else BEGIN
+            self.ask(Choice("Push?", text, answers), lambda: self.start(work.job_of(PUSH, **given)))
 
     def action_verify(self) -> None:
-        """Ask, then drive to the targets and measure."""
-        ask_verify(self, self._edits.targets)
+        """Ask, also how often each target is corrected; then drive to the targets and measure."""
+        if (folder := self._ready()) is not None:
+            stale, text = self._push_words(" with the nominal and the compensated command, measured by the tracker")
+            given = {"folder": folder, "targets": self._edits.targets, "verify": True, "out_of_date": stale}
+            self.ask_verb(VerbQuestion(PUSH, text, USE_STALE if stale else BEGIN, given))
+
+    def _push_words(self, measured: str) -> tuple[bool, str]:
+        """Return whether the model is out of date, and where a push drives to, with what a person must know."""
+        targets, stale = self._edits.targets, self.workspace.stale
+        counts = Counter(arm for target in targets for arm in target.arms)
+        where = " and ".join(f"arm {arm} to {n}" for arm, n in counts.items())
+        pairs = ", except at cooperative targets" if any(target.partner is not None for target in targets) else ""
+        text = f"Drive {where} targets{measured}; the other arm waits at home{pairs}; {arms_words(self.workspace)}."
+        if stale:
+            text += f"\nThe model is not up to date: {stale}. Better calibrate or discover again first."
+        return bool(stale), text
 
     def action_locate(self) -> None:
         """Ask, then measure the pose of the tracker after it was moved."""
-        ask_locate(self)
+        ask_of_calibrated(self, LOCATE, LOCATE.summary)
 
     def action_correct(self) -> None:
         """Ask for a program and the file of its corrected copy."""
-        ask_correct(self)
+        if (calibrated := self.calibrated_run()) is None:
+            return
+        folder, _, calibration = calibrated
+        arms = tuple(calibration.arms)
+
+        def ask(program: Path | None) -> None:
+            if program is not None:
+                out = program.with_stem(f"{program.stem}-corrected")
+                proposed = {"out": out, "arm": arms[0] if len(arms) == 1 else None}
+                given, text = {"folder": folder, "program": program}, f"{program.name}; nothing moves."
+                self.ask_verb(VerbQuestion(CORRECT, text, WRITE, given, proposed=proposed, choices={"arm": arms}))
+
+        title = f"A program of a UR controller ({', '.join(ENDINGS)})"
+        self.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in ENDINGS), ask)
 
     def show_result(self, result: Result) -> None:
         """Show the tracker's pose, or the targets of a corrected program, and why some were not corrected."""
@@ -614,7 +526,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
             target, results = self._edits.targets[self._index], self._results
             known = [] if results is None else target_parts(results, target_state(target, results))
             parts = [target_words(target, results), *known]
-        self.query_one("#details", PartsView).show_parts(parts)
+        self.query_one("#details", PartsView).show(words_first(parts))
 
     def _shown_rows(self) -> list[int]:
         """Return the indices of the shown targets."""
@@ -633,7 +545,7 @@ The handbook's chapter *targets* explains frames, conditions and verdicts.
         if results is not None and (compensate := results.compensate) is not None:
             words = (*compensate_summary(compensate), *unknown_lines(compensate.targets), *compensate.notes)
             parts += [*words, *stored_tables(compensate)]
-        self.query_one("#target-results", PartsView).show_parts(parts)
+        self.query_one("#target-results", PartsView).show(words_first(parts))
 
 
 def _fitting(widths: Sequence[int], room: int) -> int:

@@ -17,7 +17,7 @@ from textual.reactive import reactive
 from textual.widget import Widget
 from textual.widgets import Static
 
-from cellapp.ground.progress import CellLive, StopReport
+from cellapp.ground.progress import CellLive
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.job_record import (
     HALT_WORDS,
@@ -49,8 +49,6 @@ _STYLES: Mapping[Activity, str] = {
     "not seen at rest": "bold white on $error",
 }
 _UNKNOWN = "not reported yet"
-_BARS = "▁▂▃▄▅▆▇█"
-"""Characters from the smallest to the largest of the shown residuals."""
 
 
 class ArmPanel(Widget):
@@ -114,23 +112,6 @@ def _numbers(values: Sequence[float] | None, unit: str, width: int) -> str:
         return _UNKNOWN
     with_decimal = " ".join(f"{value:6.1f}" for value in values) + f" {unit}"
     return with_decimal if len(with_decimal) <= width else " ".join(f"{value:4.0f}" for value in values) + f" {unit}"
-
-
-def residual_line(stops: Mapping[str, Sequence[StopReport]], width: int) -> str:
-    """Return each arm's newest residuals as bars in one line of ``width`` characters, with the largest value."""
-    shown = {name: reports for name, reports in stops.items() if reports}
-    if not shown:
-        return ""
-    each = max((width - len("residuals")) // len(shown) - max(map(len, shown)) - len("  , 0.000 mm "), 1)
-    parts = []
-    for name, reports in shown.items():
-        lengths = [report.residual_mm for report in reports[-each:]]
-        most = max(lengths)
-        bars = "".join(
-            _BARS[min(int(len(_BARS) * one / most), len(_BARS) - 1)] if most else _BARS[0] for one in lengths
-        )
-        parts.append(f"{name} {bars} █ {most:.3f} mm")
-    return f"residuals {'  '.join(parts)}"
 
 
 class TrackerPanel(Widget):

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 from rich.text import Text
-from textual import on, work
-from textual.message import Message
+from textual import work
+from textual.worker import get_current_worker
 
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.widgets.tables import TextTable
@@ -18,77 +18,31 @@ from cellapp.interfaces.tui.widgets.tables import TextTable
 if TYPE_CHECKING:
     from cellapp.commands.doctor.result import DoctorResult
     from cellapp.commands.plan.result import PlannedStop
-    from cellapp.commands.view.charts import Chart
     from cellapp.ground.profile import Profile
-    from cellapp.interfaces.tui.job_record import JobRecord
-
-
-_FOLLOWS_S = 2.0
-"""Interval of redrawing while a job collects: each map is made from scratch."""
 
 
 class CellMap(ChartPlot):
     """Bases, tracker and stops, seen from above or from the tracker."""
 
-    class Made(Message):
-        """The chart for the request with this number was made."""
-
-        def __init__(self, number: int, chart: Chart) -> None:
-            super().__init__()
-            self.number, self.chart = number, chart
-
     def __init__(self, view: Literal["above", "tracker"], *, id: str) -> None:
         super().__init__(id=id)
         self._view: Literal["above", "tracker"] = view
-        self._number = 0
-        self._profile: Profile | None = None
-        self._stops: Sequence[PlannedStop] = ()
-        self._record: JobRecord | None = None
-        self._measured: frozenset[int] = frozenset()
-        self._waits = False
 
     def show_cell(self, profile: Profile | None, stops: Sequence[PlannedStop] = ()) -> None:
         """Draw the cell of a profile with its planned stops; blank without a profile."""
-        self._profile, self._stops = profile, stops
-        self._draw_cell()
-
-    def follow(self, record: JobRecord | None) -> None:
-        """Mark the stops measured so far by a collecting job, every few seconds; None if no job collects."""
-        self._record = record
-        reports = () if record is None else record.stops.values()
-        measured = frozenset(report.stop for arm in reports for report in arm)
-        if not self._waits and measured != self._measured:
-            self._measured, self._waits = measured, True
-            self._draw_cell()
-            self.set_timer(_FOLLOWS_S, self._follow_again)
-
-    def _follow_again(self) -> None:
-        self._waits = False
-        self.follow(self._record)  # by now there may be no record, or another one
-
-    def _draw_cell(self) -> None:
-        self._number += 1
-        if self._profile is None:
+        if profile is None:
+            self.workers.cancel_node(self)
             self.chart = None
-            return
-        new = self._measured
-        stops = [
-            stop.model_copy(update={"measured": stop.measured or stop.configuration in new}) for stop in self._stops
-        ]
-        self._make(self._number, self._profile, stops)
+        else:
+            self._make(profile, stops)
 
-    @work(thread=True)
-    def _make(self, number: int, profile: Profile, stops: Sequence[PlannedStop]) -> None:
+    @work(thread=True, exclusive=True)
+    def _make(self, profile: Profile, stops: Sequence[PlannedStop]) -> None:
         from cellapp.commands.plan.charts_obstacles import cell_map_chart
 
-        self.post_message(self.Made(number, cell_map_chart(profile, stops, self._view)))
-
-    @on(Made)
-    def take_chart(self, event: Made) -> None:
-        """Draw the chart, unless another one was requested meanwhile."""
-        event.stop()
-        if event.number == self._number:
-            self.chart = event.chart
+        made = cell_map_chart(profile, stops, self._view)
+        if not get_current_worker().is_cancelled:  # else another one is being made
+            self.call_later(setattr, self, "chart", made)
 
 
 _ORDER = {"failed": 0, "warning": 1, "ok": 2}
@@ -102,21 +56,15 @@ class FindingsTable(TextTable):
     def on_mount(self) -> None:
         """Create the columns."""
         self.cursor_type = "row"
-        self._texts: list[str] = []
         self.add_columns("status", "what", "found")
 
     def show(self, result: DoctorResult | None) -> None:
         """Draw the findings; None: nothing yet."""
         self.clear()
         findings = sorted(() if result is None else result.findings, key=lambda finding: _ORDER[finding.status])
-        self._texts = [f"{finding.subject}: {finding.text}" for finding in findings]
+        self.texts = [f"{finding.subject}: {finding.text}" for finding in findings]
         for finding in findings:
             self.add_row(_mark(finding.status), Text(finding.subject), Text(finding.text))
-
-    @property
-    def selected_text(self) -> str:
-        """The whole sentence of the row under the cursor."""
-        return self._texts[self.cursor_row] if self.cursor_row < len(self._texts) else ""
 
 
 def age_words(seconds: float) -> str:

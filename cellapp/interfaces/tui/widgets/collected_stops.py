@@ -15,17 +15,18 @@ from textual.widgets import DataTable, Static
 
 from cellapp.cell.driving.records import CollectedStop, CollectionResult
 from cellapp.commands.collect.view import residual_range_words, stops_table
-from cellapp.commands.view.table import Cell, Table, markdown
+from cellapp.commands.docs.keys import SHOWN
+from cellapp.commands.view.table import Cell, markdown
 from cellapp.ground.counting import counted
-from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
-from cellapp.interfaces.tui.keys import SHOWN, bind
+from cellapp.interfaces.tui.keys import bind
+from cellapp.interfaces.tui.widgets.copied import Copied, Copy
 from cellapp.interfaces.tui.widgets.tables import TextTable
 
 _NAMES = ("stop", "arm")
 """Columns that are sorted in ascending order; the others in descending order."""
 
 
-class CollectedStops(Vertical):
+class CollectedStops(Vertical, Copied):
     """Stops of a run as read from its file; the normal range of residuals is stated above them."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -71,11 +72,6 @@ class CollectedStops(Vertical):
         """The marked stops, or else the one under the cursor."""
         under_cursor = [] if self.chosen is None else [self.chosen.stop]
         return sorted(self._marked) or under_cursor
-
-    @property
-    def shown(self) -> Table:
-        """The table as sorted and filtered."""
-        return stops_table(self._shown)
 
     def show(self, state: CollectionResult | None) -> None:
         """Draw the stops of a run; None if there is no collection."""
@@ -148,19 +144,10 @@ class CollectedStops(Vertical):
             self._marked[self.chosen.stop] = self._replaced(self.chosen.stop)
         self._draw()
 
-    def action_copy(self) -> None:
-        """Copy the shown stops."""
-        self.app.copy_to_clipboard(markdown((self.shown,), (self._range,)))
-        self.notify(f"{counted(len(self._shown), 'row')} copied")
-
-    def action_save(self) -> None:
-        """Save the shown stops."""
-
-        def say(path: Path | None) -> None:
-            if path is not None:
-                self.notify(f"saved as {path}")
-
-        self.app.push_screen(SaveAs("stops", markdown((self.shown,), (self._range,)), Path("stops.md")), say)
+    def as_copy(self) -> Copy:
+        """Return the table as sorted and filtered, as Markdown."""
+        text = markdown((stops_table(self._shown),), (self._range,))
+        return Copy(counted(len(self._shown), "row"), text, Path("stops.md"))
 
     def _draw(self) -> None:
         """Sort, filter and draw; the cursor stays on its stop if that is still shown."""

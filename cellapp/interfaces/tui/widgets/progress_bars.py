@@ -39,10 +39,10 @@ class Part:
 
 
 def parts_of(record: JobRecord) -> tuple[Part, ...]:
-    """Return the parts of a job in the order of the day; during a whole day, also the parts to come."""
-    expected = WHOLE_DAY if record.name == "run" else ()
-    known = sorted(record.progress, key=lambda name: WHOLE_DAY.index(name) if name in WHOLE_DAY else len(WHOLE_DAY))
-    names = dict.fromkeys((*expected, *known))
+    """Return the parts of a job in the order of the day, and the present one; of a whole day, also those to come."""
+    names = dict.fromkeys(name for name in WHOLE_DAY if name in record.progress or record.name == "run")
+    if record.latest is not None:  # of the others only the present one: candidates of a plan are no part of a day
+        names.setdefault(record.latest.job)
     waits = record.state not in ("running", "pausing")
     return tuple(Part(name, record.progress.get(name), record.paces.get(name), waits) for name in names)
 

@@ -23,7 +23,6 @@ class StopsTable(TextTable):
     def __init__(self, *, id: str) -> None:
         super().__init__(id=id, cursor_type="row")
         self.tooltip = "Space marks the selected stop"
-        self._texts: list[str] = []
         self._stops: Sequence[PlannedStop] = ()
         self._ways: PlannedStops | None = None
         self.marked: set[int] = set()
@@ -40,16 +39,11 @@ class StopsTable(TextTable):
         self.marked = set() if ways is None else set(np.flatnonzero(ways.frozen).tolist())
         rows = [_stop_row(stop, ways) for stop in stops]
         texts = [text for _, text in rows]
-        if texts != self._texts:  # the cursor stays if nothing changed
-            self._texts = texts
+        if texts != self.texts:  # the cursor stays if nothing changed
+            self.texts = texts
             self.clear()
             for cells, _ in rows:
                 self.add_row(*map(Text, cells))
-
-    @property
-    def selected_text(self) -> str:
-        """The sentence of the stop under the cursor."""
-        return self._texts[self.cursor_row] if self.cursor_row < len(self._texts) else ""
 
     def mark(self) -> None:
         """Mark or unmark the selected stop, then go to the next one."""

@@ -1,4 +1,4 @@
-"""The screen Runs: every run in the folder of runs; open, report, resume.
+"""Every run in the folder of runs: open it, or its report.
 
 Runs are read in threads, which also load the packages for it.
 
@@ -12,31 +12,26 @@ import sys
 import webbrowser
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, cast
 
 from rich.text import Text
 from textual import on, work
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
-from textual.containers import VerticalScroll
-from textual.events import ScreenResume
-from textual.message import Message
+from textual.containers import Vertical, VerticalScroll
 from textual.widgets import DataTable, Input, Static
 from textual.worker import get_current_worker
 
+from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.report.request import VERB as REPORT
-from cellapp.commands.report.result import ReportResult
 from cellapp.commands.runs.result import RunsResult
 from cellapp.commands.runs.view import contains, run_cells, run_columns, run_lines, runs_sentences
 from cellapp.ground.errors import CellappError
-from cellapp.ground.results import Result
 from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.endings import REPORT_FILE
-from cellapp.interfaces.tui.keys import SHOWN, bind, with_keys
-from cellapp.interfaces.tui.offers import offer_to_resume
-from cellapp.interfaces.tui.screens.base import READING_RUNS, DayScreen
+from cellapp.interfaces.tui.host import Host, ShowsResults
+from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.widgets.tables import TextTable
-from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
     from cellapp.commands.runs.result import RunSummary
@@ -70,54 +65,22 @@ _MARKS = "marks"
 """Key of the column that shows which run is open; the keys of the others are their indices."""
 _BEGAN = 1
 """Column by which the list is sorted initially."""
-HELP = """\
-# Runs
-
-Every run in the folder of runs, newest first. Nothing here changes a run.
-
-- **Enter** opens the run under the cursor (▸); **{next}** then goes to the step that comes next.
-- `cellapp compare DIR DIR` compares two runs in profile, parameters, errors, effects, verification.
-- **{go}** goes on with a run that was interrupted while collecting. It asks, and nothing moves yet.
-
-Whether a result still holds is judged by the number of readings here; opening the run compares the readings themselves.
-"""
+_READING = "reading the folder of runs ..."
 
 
-class RunsListed(Message):
-    """The folder was read; else a sentence why not."""
+class RunsList(Vertical):
+    """The runs of the folder, newest first, sorted and filtered; below them more of the one under the cursor."""
 
-    def __init__(self, found: RunsResult | str) -> None:
-        super().__init__()
-        self.found = found
-
-
-class PageOpened(Message):
-    """A report was opened in a browser; else the sentence says where it is."""
-
-    def __init__(self, sentence: str) -> None:
-        super().__init__()
-        self.sentence = sentence
-
-
-class RunsScreen(DayScreen):
-    """The history of the folder of runs."""
-
-    STEP: ClassVar[Step] = "runs"
-    HELP = HELP
-    AUTO_FOCUS = "#runs"
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("open", "report", "Report", "open the report in a browser"),
-        bind("go", "resume_run", "Resume run", "go on with a run that was interrupted"),
         bind("search", "filter", "Filter", "filter the list while you type"),
         Binding("escape", "clear_filter", show=False),
         bind("sort", "sort", "Sort", "sort by the next column"),
         bind("again", "read", "Read again", "read the folder of runs again", show=False),
     ]
     DEFAULT_CSS = """
-    RunsScreen #runs { height: 1fr; }
-    RunsScreen #about-run { height: auto; max-height: 8; }
-    RunsScreen.-wide #about-run { dock: right; width: 36%; height: 100%; max-height: 100%; padding-left: 2; }
-    RunsScreen.-wide #about { padding-top: 1; }
+    RunsList #runs { height: 1fr; }
+    RunsList #about-run { height: auto; max-height: 8; }
     """
 
     def __init__(self) -> None:
@@ -126,13 +89,12 @@ class RunsScreen(DayScreen):
         self._columns = run_columns("")
         self._shown: dict[str, RunSummary] = {}
         self._sorted, self._reverse = _BEGAN, True
-        self._workspace: Workspace | None = None
 
-    def body(self) -> ComposeResult:
+    def compose(self) -> ComposeResult:
         yield Input(placeholder="/ to filter: name, cell, effect, ...", id="filter", compact=True)
         yield TextTable(id="runs", cursor_type="row", zebra_stripes=True)
         with VerticalScroll(id="about-run", can_focus=False):
-            yield Static(READING_RUNS, id="about", markup=False)
+            yield Static(_READING, id="about", markup=False)
 
     def on_mount(self) -> None:
         """Create the columns."""
@@ -140,6 +102,12 @@ class RunsScreen(DayScreen):
         table.add_column(" ", key=_MARKS)
         for place in range(len(self._columns)):
             table.add_column(self._heading(place), key=str(place))
+        self.enter_list()
+        self.action_read()
+
+    @property
+    def _host(self) -> Host:
+        return cast(Host, self.app)
 
     @property
     def _table(self) -> DataTable[Text]:
@@ -160,21 +128,9 @@ class RunsScreen(DayScreen):
 
     # -- reading -------------------------------------------------------------------------------------------------------
 
-    def show_workspace(self, workspace: Workspace) -> None:
-        """Read the folder again if a run may have changed."""
-        if workspace is not self._workspace:
-            self._workspace = workspace
-            self._list_runs(self.cell_app.logs)
-
-    @on(ScreenResume)
-    def forget_list(self) -> None:
-        """Discard the list if a running job continues to store data: the list would be out of date."""
-        if self.cell_app.jobs.running:
-            self._workspace = None
-
     def action_read(self) -> None:
         """Read the folder again."""
-        self._list_runs(self.cell_app.logs)
+        self._list_runs(self._host.logs)
 
     @work(thread=True, exclusive=True, group="list of runs")
     def _list_runs(self, folder: Path) -> None:
@@ -186,15 +142,14 @@ class RunsScreen(DayScreen):
         except CellappError as error:
             found = str(error)
         if not get_current_worker().is_cancelled:  # else a later reading is in progress
-            self.post_message(RunsListed(found))
+            self.call_later(self._show_list, found)
 
-    @on(RunsListed)
-    def show_list(self, event: RunsListed) -> None:
+    def _show_list(self, found: RunsResult | str) -> None:
         """Draw the list."""
-        if isinstance(event.found, str):
-            self.say(event.found, "error")
+        if isinstance(found, str):
+            self._host.say(found, "error")
             return
-        self._found, self._columns = event.found, run_columns(event.found.folder)
+        self._found, self._columns = found, run_columns(found.folder)
         self._draw()
 
     # -- drawing -------------------------------------------------------------------------------------------------------
@@ -215,7 +170,7 @@ class RunsScreen(DayScreen):
         self._draw_about()
 
     def _is_open(self, run: RunSummary) -> bool:
-        return Path(run.run) == self.workspace.folder
+        return Path(run.run) == self._host.workspace.folder
 
     def _draw_about(self) -> None:
         run = self._run
@@ -230,8 +185,9 @@ class RunsScreen(DayScreen):
         self.query_one("#about", Static).update(with_keys("\n".join(lines)))
 
     @on(DataTable.RowHighlighted)
-    def show_run(self) -> None:
+    def show_run(self, event: DataTable.RowHighlighted) -> None:
         """Show details of the run under the cursor."""
+        event.stop()
         self._draw_about()
 
     # -- sort and filter -----------------------------------------------------------------------------------------------
@@ -245,13 +201,9 @@ class RunsScreen(DayScreen):
         """Filter while a person types."""
         self._draw()
 
-    def leave_field(self) -> None:
-        """Return to the list; the typed text stays."""
-        self._table.focus()
-
     @on(Input.Submitted, "#filter")
-    def leave_filter(self) -> None:
-        """Return to the list."""
+    def enter_list(self) -> None:
+        """Go to the list; the typed text stays."""
         self._table.focus()
 
     def action_clear_filter(self) -> None:
@@ -277,14 +229,15 @@ class RunsScreen(DayScreen):
             if column.key.value != _MARKS:
                 column.label = self._heading(int(column.key.value or 0))
         self._draw()
-        self.say(f"Sorted by {self._columns[place].title}{', largest first' if self._reverse else ''}.")
+        self._host.say(f"Sorted by {self._columns[place].title}{', largest first' if self._reverse else ''}.")
 
     # -- what can be done with a run -----------------------------------------------------------------------------------
 
     @on(DataTable.RowSelected)
     def open_run(self) -> None:
         """Open the run under the cursor."""
-        self._with_run(lambda run: self.cell_app.open_run(Path(run.run), self.workspace.profile_path))
+        host = self._host
+        self._with_run(lambda run: host.open_run(Path(run.run), host.workspace.profile_path))
 
     def action_report(self) -> None:
         """Open the report; write it first if there is none."""
@@ -292,49 +245,31 @@ class RunsScreen(DayScreen):
         def report(run: RunSummary) -> None:
             page = Path(run.run) / REPORT_FILE
             if page.is_file():
-                self._open_page(page)
+                self.open_page(page)
             elif any(stage.name == "calibrate" for stage in run.stages):
-                self.start(jobs_of_verbs.job_of(REPORT, folder=Path(run.run)))
+                if self._host.start_job(jobs_of_verbs.job_of(REPORT, folder=Path(run.run))):
+                    self._host.asked_by = cast(ShowsResults, self.screen)
             else:
-                self.say(f"{run.run} is not calibrated; there is nothing to report yet.", "warning")
+                self._host.say(f"{run.run} is not calibrated; there is nothing to report yet.", "warning")
 
         self._with_run(report)
 
-    def show_result(self, result: Result) -> None:
-        """Open the page that was just written."""
-        if isinstance(result, ReportResult):
-            self._open_page(Path(result.page))
-
     @work(thread=True, group="report in a browser")
-    def _open_page(self, page: Path) -> None:
-        self.post_message(PageOpened(open_page(page)))
+    def open_page(self, page: Path) -> None:
+        """Open a page in a browser."""
+        self.call_later(self._say_opened, open_page(page))
 
-    @on(PageOpened)
-    def say_opened(self, event: PageOpened) -> None:
+    def _say_opened(self, sentence: str) -> None:
         """Show the sentence twice: the message line may get news of the job that wrote the page."""
-        self.say(event.sentence)
-        self.notify(event.sentence)
-
-    def action_resume_run(self) -> None:
-        """Offer to resume the run under the cursor."""
-
-        def resume(run: RunSummary) -> None:
-            if run.resumable:
-                offer_to_resume(self.cell_app, run)
-            else:
-                why = "was not interrupted while collecting; there is nothing to resume"
-                if run.in_use:
-                    why = f"is in use by {run.in_use}; Enter opens it, and shows the state of a job of this computer"
-                self.say(f"{run.run} {why}.", "warning")
-
-        self._with_run(resume)
+        self._host.say(sentence)
+        self.notify(sentence)
 
     def _with_run(self, act: Callable[[RunSummary], None]) -> None:
         """Call ``act`` with the run under the cursor if it can be read."""
         run = self._run
         if run is None:
-            self.say("No run is under the cursor.", "warning")
+            self._host.say("No run is under the cursor.", "warning")
         elif run.problem:
-            self.say(run.problem, "error")
+            self._host.say(run.problem, "error")
         else:
             act(run)
