@@ -26,6 +26,7 @@ from cellapp.estimation.discovery.joint_fit import (
     joint_motions,
     uncertainty_with_scatter,
 )
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN
 from cellapp.estimation.discovery.terms import UNKNOWN, Excess, ModelTerm, ModelTerms, Smoothness
 from cellapp.robot.effects import EFFECTS, Effect, EffectColumn, Law, LawForm
 from cellapp.robot.effects.data_driven import (
@@ -567,8 +568,10 @@ class StructuredProcess:
         return replace(self, values=values, log_evidence=log_evidence)
 
     def price(self, component: int) -> float:
-        """Return the price of the hyperparameters of a component, by the Bayesian information criterion."""
-        return self.components[component].hyperparameters * math.log(self.gram.coordinates)
+        """Return the price of a component: of its hyperparameters by the Bayesian information criterion, and a margin
+        for what is no effect of the library."""
+        own = self.components[component]
+        return own.hyperparameters * math.log(self.gram.coordinates) + (SCORE_MARGIN if own.slug == UNKNOWN else 0.0)
 
     def gains(self) -> list[float]:
         """Return each component's gain of the score at fixed hyperparameters: twice the log evidence less its price."""
