@@ -212,14 +212,15 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
     """
     searched, found, fitted_model = result.judged, result.found, result.model
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
-    floor_mm, noise_rad = held_out.noise_floor_mm(), noise_of(found.data).rad
+    stated_mm, noise_rad = held_out.noise_floor_mm(), noise_of(found.data).rad
+    floor_mm = stated_mm * found.claim
     scan = remaining_scan(searched)
     probable = searched.posteriors or posteriors_of(searched, scan)
     terms, accepted = accepted_effects(found, fitted_model, held_out, after.rms, probable)
     left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
-    nameless = unnamed_record(found)
+    nameless, claim = unnamed_record(found), _contradicted_claim(found, stated_mm)
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure, nameless)
-    if result.harmful:
+    if result.harmful or (accepted and word == "explained" and after.rms >= before.rms):
         word = "unknown effect"  # the search fitted something real, but not by its true cause
     # if nothing was found, the arm stays as it was calibrated
     final = replace(fitted_model, effects=terms) if terms else replace(model, posterior=fitted_model.posterior)
@@ -247,11 +248,20 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
         validate_={"effects": held_out.evaluate(final)} if terms else {},
         left_out_configurations=result.left_out,
         unnamed=nameless,
+        claim=claim,
         verdict=word,
-        sentence=f"arm {name}: {_with_what_was_left_out(sentence, result)}",
+        sentence=f"arm {name}: {'; '.join(filter(None, [_with_what_was_left_out(sentence, result), claim]))}",
     )
     smooth = smoothness_of(found.fit.terms)
     return Discovery(evaluated, terms, final, 0.0 if smooth is None else smooth.scatter.m)
+
+
+def _contradicted_claim(found: SearchResult, stated_mm: float) -> str | None:
+    """Say that readings scatter less than they state, with both numbers; None if they do not."""
+    if found.claim == 1.0:
+        return None
+    numbers = f"stated {stated_mm:.2g} mm, scatter {stated_mm * found.claim:.2g} mm"
+    return f"{numbers}: an expanded or maximum figure?"
 
 
 def _noise(data: ArmData) -> Noise:
@@ -326,7 +336,9 @@ def search_rows(
         if found is None or not np.array_equal(some, searched):
             data = ArmData.of(profile, model, readings.take(some), conditions.take(some), prior_sigma)
             found, searched = search(data, slugs, cancel, report), some
-        data = ArmData.of(profile, model, readings.take(every), conditions.take(every), prior_sigma)
+        data = ArmData.of(profile, model, readings.take(every), conditions.take(every), prior_sigma).claiming(
+            found.claim
+        )
         result = _fitted_to_all(found, data, cancel, report)
         fitted = some if result.only_some else every  # others may be far off because they were not fitted
         wrong = fitted[gross_errors_of_model(result.model, readings.take(fitted), conditions.take(fitted))]

@@ -610,6 +610,8 @@ def fit_process(
         weighed = replace(data, sigma=uncertainty_with_scatter(data, scatter))
         chosen = _whole(candidates, process.components) if whole else process.components
         fit, process = _fitted_anew(weighed, fit, chosen, process)
+        if not process.components:
+            return None
         scatter = _noise(weighed, fit, process)
     process = needed_components(process, needed)
     return (process, scatter) if process.components else None

@@ -75,13 +75,13 @@ def _spread(scaled: Array) -> float:
     return max(float(np.quantile(np.abs(scaled), 0.95)) / _95, 1.0)
 
 
-def unnamed_record(found: SearchResult) -> Unnamed | None:
+def unnamed_record(found: SearchResult) -> Unnamed:
     """Return the size of the unnamed term beyond what geometry and named effects can explain, and where it acts."""
     fit = found.fit
     parts = [number for number, term in enumerate(fit.terms) if is_unnamed(term.law)]
     errors = None if found.unnamed_mm is None else BeforeAfter(before=found.unnamed_mm[0], after=found.unnamed_mm[1])
     if not parts:
-        return None if errors is None else Unnamed(rms_mm=0.0, in_force=False, left_out_mm=errors)
+        return Unnamed(rms_mm=0.0, in_force=False, left_out_mm=errors)
     kept = np.ones(fit.layout.total, dtype=np.bool_)
     signals: list[tuple[str, Array]] = []
     for number in parts:
