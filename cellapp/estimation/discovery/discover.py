@@ -218,7 +218,7 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
     probable = searched.posteriors or posteriors_of(searched, scan)
     terms, accepted = accepted_effects(found, fitted_model, held_out, after.rms, probable)
     left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
-    nameless, claim = unnamed_record(found), _contradicted_claim(found, stated_mm)
+    nameless, claim = unnamed_record(found, held_out), _contradicted_claim(found, stated_mm)
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure, nameless)
     if result.harmful or (accepted and word == "explained" and after.rms >= before.rms):
         word = "unknown effect"  # the search fitted something real, but not by its true cause

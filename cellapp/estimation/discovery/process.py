@@ -487,9 +487,9 @@ def most_evident(
 
 LEAST_READINGS = 40
 """Least number of readings for a process: 120 coordinates for some 20 hyperparameters beside 30 of geometry."""
-_FIRST_EVALUATIONS = 40
-"""Most evaluations of the evidence with the first weights; it settles to a part in a thousand after some 30."""
-_NEXT_EVALUATIONS = 12
+_FIRST_EVALUATIONS = 25
+"""Most evaluations of the evidence with the first weights; it settles to a percent after some 20."""
+_NEXT_EVALUATIONS = 10
 """Most evaluations after a change of weights or components, from the values found before."""
 _NOISE_STEPS, _LEAST_VARIANCE = 40, 1e-16
 """Corrections of the noise's variances, and the least variance [m^2, rad^2] of a coordinate."""
@@ -553,6 +553,17 @@ class StructuredProcess:
         rest = self.components[:component] + self.components[component + 1 :]
         values, gram = self.values.without(component), self.gram.take(taken)
         return StructuredProcess(rest, values, gram, log_evidence(gram, values.variances(rest), values.noise))
+
+    def expected(self) -> dict[tuple[str, str], float]:
+        """Return the expected value of each column, by effect and name."""
+        variances = self.values.variances(self.components)
+        factored = _Factored.of(self.gram, variances, self.values.noise)
+        if factored is None:
+            return {}
+        values = np.zeros(len(variances))
+        values[factored.active] = factored.root * factored.value(self.gram, self.values.noise)[1]
+        keys = [(one.slug, column.name) for one in self.components for column in one.columns]
+        return dict(zip(keys, values.tolist(), strict=True))
 
     def without_hopeless(self, needed: float) -> StructuredProcess:
         """Remove components whose gain falls short by as much as they would need to stay, the weakest first."""

@@ -529,7 +529,8 @@ def _with_process(
     if found is None:
         return None
     terms = (*state.fit.terms, *process_terms(*found))
-    data, fit = refit(state.data.at(state.fit.model), terms)
+    data = state.data.at(state.fit.model)
+    data, fit = refit(replace(data, start={**data.start, **found[0].expected()}), terms)
     steps = list(state.steps)
     for number in range(len(state.fit.terms), len(terms)):
         term = fit.terms[number]

@@ -14,9 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.estimation.discovery.accepted import rms_length
+from cellapp.estimation.discovery.accepted import model_without, rms_length
 from cellapp.estimation.discovery.joint_fit import JointFit, left_out
-from cellapp.estimation.discovery.records import BeforeAfter, Unnamed
+from cellapp.estimation.discovery.outcome import HeldOut
+from cellapp.estimation.discovery.records import BeforeAfter, HeldOutBeforeAfter, Unnamed
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchResult, SearchState
 from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm
 from cellapp.ground.grouping import grouped
@@ -75,7 +76,7 @@ def _spread(scaled: Array) -> float:
     return max(float(np.quantile(np.abs(scaled), 0.95)) / _95, 1.0)
 
 
-def unnamed_record(found: SearchResult) -> Unnamed:
+def unnamed_record(found: SearchResult, held_out: HeldOut) -> Unnamed:
     """Return the size of the unnamed term beyond what geometry and named effects can explain, and where it acts."""
     fit = found.fit
     parts = [number for number, term in enumerate(fit.terms) if is_unnamed(term.law)]
@@ -101,4 +102,9 @@ def unnamed_record(found: SearchResult) -> Unnamed:
         acts_on=tuple(sorted(places)),
         causes=tuple(lent_effect(fit.terms[number].law).slug for number in causes),
         left_out_mm=errors,
+        heldout_position_mm=HeldOutBeforeAfter(
+            before=held_out.position_mm(model_without(found, parts)), after=held_out.position_mm(fit.model)
+        )
+        if len(held_out)
+        else None,
     )
