@@ -28,6 +28,7 @@ from cellapp.estimation.calibration.quantities import (
     measurement_conditions,
     states_nothing,
 )
+from cellapp.estimation.calibration.weights import mean_variance
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions, pictures
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData
@@ -252,8 +253,17 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
         verdict=word,
         sentence=f"arm {name}: {'; '.join(filter(None, [_with_what_was_left_out(sentence, result), claim]))}",
     )
-    smooth = smoothness_of(found.fit.terms)
-    return Discovery(evaluated, terms, final, 0.0 if smooth is None else smooth.scatter.m)
+    return Discovery(evaluated, terms, final, _scatter_m(found))
+
+
+def _scatter_m(found: SearchResult) -> float:
+    """Return the standard deviation of a coordinate beyond the stated one [m] if the model has smooth terms, else 0."""
+    data = found.data
+    if smoothness_of(found.fit.terms) is None:
+        return 0.0
+    points = slice(None) if data.turned is None else ~data.turned
+    stated = 0.0 if data.stated is None else mean_variance(data.stated[points])
+    return math.sqrt(max(mean_variance(data.sigma[points]) - stated, 0.0))
 
 
 def _contradicted_claim(found: SearchResult, stated_mm: float) -> str | None:

@@ -33,14 +33,18 @@ _CAUSES = 3
 """Most causes that are stated as the likeliest."""
 
 
+def without_name(term: ModelTerm) -> ModelTerm:
+    """Return a smooth term as a part of the unnamed term."""
+    law = unnamed(EFFECTS[term.slug], term.law.form).law(term.law.constants, term.law.tried)
+    return replace(term, slug=UNKNOWN, law=law)
+
+
 def without_names(fit: JointFit, numbers: Collection[int]) -> JointFit:
     """Return a fit whose smooth terms ``numbers`` are parts of the unnamed term."""
     terms, effects = list(fit.terms), list(fit.model.effects)
     for number in numbers:
-        term = terms[number]
-        law = unnamed(EFFECTS[term.slug], term.law.form).law(term.law.constants, term.law.tried)
-        terms[number] = replace(term, slug=UNKNOWN, law=law)
-        effects[number] = replace(effects[number], slug=UNKNOWN, law=law)
+        terms[number] = without_name(terms[number])
+        effects[number] = replace(effects[number], slug=UNKNOWN, law=terms[number].law)
     return replace(fit, terms=tuple(terms), model=replace(fit.model, effects=tuple(effects)))
 
 
