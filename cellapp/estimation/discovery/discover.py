@@ -346,9 +346,9 @@ def search_rows(
         if found is None or not np.array_equal(some, searched):
             data = ArmData.of(profile, model, readings.take(some), conditions.take(some), prior_sigma)
             found, searched = search(data, slugs, cancel, report), some
-        data = ArmData.of(profile, model, readings.take(every), conditions.take(every), prior_sigma).claiming(
-            found.claim
-        )
+        if len(every) > len(some):
+            data = ArmData.of(profile, model, readings.take(every), conditions.take(every), prior_sigma)
+        data = data.claiming(found.claim)
         result = _fitted_to_all(found, data, cancel, report)
         fitted = some if result.only_some else every  # others may be far off because they were not fitted
         wrong = fitted[gross_errors_of_model(result.model, readings.take(fitted), conditions.take(fitted))]
