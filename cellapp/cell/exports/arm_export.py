@@ -8,15 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.cell.exports.records import PositionLoss
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Arm
 from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.effects.effect import is_unnamed
 from cellapp.robot.kinematics.chain import Geometry, flange_poses, smr_positions
 from cellapp.robot.kinematics.transforms import Array, rotation_vectors
 from cellapp.robot.model import ArmModel
 
 POSES = 1000
 """Number of random configurations for stated losses: they give the rms to 2 %."""
-NETWORK = "residual_network"
+NETWORK, UNNAMED = "residual_network", "unnamed"
 
 
 @dataclass(frozen=True)
@@ -75,8 +77,8 @@ def workspace(measured_q: Array, conditions: MeasurementConditions, seed: int) -
 def lost_parts(model: ArmModel, space: Workspace) -> dict[str, PositionLoss]:
     """Return the position error without each effect of a model, and without its network."""
     parts = {
-        slug: replace(model, effects=tuple(term for term in model.effects if term.slug == slug), network=None)
-        for slug in dict.fromkeys(term.slug for term in model.effects)
+        part: replace(model, effects=tuple(its), network=None)
+        for part, its in grouped((UNNAMED if is_unnamed(one.law) else one.slug, one) for one in model.effects).items()
     }
     if model.network is not None:
         parts[NETWORK] = replace(model, effects=())

@@ -15,6 +15,7 @@ from cellapp.estimation.discovery.records import (
     EffectMeaning,
     Picture,
 )
+from cellapp.estimation.discovery.verdict import unnamed_words
 
 _TURN = 360.0
 _UNEVEN = 2.0
@@ -132,11 +133,25 @@ def undrawn_sentences(arm: ArmDiscoveryResult) -> list[str]:
 def remainder_sentences(arm: ArmDiscoveryResult) -> list[str]:
     """State what remains unexplained, what a residual network finds in it, and the predicted uncertainty."""
     return [
+        *_unnamed_sentences(arm),
         *structure_sentences(arm),
         *_scatter_sentences(arm),
         *_network_sentences(arm),
         *_uncertainty_sentences(arm),
     ]
+
+
+def _unnamed_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """State what the unnamed term looks like and what it is worth; empty if none is in force."""
+    found = arm.unnamed
+    if found is None or not found.in_force:
+        return []
+    settle = " and ".join(f"'cellapp docs {cause}'" for cause in found.causes if cause != "unknown")
+    said = [f"What it looks like, and what would settle it: {settle}."] if settle else []
+    if found.left_out_mm is not None:
+        worth = f"Readings left out of the fit: mean {found.left_out_mm.before:.4f} mm without it"
+        said.append(f"{worth}, {found.left_out_mm.after:.4f} mm with it.")
+    return [" ".join([f"{unnamed_words(found).capitalize()}.", *said])]
 
 
 def _scatter_sentences(arm: ArmDiscoveryResult) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -70,7 +70,7 @@ def accepted_effects(
         evidence = Evidence(
             statistic=review.score,
             corrected_p=review.p_value,
-            heldout_mm=BeforeAfter(before=_error_without(found, number, held_out), after=after_mm),
+            heldout_mm=BeforeAfter(before=held_out.rms_mm(model_without(found, (number,))), after=after_mm),
         )
         where = Place(
             joints=tuple(sorted({column.joint + 1 for column in columns if column.joint is not None})),
@@ -95,21 +95,23 @@ def accepted_effects(
     return tuple(terms), tuple(accepted)
 
 
-def _error_without(found: SearchResult, number: int, held_out: HeldOut) -> float:
-    """Return the held-out rms error [mm] without a term, the other parameters fitted again, linear about the fit."""
-    fit, kept = found.fit, found.fit.layout.all_but(number)
+def model_without(found: SearchResult, out: Collection[int]) -> ArmModel:
+    """Return the model without the terms ``out``, the other parameters fitted again, linear about the fit."""
+    fit = found.fit
+    kept = np.all([fit.layout.all_but(number) for number in out], axis=0)
     columns, first = list(fit.identification.estimated.columns), fit.layout.geometric
     vector = fit.model.geometry.vector()
     values = np.concatenate([(vector - found.data.model.nominal.vector())[columns], fit.identification.effect_values])
-    left = fit.rows[kept] @ (fit.residual + fit.signal(number)) - (fit.precision * values)[kept]
+    left = fit.residual + sum(fit.signal(number) for number in out)
+    left = fit.rows[kept] @ left - (fit.precision * values)[kept]
     values[kept] += fit.normal.take(kept).with_priors(fit.precision[kept]).solve(left)
     vector[columns] = found.data.model.nominal.vector()[columns] + values[:first]
     effects = tuple(
         replace(effect, values=values[fit.layout.parameters(other)])
         for other, effect in enumerate(fit.model.effects)
-        if other != number
+        if other not in out
     )
-    return held_out.rms_mm(replace(fit.model, geometry=fit.model.geometry.with_vector(vector), effects=effects))
+    return replace(fit.model, geometry=fit.model.geometry.with_vector(vector), effects=effects)
 
 
 def accepted_effect(

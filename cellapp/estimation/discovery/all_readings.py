@@ -37,10 +37,12 @@ from cellapp.estimation.discovery.process import (
     process_terms,
 )
 from cellapp.estimation.discovery.search.state import Review, SearchResult
+from cellapp.estimation.discovery.search.unnamed import without_name
 from cellapp.estimation.discovery.terms import Excess, ModelTerm, ModelTerms, smoothness_of, whitened_displacements
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EffectColumn, displacement_by
+from cellapp.robot.effects.effect import is_unnamed, lent_effect
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
@@ -74,9 +76,12 @@ def fit_to_all(found: SearchResult, data: ArmData, needed: float) -> tuple[Searc
     named = tuple(term for term in found.fit.terms if term.smooth is None)
     weighed = replace(data, sigma=uncertainty_with_scatter(data, smooth.scatter)).at(found.fit.model)
     process = _process(found, weighed, named, needed)
-    more = math.sqrt(process.values.noise)
-    scatter = Excess(smooth.scatter.m * more, smooth.scatter.rad * more)
-    terms = (*named, *process_terms(process, scatter))
+    more, was = math.sqrt(process.values.noise), smooth.scatter
+    joints = tuple(more * one for one in was.joints)
+    scatter = Excess(was.m * more, was.rad * more, joints, min(was.claim * more, 1.0))
+    names = {term.slug for term in found.fit.terms if term.smooth is not None and not is_unnamed(term.law)}
+    free = process_terms(process, scatter)
+    terms = (*named, *(term if term.slug in names else without_name(term) for term in free))
     chance = min(review.p_value for review in found.reviews)
     of_named = [review for review in found.reviews if review.term.smooth is None]
     smooth_terms = [(term, term.smooth) for term in terms if term.smooth is not None]
@@ -104,7 +109,8 @@ def fit_terms_to_all(
 def _process(found: SearchResult, data: ArmData, named: ModelTerms, needed: float) -> StructuredProcess:
     """Fit the structured process to all readings beside the named terms."""
     base = fit_terms(found.data.at(found.fit.model), named)
-    had = {term.slug: term for term in found.fit.terms if term.smooth is not None}
+    smooth = [term for term in found.fit.terms if term.smooth is not None]
+    had = {lent_effect(term.law).slug if is_unnamed(term.law) else term.slug: term for term in smooth}
     chosen = [one if one.slug in had else one.coarse() for one in components(found.data, base)]
     deviation = base.model.geometry.vector() - data.model.nominal.vector()
     columns = list(base.identification.estimated.columns)

@@ -149,6 +149,14 @@ class ArmData:
             cache={},
         )
 
+    def claiming(self, factor: float) -> ArmData:
+        """Return the same data with the stated uncertainty of positions times a factor."""
+        if self.stated is None or factor == 1.0:
+            return self
+        factors = np.full(len(self), factor) if self.turned is None else np.where(self.turned, 1.0, factor)
+        stated = self.stated * (factors if self.stated.ndim == 1 else factors[:, None, None] ** 2)
+        return replace(self, stated=stated, sigma=stated)
+
     def beginning_at(self, model: ArmModel) -> ArmData:
         """Return the same data; the next fit starts from the effects' values in ``model``."""
         values = {

@@ -28,6 +28,7 @@ from cellapp.estimation.calibration.quantities import (
     measurement_conditions,
     states_nothing,
 )
+from cellapp.estimation.calibration.weights import mean_variance
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions, pictures
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData
@@ -212,14 +213,15 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
     """
     searched, found, fitted_model = result.judged, result.found, result.model
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
-    floor_mm, noise_rad = held_out.noise_floor_mm(), noise_of(found.data).rad
+    stated_mm, noise_rad = held_out.noise_floor_mm(), noise_of(found.data).rad
+    floor_mm = stated_mm * found.claim
     scan = remaining_scan(searched)
     probable = searched.posteriors or posteriors_of(searched, scan)
     terms, accepted = accepted_effects(found, fitted_model, held_out, after.rms, probable)
     left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
-    nameless = unnamed_record(found)
+    nameless, claim = unnamed_record(found, held_out), _contradicted_claim(found, stated_mm)
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure, nameless)
-    if result.harmful:
+    if result.harmful or (accepted and word == "explained" and after.rms >= before.rms):
         word = "unknown effect"  # the search fitted something real, but not by its true cause
     # if nothing was found, the arm stays as it was calibrated
     final = replace(fitted_model, effects=terms) if terms else replace(model, posterior=fitted_model.posterior)
@@ -247,11 +249,29 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
         validate_={"effects": held_out.evaluate(final)} if terms else {},
         left_out_configurations=result.left_out,
         unnamed=nameless,
+        claim=claim,
         verdict=word,
-        sentence=f"arm {name}: {_with_what_was_left_out(sentence, result)}",
+        sentence=f"arm {name}: {'; '.join(filter(None, [_with_what_was_left_out(sentence, result), claim]))}",
     )
-    smooth = smoothness_of(found.fit.terms)
-    return Discovery(evaluated, terms, final, 0.0 if smooth is None else smooth.scatter.m)
+    return Discovery(evaluated, terms, final, _scatter_m(found))
+
+
+def _scatter_m(found: SearchResult) -> float:
+    """Return the standard deviation of a coordinate beyond the stated one [m] if the model has smooth terms, else 0."""
+    data = found.data
+    if smoothness_of(found.fit.terms) is None:
+        return 0.0
+    points = slice(None) if data.turned is None else ~data.turned
+    stated = 0.0 if data.stated is None else mean_variance(data.stated[points])
+    return math.sqrt(max(mean_variance(data.sigma[points]) - stated, 0.0))
+
+
+def _contradicted_claim(found: SearchResult, stated_mm: float) -> str | None:
+    """Say that readings scatter less than they state, with both numbers; None if they do not."""
+    if found.claim == 1.0:
+        return None
+    numbers = f"stated {stated_mm:.2g} mm, scatter {stated_mm * found.claim:.2g} mm"
+    return f"{numbers}: an expanded or maximum figure?"
 
 
 def _noise(data: ArmData) -> Noise:
@@ -326,7 +346,9 @@ def search_rows(
         if found is None or not np.array_equal(some, searched):
             data = ArmData.of(profile, model, readings.take(some), conditions.take(some), prior_sigma)
             found, searched = search(data, slugs, cancel, report), some
-        data = ArmData.of(profile, model, readings.take(every), conditions.take(every), prior_sigma)
+        if len(every) > len(some):
+            data = ArmData.of(profile, model, readings.take(every), conditions.take(every), prior_sigma)
+        data = data.claiming(found.claim)
         result = _fitted_to_all(found, data, cancel, report)
         fitted = some if result.only_some else every  # others may be far off because they were not fitted
         wrong = fitted[gross_errors_of_model(result.model, readings.take(fitted), conditions.take(fitted))]

@@ -249,6 +249,9 @@ _EXCESS_CHANGE = 0.02
 _SAME_COLUMNS = 1e-3
 """Step of a fit [m at arm's length] up to which the effects' columns are kept. They change relatively by about as much:
 an effect of 0.3 mm by 0.3 µm."""
+_SMOOTH_TOLERANCE = 1e-5
+"""Step [m at arm's length] at which a fit with smooth terms ends: what is left is along directions that the readings
+hardly determine, and moves no prediction by a micrometre."""
 _LEAST_STEPS = 200
 """Steps that a fit may take at least: without a term that moves the SMR by a millimetre it follows a curved valley."""
 _DRAW_SEED = 0xD4A7
@@ -593,7 +596,7 @@ def _identify(
         prior_mean=data.model.nominal,
         robust=settings.robust,
         effects=effects,
-        tolerance=max(settings.tolerance, TOLERANCE),
+        tolerance=max(settings.tolerance, TOLERANCE if smoothness_of(terms) is None else _SMOOTH_TOLERANCE),
         max_iterations=max(settings.max_iterations, _LEAST_STEPS),
     ).settled("fit of geometry and effects")
     return _reordered(found, np.argsort(order)), columns

@@ -26,6 +26,7 @@ from cellapp.estimation.discovery.joint_fit import (
     joint_motions,
     uncertainty_with_scatter,
 )
+from cellapp.estimation.discovery.search.state import SCORE_MARGIN
 from cellapp.estimation.discovery.terms import UNKNOWN, Excess, ModelTerm, ModelTerms, Smoothness
 from cellapp.robot.effects import EFFECTS, Effect, EffectColumn, Law, LawForm
 from cellapp.robot.effects.data_driven import (
@@ -486,9 +487,9 @@ def most_evident(
 
 LEAST_READINGS = 40
 """Least number of readings for a process: 120 coordinates for some 20 hyperparameters beside 30 of geometry."""
-_FIRST_EVALUATIONS = 40
-"""Most evaluations of the evidence with the first weights; it settles to a part in a thousand after some 30."""
-_NEXT_EVALUATIONS = 12
+_FIRST_EVALUATIONS = 25
+"""Most evaluations of the evidence with the first weights; it settles to a percent after some 20."""
+_NEXT_EVALUATIONS = 10
 """Most evaluations after a change of weights or components, from the values found before."""
 _NOISE_STEPS, _LEAST_VARIANCE = 40, 1e-16
 """Corrections of the noise's variances, and the least variance [m^2, rad^2] of a coordinate."""
@@ -553,6 +554,17 @@ class StructuredProcess:
         values, gram = self.values.without(component), self.gram.take(taken)
         return StructuredProcess(rest, values, gram, log_evidence(gram, values.variances(rest), values.noise))
 
+    def expected(self) -> dict[tuple[str, str], float]:
+        """Return the expected value of each column, by effect and name."""
+        variances = self.values.variances(self.components)
+        factored = _Factored.of(self.gram, variances, self.values.noise)
+        if factored is None:
+            return {}
+        values = np.zeros(len(variances))
+        values[factored.active] = factored.root * factored.value(self.gram, self.values.noise)[1]
+        keys = [(one.slug, column.name) for one in self.components for column in one.columns]
+        return dict(zip(keys, values.tolist(), strict=True))
+
     def without_hopeless(self, needed: float) -> StructuredProcess:
         """Remove components whose gain falls short by as much as they would need to stay, the weakest first."""
         process, gains = self, self.gains()
@@ -567,8 +579,10 @@ class StructuredProcess:
         return replace(self, values=values, log_evidence=log_evidence)
 
     def price(self, component: int) -> float:
-        """Return the price of the hyperparameters of a component, by the Bayesian information criterion."""
-        return self.components[component].hyperparameters * math.log(self.gram.coordinates)
+        """Return the price of a component: of its hyperparameters by the Bayesian information criterion, and a margin
+        for what is no effect of the library."""
+        own = self.components[component]
+        return own.hyperparameters * math.log(self.gram.coordinates) + (SCORE_MARGIN if own.slug == UNKNOWN else 0.0)
 
     def gains(self) -> list[float]:
         """Return each component's gain of the score at fixed hyperparameters: twice the log evidence less its price."""
@@ -607,6 +621,8 @@ def fit_process(
         weighed = replace(data, sigma=uncertainty_with_scatter(data, scatter))
         chosen = _whole(candidates, process.components) if whole else process.components
         fit, process = _fitted_anew(weighed, fit, chosen, process)
+        if not process.components:
+            return None
         scatter = _noise(weighed, fit, process)
     process = needed_components(process, needed)
     return (process, scatter) if process.components else None

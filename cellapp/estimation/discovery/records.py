@@ -291,7 +291,7 @@ class Unnamed(Record):
     """What the named effects leave, as one smooth term; ``rms_mm`` is its displacement of the SMR.
 
     ``acts_on`` are the places that it mostly moves, ``causes`` the effects that it looks most like. ``left_out_mm`` are
-    mean errors of readings that were left out of the fit, without and with it.
+    mean errors of readings that were left out of the fit, without and with it; ``heldout_position_mm`` judges it.
     """
 
     rms_mm: float
@@ -299,6 +299,7 @@ class Unnamed(Record):
     acts_on: tuple[str, ...] = ()
     causes: tuple[str, ...] = ()
     left_out_mm: BeforeAfter | None = None
+    heldout_position_mm: HeldOutBeforeAfter | None = None
 
 
 class ArmDiscoveryResult(Record):

@@ -328,7 +328,7 @@ def verdict(
     """Return the verdict and its sentence.
 
     ``held_out`` is the number of held-out readings; ``scatter`` and ``structure`` are those of the residuals. An error
-    at the stated noise counts as explained. Above it, or if none is stated, the residuals must show no structure.
+    at the stated noise counts as explained. If none is stated, the residuals must show no structure.
     """
     driven = [effect.description for effect in accepted if effect.description is not None]
     named = [effect for effect in accepted if effect.effect != UNKNOWN]
@@ -342,7 +342,8 @@ def verdict(
     left = _left(floor_mm, after_mm, scatter, structure, closed=closed)
     if nameless := unnamed is not None and unnamed.in_force:
         left = f"{unnamed_words(unnamed)}; {left}"
-    if nameless or (not closed and (has_structure(structure) or _far_off(scatter, structure))):
+    rest = has_structure(structure) or _far_off(scatter, structure) or (bool(accepted) and scatter is not None)
+    if nameless or (not closed and rest):
         found = f"{names} found{' (or a look-alike)' if ambiguous else ''}, but " if accepted else ""
         return "unknown effect", f"{found}the library does not explain all of the error; {left}"
     if not accepted:

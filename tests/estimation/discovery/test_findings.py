@@ -70,8 +70,8 @@ def accepted(*rivals: RunnerUp) -> AcceptedEffect:
         ([accepted(rival(distinguishable=False))], 0.1, NOISE, NONE, "ambiguous"),
         ([accepted(rival(distinguishable=False))], 0.3, None, STRUCTURE, "unknown effect"),
         ([accepted()], 0.3, FAR_ABOVE, STRUCTURE, "unknown effect"),
-        ([accepted()], 0.3, FAR_ABOVE, NONE, "explained"),
-        ([accepted()], 0.3, FAR_ABOVE, UNTESTED, "explained"),
+        ([accepted()], 0.3, FAR_ABOVE, NONE, "unknown effect"),
+        ([accepted()], 0.3, FAR_ABOVE, UNTESTED, "unknown effect"),
         ([accepted()], 0.3, None, NONE, "explained"),
         ([accepted()], 0.3, None, STRUCTURE, "unknown effect"),
     ],
@@ -80,7 +80,7 @@ def test_the_verdict_follows_from_effects_rivals_and_what_is_left(effects, after
     found, sentence = verdict(effects, 0.1, after_mm, 100, scatter, structure)
     assert found == word
     assert ("state no uncertainty" in sentence) == (scatter is None)
-    assert ("still depends on time" in sentence) == (word == "unknown effect")
+    assert ("still depends on time" in sentence) == (word == "unknown effect" and structure is STRUCTURE)
     scatters = scatter is not None and after_mm > 0.1 and structure is not STRUCTURE
     assert ("times as stated" in sentence) == scatters
 

@@ -176,6 +176,8 @@ class SearchResult:
         Candidates whose fit did not converge, in words: nothing is known of them.
     unnamed_mm : pair of float, optional
         Mean error [mm] of left-out readings without and with the unnamed term, where one was tried.
+    claim : float
+        Factor of the stated uncertainty in ``data``: less than one if the readings scatter far less than they state.
     spread : float
         Factor of the predicted standard deviations by which 95 % of left-out readings are within their intervals.
     """
@@ -192,6 +194,7 @@ class SearchResult:
     not_fitted: tuple[str, ...] = ()
     unnamed_mm: tuple[float, float] | None = None
     spread: float = 1.0
+    claim: float = 1.0
 
     @property
     def absent(self) -> list[str]:

@@ -18,6 +18,8 @@ from functools import partial
 import numpy as np
 
 from cellapp.estimation.calibration.identification import TooFewReadings
+from cellapp.estimation.calibration.quantities import states_nothing
+from cellapp.estimation.calibration.weights import mean_variance
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import (
     JointFit,
@@ -25,6 +27,7 @@ from cellapp.estimation.discovery.joint_fit import (
     fit_terms,
     refit,
     reweighted,
+    uncertainty_with_scatter,
 )
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.process import Component, components, fit_process, process_terms
@@ -63,6 +66,7 @@ from cellapp.estimation.discovery.terms import (
     LawScore,
     ModelTerm,
     has_smooth_terms,
+    smoothness_of,
     with_term,
     without_term,
 )
@@ -151,6 +155,9 @@ LEAST_FREEDOM = 30.0
 """Least measured coordinates beyond the determined parameters for a search: any law fits the residuals of fewer."""
 _EVEN_ODDS = 0.5
 """Least probability at which a name, or an answer set of names, is accepted."""
+_CONTRADICTED = 0.7
+"""Ratio of scatter to stated uncertainty below which readings contradict what they state: the ratio is known to a few
+percent, and a standard uncertainty that is stated half as large again is a usual caution."""
 _FAR = 3.0
 """Scatter over the stated noise from which free functions are tried before laws with impossible values."""
 _NULL_SEED = 0xD15C
@@ -179,6 +186,9 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
     problem = SearchProblem(data, tuple(slugs), null_maxima, threshold, cancel, progress.say)
     progress.step("effects of the library")
     before_names = _smooth(problem, start)
+    claim = _claim(data, start, before_names)
+    if claim < _CONTRADICTED:  # weights and noise floor of what is stated would hide what is missing
+        return replace(search(data.claiming(claim), slugs, cancel, report), claim=claim)
     best = _best_model(problem, start, before_names, progress)
     progress.finish("review and rivals")
     found = _probable(problem, _result(problem, best, fit), best)
@@ -193,6 +203,20 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
         added = range(len(found.reviews), len(found.fit.terms))
         found = replace(found, reviews=(*found.reviews, *(review(problem, ended, number) for number in added)))
     return replace(found, not_fitted=tuple(dict.fromkeys(problem.not_fitted)))
+
+
+def _claim(data: ArmData, start: SearchState, before_names: SearchState | None) -> float:
+    """Return the ratio of the scatter of positions to what they state, about free functions; 1 if nothing is stated."""
+    points = slice(None) if data.turned is None else ~data.turned
+    if data.stated is None or states_nothing(data.stated[points]):
+        return 1.0
+    about_geometry = scatter(data, start.fit)
+    ratios = [1.0] if about_geometry is None else [about_geometry.ratio]
+    smooth = None if before_names is None else smoothness_of(before_names.fit.terms)
+    if smooth is not None:
+        found = mean_variance(uncertainty_with_scatter(data, smooth.scatter)[points])
+        ratios.append(math.sqrt(found / mean_variance(data.stated[points])))
+    return min(ratios)
 
 
 def _probability_of_answers(found: SearchResult, probable: Posteriors) -> list[tuple[float, bool]]:
@@ -313,9 +337,7 @@ def _best_model(
 
     ``before_names`` has free functions alone.
     """
-    named = start
-    if not _beats_all_names(problem, before_names, start):
-        named = reviewed(problem, _with_library_effects(problem, start))
+    named = reviewed(problem, _with_library_effects(problem, start))
     progress.step("beyond the library")
     if before_names is not None and _beats_all_names(problem, before_names, named):
         return best_state([named, _reviewed_again(problem, before_names)])
@@ -507,7 +529,8 @@ def _with_process(
     if found is None:
         return None
     terms = (*state.fit.terms, *process_terms(*found))
-    data, fit = refit(state.data.at(state.fit.model), terms)
+    data = state.data.at(state.fit.model)
+    data, fit = refit(replace(data, start={**data.start, **found[0].expected()}), terms)
     steps = list(state.steps)
     for number in range(len(state.fit.terms), len(terms)):
         term = fit.terms[number]

@@ -14,9 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.estimation.discovery.accepted import rms_length
+from cellapp.estimation.discovery.accepted import model_without, rms_length
 from cellapp.estimation.discovery.joint_fit import JointFit, left_out
-from cellapp.estimation.discovery.records import BeforeAfter, Unnamed
+from cellapp.estimation.discovery.outcome import HeldOut
+from cellapp.estimation.discovery.records import BeforeAfter, HeldOutBeforeAfter, Unnamed
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchResult, SearchState
 from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm
 from cellapp.ground.grouping import grouped
@@ -32,14 +33,18 @@ _CAUSES = 3
 """Most causes that are stated as the likeliest."""
 
 
+def without_name(term: ModelTerm) -> ModelTerm:
+    """Return a smooth term as a part of the unnamed term."""
+    law = unnamed(EFFECTS[term.slug], term.law.form).law(term.law.constants, term.law.tried)
+    return replace(term, slug=UNKNOWN, law=law)
+
+
 def without_names(fit: JointFit, numbers: Collection[int]) -> JointFit:
     """Return a fit whose smooth terms ``numbers`` are parts of the unnamed term."""
     terms, effects = list(fit.terms), list(fit.model.effects)
     for number in numbers:
-        term = terms[number]
-        law = unnamed(EFFECTS[term.slug], term.law.form).law(term.law.constants, term.law.tried)
-        terms[number] = replace(term, slug=UNKNOWN, law=law)
-        effects[number] = replace(effects[number], slug=UNKNOWN, law=law)
+        terms[number] = without_name(terms[number])
+        effects[number] = replace(effects[number], slug=UNKNOWN, law=terms[number].law)
     return replace(fit, terms=tuple(terms), model=replace(fit.model, effects=tuple(effects)))
 
 
@@ -75,13 +80,13 @@ def _spread(scaled: Array) -> float:
     return max(float(np.quantile(np.abs(scaled), 0.95)) / _95, 1.0)
 
 
-def unnamed_record(found: SearchResult) -> Unnamed | None:
+def unnamed_record(found: SearchResult, held_out: HeldOut) -> Unnamed:
     """Return the size of the unnamed term beyond what geometry and named effects can explain, and where it acts."""
     fit = found.fit
     parts = [number for number, term in enumerate(fit.terms) if is_unnamed(term.law)]
     errors = None if found.unnamed_mm is None else BeforeAfter(before=found.unnamed_mm[0], after=found.unnamed_mm[1])
     if not parts:
-        return None if errors is None else Unnamed(rms_mm=0.0, in_force=False, left_out_mm=errors)
+        return Unnamed(rms_mm=0.0, in_force=False, left_out_mm=errors)
     kept = np.ones(fit.layout.total, dtype=np.bool_)
     signals: list[tuple[str, Array]] = []
     for number in parts:
@@ -101,4 +106,9 @@ def unnamed_record(found: SearchResult) -> Unnamed | None:
         acts_on=tuple(sorted(places)),
         causes=tuple(lent_effect(fit.terms[number].law).slug for number in causes),
         left_out_mm=errors,
+        heldout_position_mm=HeldOutBeforeAfter(
+            before=held_out.position_mm(model_without(found, parts)), after=held_out.position_mm(fit.model)
+        )
+        if len(held_out)
+        else None,
     )

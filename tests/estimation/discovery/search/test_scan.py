@@ -13,9 +13,8 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.quantities import measurement_conditions
-from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.arm_data import ArmData
-from cellapp.estimation.discovery.joint_fit import ProjectedResidual, refit
+from cellapp.estimation.discovery.joint_fit import refit
 from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search import stepwise
 from cellapp.estimation.discovery.search.free_part import with_free_parts
@@ -27,22 +26,17 @@ from cellapp.estimation.discovery.search.scan import (
     smallest_detectable,
 )
 from cellapp.estimation.discovery.search.state import Posteriors, Review, SearchProblem, SearchResult, SearchState
-from cellapp.estimation.discovery.search.stepwise import ChosenLines, shared_lines
 from cellapp.estimation.discovery.terms import CandidateLaw, ModelTerm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import CancelToken
-from cellapp.robot.effects import EFFECTS, EffectColumn
-from cellapp.robot.effects.law import CYCLES
-from cellapp.robot.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH, lines_beside
+from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import smr_positions
-from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm
 from tests.arms import STATION
 from tests.estimation.discovery.problems import PLAIN, N, problem, refining_law
 from tests.estimation.discovery.search.test_data_driven import readings_with
-from tests.robot.effects.cell import context_of
 
 
 def test_the_score_is_the_bic_gain_of_the_chosen_block() -> None:
@@ -219,55 +213,3 @@ def test_a_name_gives_way_to_a_more_probable_rival_that_explains_as_much(monkeyp
     found = searched(monkeypatch, {"backlash": 0.3, "friction_windup": 0.6})
     assert "backlash" not in {term.slug for term in found.fit.terms}
     assert found.improbable == {"backlash": pytest.approx(0.9)}, "of the whole answer set"
-
-
-# -- Lines of many cycles that joints share, in noise: found where they are, not found where none is -------------------
-
-
-JOINTS, READINGS, SIGMA_M_OF_LINES, LEVER_M = (0, 2, 3), 300, 3e-5, 0.8
-LAW = CURVE.law({CYCLES.name: 80.0} | {one.key(j): 1e-4 for j in JOINTS for one in (CURVE_AMPLITUDE, CURVE_LENGTH)})
-CONTEXT = context_of(READINGS)
-COLUMNS = lines_beside(CONTEXT, LAW)
-"""Lines from 81 to 420 cycles of three joints, which move the SMR along an axis each."""
-
-
-def found(seed: int, *lines: tuple[int, int, float]) -> ChosenLines | None:
-    """What is found in noise and lines (joint, cycles, amplitude [rad])."""
-    rng = np.random.default_rng(seed)
-    rows = np.zeros((len(COLUMNS), 3, READINGS))
-    for row, one in zip(rows, COLUMNS, strict=True):
-        assert one.joint is not None
-        row[JOINTS.index(one.joint)] = LEVER_M / SIGMA_M_OF_LINES * offset(one)
-    y = rng.standard_normal((3, READINGS))
-    for joint, cycles, amplitude in lines:
-        y[JOINTS.index(joint)] += LEVER_M / SIGMA_M_OF_LINES * amplitude * np.sin(cycles * CONTEXT.q[:, joint] + 0.4)
-    nuisance = rng.standard_normal((40, 3 * READINGS))
-    residual = ProjectedResidual(NuisanceProjector.of(nuisance), y.ravel())
-    by_joint = np.zeros((3, CONTEXT.q.shape[1], READINGS))
-    for axis, joint in enumerate(JOINTS):
-        by_joint[axis, joint] = LEVER_M / SIGMA_M_OF_LINES
-    candidate = CandidateLaw("transmission_error", LAW, tuple(COLUMNS), rows.reshape(len(rows), -1))
-    return shared_lines(candidate, residual, by_joint)
-
-
-def offset(column: EffectColumn) -> Array:
-    assert column.offset is not None
-    return column.offset
-
-
-def names(chosen: ChosenLines | None) -> set[str]:
-    return set() if chosen is None else {COLUMNS[place].block for place in chosen.columns}
-
-
-def test_none_is_found_in_noise() -> None:
-    values = [0.0 if one is None else one.value for one in (found(seed) for seed in range(12))]
-    assert max(values) < 10.0, "the margin from which lines join a model"
-
-
-def test_a_count_that_joints_share_is_found_where_it_is_too_small_for_each() -> None:
-    """Three joints with 13 µrad at 333 cycles, plain together only."""
-    alone, shared = found(3, (0, 333, 1.3e-5)), found(3, *((joint, 333, 1.3e-5) for joint in JOINTS))
-    assert alone is None or alone.value < 10.0
-    assert shared is not None
-    assert shared.value > 10.0
-    assert names(shared) == {f"joint {joint + 1} line 333" for joint in JOINTS}
