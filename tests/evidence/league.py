@@ -134,8 +134,8 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
                     limits.append(Limit(f"{series}, orientation error [mrad]", float(turned[1]), MOST_MRAD))
         counts = Counter(name for its in draws for name in dict.fromkeys(its["names"]))
         seconds = [its["seconds"] for its in draws]
-        said = ", ".join(f"{name} {count}" for name, count in counts.most_common()) or "none"
-        names.append([series, str(rows), f"{np.median(seconds):.1f} s, {max(seconds):.1f} s", said])
+        found_names = ", ".join(f"{name} {count}" for name, count in counts.most_common()) or "none"
+        names.append([series, str(rows), f"{np.median(seconds):.1f} s, {max(seconds):.1f} s", found_names])
     columns = ["series", "rows", "held out", "draws", "identified geometry", "names alone"]
     columns += ["names and unnamed", "reference", "worst draw over mean"]
     columns.append("within the stated 95 %")

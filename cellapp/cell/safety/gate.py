@@ -512,7 +512,7 @@ def _values_possible(arm: ArmBodies, start: Array, target: Array) -> tuple[Numbe
         if q.shape[1:] != (joints,):
             return none, f"{q[:1].size} joint positions for {joints} joints"
     finite = np.isfinite(start).all(axis=1) & np.isfinite(target).all(axis=1)
-    possible = np.atleast_1d(finite & within_limits(arm, target))
+    possible: Bools = np.asarray(finite & within_limits(arm, target))
     if possible.all():
         return np.arange(len(target)), ""
     row = int(np.argmin(possible))
