@@ -139,5 +139,5 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
     columns = ["series", "rows", "held out", "draws", "identified geometry", "names alone"]
     columns += ["names and unnamed", "reference", "worst draw over mean"]
     columns.append("within the stated 95 %")
-    named = ["series", "rows", "processor time of discovery: median, longest", "names and in how many draws"]
-    return Evidence(figures, [Table("", columns, errors), Table("", named, names)], limits)
+    of_names = ["series", "rows", "processor time of discovery: median, longest", "names and in how many draws"]
+    return Evidence(figures, [Table("", columns, errors), Table("", of_names, names)], limits)

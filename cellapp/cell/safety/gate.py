@@ -511,8 +511,8 @@ def _values_possible(arm: ArmBodies, start: Array, target: Array) -> tuple[Numbe
     for q in (start, target):
         if q.shape[1:] != (joints,):
             return none, f"{q[:1].size} joint positions for {joints} joints"
-    finite = np.isfinite(start).all(axis=1) & np.isfinite(target).all(axis=1)
-    possible: Bools = np.asarray(finite & within_limits(arm, target))
+    finite: Bools = np.isfinite(np.hstack([start, target])).all(axis=1)
+    possible = finite & within_limits(arm, target)
     if possible.all():
         return np.arange(len(target)), ""
     row = int(np.argmin(possible))
