@@ -511,7 +511,7 @@ def _values_possible(arm: ArmBodies, start: Array, target: Array) -> tuple[Numbe
     for q in (start, target):
         if q.shape[1:] != (joints,):
             return none, f"{q[:1].size} joint positions for {joints} joints"
-    finite: Bools = np.isfinite(np.hstack([start, target])).all(axis=1)
+    finite = np.asarray(np.isfinite(np.hstack([start, target])).all(axis=1))
     possible = finite & within_limits(arm, target)
     if possible.all():
         return np.arange(len(target)), ""
