@@ -137,6 +137,10 @@ def table_with_keys(table: Table) -> Table:
     return replace(table, rows=rows)
 
 
+_CHAPTERS = {"docs targets": "push", "docs planning": "plan"}
+"""Chapters that a next step names where it knows no file for the command: here a screen asks for it."""
+
+
 def with_keys(text: str) -> str:
     """Replace each command of the command line in a sentence by the keys that do it."""
     verbs = {name_of(verb) for verb in ALL}
@@ -147,4 +151,6 @@ def with_keys(text: str) -> str:
             return found[0]
         return way_to("discover --propose" if verb == "discover" and "--propose" in found[0] else verb)
 
+    for words, verb in _CHAPTERS.items():
+        text = re.sub(rf"'?cellapp {words}\b'?", way_to(verb), text)
     return _COMMAND.sub(keys, text)
