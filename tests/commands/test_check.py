@@ -205,7 +205,7 @@ def test_no_location_of_the_tracker_mends_an_arm(arm_changed: tuple[RunFile, Che
     stages = read_stages(run)
     assert CHECK not in stages.out_of_date
     assert stages.stale_model() == "the last 'check' found: arm changed"
-    assert stages.next_step(run.folder) == "cellapp plan PROFILE --run NEW"
+    assert stages.next_step(run.folder) == "cellapp docs planning"
 
 
 def test_another_calibration_makes_the_finding_void(arm_changed: tuple[RunFile, CheckResult]) -> None:

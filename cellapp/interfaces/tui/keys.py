@@ -50,7 +50,7 @@ _VARIANTS = "|".join(re.escape(word) for word in ISO9283.variants)
 """Words after the only verb that has some."""
 _COMMAND = re.compile(
     r"(?:run )?'cellapp ([a-z][\w-]*)[^'\n]*'"
-    rf"|\bcellapp ([a-z][\w-]*)(?: (?:{_VARIANTS})\b)?(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*|\d+))*"
+    rf"|\bcellapp ([a-z][\w-]*)(?: (?:{_VARIANTS})\b)?(?: (?:--[\w-]+|[A-Z_]+\b|\S*/\S*|\d+|\.(?=\s|$)))*"
 )
 
 
@@ -99,6 +99,10 @@ def table_with_keys(table: Table) -> Table:
     return replace(table, rows=rows)
 
 
+_CHAPTERS = {"docs targets": "push", "docs planning": "plan"}
+"""Chapters that a next step names where it knows no file for the command: here a screen asks for it."""
+
+
 def with_keys(text: str) -> str:
     """Replace each command of the command line in a sentence by the keys that do it."""
     verbs = {name_of(verb) for verb in ALL}
@@ -109,4 +113,6 @@ def with_keys(text: str) -> str:
             return found[0]
         return way_to("discover --propose" if verb == "discover" and "--propose" in found[0] else verb)
 
+    for words, verb in _CHAPTERS.items():
+        text = re.sub(rf"'?cellapp {words}\b'?", way_to(verb), text)
     return _COMMAND.sub(keys, text)

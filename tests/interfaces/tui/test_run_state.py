@@ -85,6 +85,7 @@ def test_what_runs_is_marked_and_what_is_next_keeps_its_own_mark() -> None:
 def test_sentences_name_keys_and_no_commands() -> None:
     assert with_keys("report.html is old; run 'cellapp report logs/a'") == "report.html is old; keys 7, b"
     assert with_keys("Measure them: cellapp push DIR TARGETS --verify") == "Measure them: keys 6, m"
+    assert with_keys("next: cellapp docs targets") == "next: keys 6, m"
     assert with_keys("run 'cellapp iso9283 PROFILE --run DIR', then go on") == "keys 7, m, then go on"
     assert with_keys("More: 'cellapp docs joint_compliance'") == "More: key F1"
     assert with_keys("no runs below logs; 'cellapp run PROFILE' makes one") == "no runs below logs; key F5 makes one"
