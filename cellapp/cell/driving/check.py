@@ -216,20 +216,14 @@ class _Checking:
         It has no time: seconds since the start of the run would be far beyond the times of the calibration.
         """
         conditions, point = found.conditions, found.point
-        return Reading(
-            q=point.q,
-            q_spread=point.q_spread,
-            p_M=point.p_M,
+        return self.mover.reading(
+            name,
+            point,
             sequence=float(len(self.driven.stops)),
-            approach=self.mover.approach(name).copy(),
             payload_kg=_first(conditions.payload_kg),
             temperature_c=point.temperature_c,
             joint_temperature_c=None if conditions.joints_c is None else conditions.joints_c[0],
-            step=self.mover.step(name),
             dwell_s=_first(conditions.dwell_s),
-            covariance_M=point.covariance_M,
-            quaternion_M=point.quaternion_M,
-            sigma_rad=point.sigma_rad,
         )
 
 

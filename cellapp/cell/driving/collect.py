@@ -400,21 +400,15 @@ class CollectSession:
     ) -> Reading:
         """Return the reading of a point just measured; its dwell time lasts until the middle of the averaging."""
         rested_s, carried = self._mover.rested_s(name), self.profile.arms[name].payload
-        return Reading(
-            q=point.q,
-            q_spread=point.q_spread,
-            p_M=point.p_M,
+        return self._mover.reading(
+            name,
+            point,
             time_s=point.time_s - self._begin(point.time_s - point.averaging_s),
-            approach=self._mover.approach(name).copy(),
             payload_kg=carried.mass if state.payload_kg is None and self._is_loaded else state.payload_kg,
             payload_center_F=np.array(carried.center_of_mass) if self._is_loaded else None,
             temperature_c=temperature_c,
             joint_temperature_c=state.joint_temperature_c,
-            step=self._mover.step(name),
             dwell_s=None if rested_s is None else max(rested_s - 0.5 * point.averaging_s, 0.0),
-            covariance_M=point.covariance_M,
-            quaternion_M=point.quaternion_M,
-            sigma_rad=point.sigma_rad,
             split=self.work.split,
         )
 

@@ -67,16 +67,13 @@ class LiveModel:
             try:
                 self._fits[name] = online_fit(profile, name, q)
                 if name in stored:
-                    self._add_stored(name, stored[name])
+                    its = stored[name]
+                    report = self._fits[name].add_all(its.configuration.tolist(), its.q, its.p_M, its.covariance_M)
+                    self._latest |= {} if report is None else {name: report}
             except (InputError, np.linalg.LinAlgError) as error:
                 self._drop(name, error)
         normals = {name: np.array(arm.smr.normal) / math.hypot(*arm.smr.normal) for name, arm in profile.arms.items()}
         self._suspicions = Suspicions(normals)
-
-    def _add_stored(self, name: str, stored: Readings) -> None:
-        report = self._fits[name].add_all(stored.configuration.tolist(), stored.q, stored.p_M, stored.covariance_M)
-        if report is not None:
-            self._latest[name] = report
 
     def add(self, stop: int, rows: Mapping[str, Reading]) -> list[StopReport | Suspicion]:
         """Refit with the readings of a stop; return a report for each arm with a model, and suspicions."""

@@ -66,7 +66,8 @@ class SmrMeasurement:
         points = [first]
         while len(points) < self.repeat.times:
             points.append(self._patient(what, measure))
-            if _deviation_of_mean(points) <= self.repeat.precision:
+            deviation = np.std([point.p_M for point in points], axis=0, ddof=1) / np.sqrt(len(points))
+            if deviation.max() <= self.repeat.precision:
                 break
         return mean_point(points)
 
@@ -125,12 +126,6 @@ def _mean_quaternion(measured: Sequence[Vector | None]) -> Vector | None:
     if len(quaternions) < len(measured):
         return None
     return quaternions_of(mean_rotation(rotations_of(quaternions)))
-
-
-def _deviation_of_mean(points: list[PointAtRest]) -> float:
-    """Return the largest standard error of the mean over the coordinates [m]."""
-    positions = np.array([point.p_M for point in points])
-    return float((positions.std(axis=0, ddof=1) / np.sqrt(len(points))).max())
 
 
 def nests_in_M(profile: Profile) -> dict[str, NDArray[np.float64]]:

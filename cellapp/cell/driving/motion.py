@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,10 +139,6 @@ Confirm = Callable[[Mapping[str, Vector], Mapping[str, Vector]], bool]
 """Callback: shows a person the start and the end of the first motion, name -> (N,) [rad]; returns whether to move."""
 
 
-def no_one(detail: Detail) -> None:
-    """Discard details of motions that nobody watches."""
-
-
 def motion_s(way: Vector, speeds: Vector, accelerations: Vector) -> float:
     """Return the longest duration [s] of a motion by ``way`` (N,) [rad] with trapezoidal speed profiles."""
     return float((np.abs(way) / speeds + speeds / accelerations).max())
@@ -203,7 +199,7 @@ class Mover:
         cell: Cell,
         bodies: CellBodies,
         reaction: StopReaction,
-        emit: Callable[[Detail], None] = no_one,
+        emit: Callable[[Detail], None] = lambda detail: None,
     ) -> None:
         self._profile, self._cell, self._bodies, self._reaction = profile, cell, bodies, reaction
         self.carried = {name: arm.payload for name, arm in profile.arms.items()}
@@ -513,6 +509,12 @@ class Mover:
             payload_kg=None if state.payload_kg is None else np.array([state.payload_kg]),
             joints_c=None if state.joint_temperature_c is None else state.joint_temperature_c[None],
         )
+
+    def reading(self, name: str, point: PointAtRest, **conditions: Any) -> Reading:
+        """Return the reading of a point just measured after the arm's last motion, with further ``conditions``."""
+        same = ("q", "q_spread", "p_M", "covariance_M", "quaternion_M", "sigma_rad")
+        conditions |= {key: getattr(point, key) for key in same}
+        return Reading(approach=self.approach(name).copy(), step=self.step(name), **conditions)
 
     def rest(self, name: str, dwell_s: float, cancel: CancelToken) -> None:
         """Wait until an arm has been at rest for ``dwell_s`` [s]. Raise as soon as the cell is stopped."""

@@ -28,10 +28,6 @@ _BRAKED = Halt("braking", "its stop was commanded")
 _AT_REST = Halt("at rest", "it was seen at rest")
 
 
-def ignore_halt(name: str, halt: Halt) -> None:
-    """Ignore the state of a halt."""
-
-
 @dataclass(frozen=True)
 class StopCause:
     """Why the cell stopped; ``arm`` is None if the cause is not one arm."""
@@ -89,7 +85,7 @@ class StopReaction:
         arms: Mapping[str, Arm],
         tracker: Halting,
         together: Together = in_threads,
-        listener: HaltListener = ignore_halt,
+        listener: HaltListener = lambda name, halt: None,
     ) -> None:
         self._arms, self._tracker, self._together, self._listener = arms, tracker, together, listener
         self._causes: tuple[StopCause, ...] = ()

@@ -147,11 +147,7 @@ class LiveSweep:
         if self._part is not None:
             self._take(self._part)
         counts = _Counts(len(track.p_M), track.missing(self.interval_s), len(joints.time_s), joints.missing)
-        self._end(counts, reached_s)
-
-    def end_unrecorded(self) -> None:
-        """End the motion of the arm without a recording."""
-        self._end(_Counts(), None)
+        self.ended(counts, reached_s)
 
     def calculated(self, record: SweepRecord) -> None:
         """Report a sweep that was computed as a whole; points without the beam are NaN."""
@@ -160,9 +156,9 @@ class LiveSweep:
         self.so_far = replace(self.so_far, lost_beams=int(np.sum(np.diff(seen.astype(int)) < 0)))
         joints_s = record.joint_time_s
         samples = counts_so_far(len(joints_s), joints_s[0], joints_s[-1], float(np.median(np.diff(joints_s))))
-        self._end(_Counts(int(seen.sum()), int((~seen).sum()), *samples), None)
+        self.ended(_Counts(int(seen.sum()), int((~seen).sum()), *samples))
 
-    def _end(self, counts: _Counts, reached_s: float | None) -> None:
+    def ended(self, counts: _Counts = _Counts(), reached_s: float | None = None) -> None:
         """Report a part that ended at ``reached_s``, or at the end of the motion if None."""
         broken = reached_s is not None
         self._ended += counts
@@ -364,7 +360,7 @@ class SweepDriver:
         own = legs[name]
         live.begin(own.arm, self.cell.clock, own.s_s, own.arm.path_period_s, recorded=False)
         self._follow(legs, live.look)
-        live.end_unrecorded()
+        live.ended()
 
     def _legs(self, motions: Mapping[str, Sweep], from_s: Mapping[str, float]) -> dict[str, _Leg]:
         found = {}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -77,12 +77,8 @@ class StopSet:
 
     def step_s(self, start: Rows, end: Rows) -> Array:
         """Compute the time of the slowest arm from stops ``start`` (K, n) to ``end`` (K, n), shape (n,) [s]."""
-        return self.way_s([q[there] - q[here] for q, here, there in zip(self.q.values(), start, end, strict=True)])
-
-    def way_s(self, ways: Sequence[Array]) -> Array:
-        """Compute the time of the slowest arm for motions (n, N) [rad] of each arm, shape (n,) [s]."""
-        times = [motion_s(self.profile.arms[name], way) for name, way in zip(self.names, ways, strict=True)]
-        return np.asarray(np.max(times, axis=0))
+        here, there = self.at(start), self.at(end)
+        return np.asarray(np.max([motion_s(self.profile.arms[one], there[one] - here[one]) for one in here], axis=0))
 
     def arm_times_s(self, arm: int, rows: Rows) -> Array:
         """Compute the time of an arm alone between all pairs of the stops ``rows`` (m,), shape (m, m) [s].
@@ -103,10 +99,6 @@ class StopSet:
         times: Array = np.zeros((m, m))
         times[i, k] = times[k, i] = seconds + np.where(free, 0.0, self.usual_step_s)
         return times
-
-    def arm_pairs(self) -> Iterator[tuple[int, int]]:
-        """Return all pairs of arms."""
-        return combinations(range(len(self.q)), 2)
 
     def compatible_stops(self, first: int, second: int, rows: Rows, partners: Rows) -> NDArray[np.bool_]:
         """Return whether arm ``first`` is clear and visible at ``rows`` (m,) while ``second`` is at ``partners`` (p,).
@@ -221,7 +213,7 @@ def _members(block: NDArray[np.intp], sizes: NDArray[np.intp]) -> NDArray[np.int
 
 def _pair_cost(stops: StopSet, members: Order, sizes: NDArray[np.intp]) -> Array:
     """Compute the cost of incompatible pairs of two arms' stops (pairs of arms, B, m, m) [s]; 0 for others."""
-    pairs, m = list(stops.arm_pairs()), members.shape[2]
+    pairs, m = list(combinations(range(len(stops.q)), 2)), members.shape[2]
     cost = np.zeros((len(pairs), len(sizes), m, m))
     for number, (first, second) in enumerate(pairs):
         for block, size in enumerate(sizes.tolist()):

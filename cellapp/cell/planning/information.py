@@ -224,8 +224,10 @@ def _sized(
 ) -> Iterator[tuple[_EffectPart, Array]]:
     """Yield the columns of a law that move the SMR, with coefficients that displace it by ``expected_m`` rms."""
     chosen, sizes = [], []
-    columns = EFFECTS[slug].columns(context, law, names)
-    displaced = whitened_displacements(columns, _by_joint(context), _unit(len(context)))
+    columns, joints = EFFECTS[slug].columns(context, law, names), tuple(6 + 5 * j for j in range(context.joints))
+    displaced = whitened_displacements(
+        columns, jacobian(context.geometry, JointAngles.of(context.q), joints)[1], _unit(len(context))
+    )
     rms_m = np.sqrt(np.einsum("md,md->m", displaced, displaced) / len(context))
     for column, rms in zip(columns, rms_m.tolist(), strict=True):
         bound = max(abs(column.lower), abs(column.upper))
@@ -240,12 +242,6 @@ def _sized(
 def _columns_of(part: _EffectPart, context: EffectContext) -> list[EffectColumn]:
     by_name = {column.name: column for column in EFFECTS[part.slug].columns(context, part.law, frozenset(part.names))}
     return [by_name[name] for name in part.names]
-
-
-def _by_joint(context: EffectContext) -> Array:
-    """Compute the derivatives of the SMR position by the joints (3, N, n) [m/rad]."""
-    joints = tuple(6 + 5 * j for j in range(context.joints))
-    return jacobian(context.geometry, JointAngles.of(context.q), joints)[1]
 
 
 def _unit(n: int) -> Array:

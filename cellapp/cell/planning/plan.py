@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.cell.planning.balance import correlations, travel_time
 from cellapp.cell.planning.candidates import random_configurations
@@ -98,7 +97,8 @@ def draw_stops(
         cancel.check()
         pairs = [{name: next(configurations) for name, configurations in drawn.items()} for _ in range(count)]
         q = {name: np.array([pair[name] for pair in pairs]) for name in drawn}
-        admitted = _admitted(cell, q)
+        admitted = visible_stops(cell, q)
+        admitted[admitted] = clear_stops(cell, {name: rows[admitted] for name, rows in q.items()})
         found = {name: np.concatenate([found[name], q[name][admitted]])[:count] for name in q}
         number = len(next(iter(found.values())))
         if number == count:
@@ -107,14 +107,6 @@ def draw_stops(
         f"plan: only {number} of {counted(count, 'stop was', 'stops were')} found at which all arms are visible and"
         " keep their clearance; ask for a smaller plan.clearance, or move bases or tracker"
     )
-
-
-def _admitted(cell: CellBodies, q: Mapping[str, Array]) -> NDArray[np.bool_]:
-    """Return at which of n stops, arm -> (n, N) [rad], all SMRs are visible and all arms are clear, shape (n,)."""
-    admitted = visible_stops(cell, q)
-    rows = np.flatnonzero(admitted)
-    admitted[rows] = clear_stops(cell, {name: value[rows] for name, value in q.items()})
-    return admitted
 
 
 def _next_stop(

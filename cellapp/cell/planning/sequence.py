@@ -36,11 +36,6 @@ class Sequenced:
     given_up: tuple[str, ...]
 
 
-def distinct_stops(profile: Profile, stops: int) -> int:
-    """Return the number of different stops in a plan of ``stops`` stops; the others are repeats."""
-    return stops - min(profile.plan.repeats, stops // _LARGEST_REPEATED_SHARE)
-
-
 def sequenced(
     profile: Profile,
     cell: CellBodies,
@@ -140,7 +135,7 @@ class _Job:
     def all_of(self, q: Mapping[str, Array], asked: int, reserve: int, start: Configuration | None) -> PlannedStops:
         """Plan ``asked`` stops, with repeats, and reserves after them, as far as there are configurations for them."""
         usable = min(map(len, q.values()))
-        repeats = asked - distinct_stops(self.profile, asked)
+        repeats = min(self.profile.plan.repeats, asked // _LARGEST_REPEATED_SHARE)
         distinct = min(asked - repeats, usable)
         repeats = min(repeats, distinct // (_LARGEST_REPEATED_SHARE - 1))
         first = self.part({name: rows[:distinct] for name, rows in q.items()}, repeats, start)

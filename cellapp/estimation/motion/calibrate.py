@@ -182,6 +182,7 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[JointPath, Array]
     n = sum(len(rows) for *_, rows in parts)
     times = [(one.track.path, one.track.controller_times(rows, one.offsets_s, one.rate)) for _, one, rows in parts]
     q = [path.at(time_s)[0] if at_rest is None else at_rest(path, time_s) for path, time_s in times]
+    stated = [one.track.sigma_m[rows] for _, one, rows in parts if one.track.sigma_m is not None]
     sides = [path.direction_at(time_s) for path, time_s in times]
     travelled = [path.travel_at(time_s, path.at(time_s)[0]) for path, time_s in times]
     return Readings(
@@ -190,7 +191,7 @@ def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[JointPath, Array]
         q=np.concatenate(q).reshape(n, joints),
         approach=np.sign(np.rint(np.concatenate(sides))).astype(np.int8).reshape(n, joints),
         p_M=np.concatenate([one.track.p_M[rows] for _, one, rows in parts]),
-        sigma_m=_stated_of(parts),
+        sigma_m=np.concatenate(stated) if len(stated) == len(parts) else None,
         step=np.concatenate(travelled).reshape(n, joints),
         other_q=_beside(times),
         split=tuple(word for word, _, rows in parts for _ in rows),
@@ -214,11 +215,6 @@ def _beside(times: Sequence[tuple[JointPath, Array]]) -> Array | None:
         return None
     unknown = [np.full((len(time_s), joints), np.nan) for _, time_s in times]
     return np.concatenate([blank if q is None else q for q, blank in zip(found, unknown, strict=True)])
-
-
-def _stated_of(parts: Sequence[tuple[str, RecordingFit, NDArray[np.intp]]]) -> Array | None:
-    sigmas = [one.track.sigma_m[rows] for _, one, rows in parts if one.track.sigma_m is not None]
-    return np.concatenate(sigmas) if len(sigmas) == len(parts) else None
 
 
 def _stops(readings: Readings) -> tuple[Stops | None, NDArray[np.bool_] | None]:

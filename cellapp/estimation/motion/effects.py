@@ -476,7 +476,7 @@ class _Search:
             judged = self._tried(step.law.value, partial(self._judged, trial))
             if judged is None:
                 continue
-            if _least_gain(step.law) * judged.heldout_mm < state.heldout_mm:
+            if (_AS_WELL if step.law in ONLY_MOTION else 1.0) * judged.heldout_mm < state.heldout_mm:
                 rivals = [one.log_p for _, _, one in likely if {one.law, step.law} == set(LOOK_ALIKES)]
                 return judged, replace(step, after_mm=judged.heldout_mm, rival=min(rivals, default=math.inf))
         return None
@@ -527,11 +527,6 @@ class _Search:
         if trial.heldout_mm >= state.heldout_mm:
             return None
         return trial, Step(Law.LINE, kept, statistic, log_p, state.heldout_mm, trial.heldout_mm)
-
-
-def _least_gain(law: Law | MotionLaw) -> float:
-    """Return the ratio of held-out errors that a law must gain: laws of motion only must gain more."""
-    return _AS_WELL if law in ONLY_MOTION else 1.0
 
 
 def _whitened(state: State) -> State:

@@ -111,10 +111,6 @@ class JointPath:
         """Return the indices of the last samples (n,) before times (n,) [s]; the first sample for earlier times."""
         return np.clip(np.searchsorted(self.stamps.time_s, time_s, side="right") - 1, 0, len(self.stamps.time_s) - 1)
 
-    def segment_at(self, time_s: Array) -> NDArray[np.intp]:
-        """Return the segment of the controller's clock at times (n,) [s]."""
-        return self.stamps.segment[self.samples_at(time_s)]
-
     def at(self, time_s: Array) -> tuple[Array, Array]:
         """Return positions [rad] and speeds [rad/s] at times (n,) [s], each (n, N)."""
         return np.asarray(self._position(time_s)), np.asarray(self._speed(time_s))

@@ -315,7 +315,7 @@ def _segments(
     path: JointPath, stamps: Stamps, controller_s: Array, where: str
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Return the segment of each point between steps of either clock, and a mask of points near controller steps."""
-    of_joints = path.segment_at(controller_s)
+    of_joints = path.stamps.segment[path.samples_at(controller_s)]
     _, segment = np.unique(stamps.segment * (int(of_joints.max()) + 1) + of_joints, return_inverse=True)
     segment = segment.astype(np.intp)
     if segment.max() >= _MOST_SEGMENTS:

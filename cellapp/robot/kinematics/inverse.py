@@ -196,7 +196,9 @@ def closed_form_solutions(
     if found is None:
         return None
     name, off = found
-    R, o6 = _flange_in_base(geometry, position_M, rotation_M)
+    T = geometry.T_M_B()
+    R = T[:3, :3].T @ rotation_M
+    o6 = (position_M - T[:3, 3]) @ T[:3, :3] - R @ geometry.tool  # of the flange, in the base frame
     chain = _structured(geometry, name)
     free = np.broadcast_to(chain.theta + (0.0 if near is None else near), (len(position_M), 6))
     solve = _parallel_axes if name == "parallel axes 2-3-4" else _spherical_wrist
@@ -222,13 +224,6 @@ def _structured(geometry: Geometry, name: Structure) -> _Chain:
     c, s = np.cos(alpha), np.sin(alpha)
     c[parallel], s[parallel] = np.round(c[parallel]), 0.0
     return _Chain(theta, d, a, c, s)
-
-
-def _flange_in_base(geometry: Geometry, position_M: Array, rotation_M: Array) -> tuple[Array, Array]:
-    """Rotations (n, 3, 3) and origins (n, 3) [m] of the flange in the base frame."""
-    T = geometry.T_M_B()
-    R = T[:3, :3].T @ rotation_M
-    return R, (position_M - T[:3, 3]) @ T[:3, :3] - R @ geometry.tool
 
 
 def _parallel_axes(chain: _Chain, R: Array, o6: Array, free: Array) -> Array:

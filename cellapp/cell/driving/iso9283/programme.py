@@ -505,11 +505,6 @@ def approach_name(pose: str, direction: str) -> str:
     return f"{pose} {direction}"
 
 
-def directional_sequence() -> list[tuple[str, str]]:
-    """Return pose and direction of each measured visit of one multi-directional cycle."""
-    return [(pose, direction) for pose in DIRECTIONAL_POSES for direction in DIRECTIONS]
-
-
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
@@ -558,7 +553,8 @@ def _ways(search: CubeSearch, q: dict[str, Array]) -> Iterator[tuple[dict[str, A
 
 def approach_sequence() -> list[str]:
     """Return all positions of one multi-directional cycle: before each visit the start of its approach."""
-    return [name for pose, direction in directional_sequence() for name in (approach_name(pose, direction), pose)]
+    visits = product(DIRECTIONAL_POSES, DIRECTIONS)
+    return [name for pose, direction in visits for name in (approach_name(pose, direction), pose)]
 
 
 def arm_programme(

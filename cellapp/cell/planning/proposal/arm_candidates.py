@@ -133,9 +133,10 @@ class RunConditions:
             other_q = poses.q[other][pose]
             moment = base_moment(model.geometry, model.bodies, other_q, model.up_M)
         detour = bool(steps.any())
-        dwell_s = None
-        if conditions.dwell_s is not None or approaches.dwells.any():
-            dwell_s = approaches.dwells[approach] + self._shortest_dwell_s()
+        dwell_s, rested_s = None, conditions.dwell_s
+        shortest_s = np.nanmin(rested_s) if rested_s is not None and np.isfinite(rested_s).any() else _TYPICAL_DWELL_S
+        if rested_s is not None or approaches.dwells.any():
+            dwell_s = approaches.dwells[approach] + shortest_s
         return poses.q[self.name][pose], MeasurementConditions(
             approach=np.sign(steps) if detour else None,
             step=steps if detour else None,
@@ -153,13 +154,6 @@ class RunConditions:
         """Return configurations and expected conditions of all candidates, pose by pose."""
         pose, approach = (each.ravel() for each in np.indices((len(poses), len(approaches))))
         return self.candidates(poses, approaches, pose, approach)
-
-    def _shortest_dwell_s(self) -> float:
-        """Return the rest before a measurement where no longer one is required."""
-        dwell_s = self.conditions.dwell_s
-        if dwell_s is None or not np.isfinite(dwell_s).any():
-            return _TYPICAL_DWELL_S
-        return float(np.nanmin(dwell_s))
 
     def _times(self, m: int) -> Array | None:
         """Return the middle of the time in which the further stops will be measured, at the pace of the run."""

@@ -25,7 +25,6 @@ from cellapp.robot.effects import (
     DriverVariable,
     EffectColumn,
     EffectContext,
-    EffectTerm,
     Law,
     MeasurementConditions,
 )
@@ -124,14 +123,12 @@ def _bound_precision(column: EffectColumn) -> float:
 
 def refitted_discovery(data: ArmData, discovery: Discovery) -> tuple[ArmData, JointFit]:
     """Repeat the final fit of a discovery: the accepted terms with the weights of its search."""
-    terms = tuple(_model_term(term, discovery.scatter_m) for term in discovery.terms)
-    return refit(data, terms)
-
-
-def _model_term(term: EffectTerm, scatter_m: float) -> ModelTerm:
-    """Convert an accepted term to a term under test, without free part; ``scatter_m`` scales smooth priors."""
-    smooth = Smoothness(0.0, 0, Excess(scatter_m)) if term.law.form.is_smooth else None
-    return ModelTerm(term.slug, term.law, term.law_names, smooth, note=term.note)
+    smooth = Smoothness(0.0, 0, Excess(discovery.scatter_m))  # its scatter scales smooth priors; no free part
+    terms = (
+        ModelTerm(one.slug, one.law, one.law_names, smooth if one.law.form.is_smooth else None, note=one.note)
+        for one in discovery.terms
+    )
+    return refit(data, tuple(terms))
 
 
 # -- Further stops as a fitted model predicts them: columns of its parameters there, and the expected uncertainty -----
