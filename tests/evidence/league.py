@@ -111,10 +111,17 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
             worst = max(its["mm"][1] for its in own) / discovery
             within = float(np.average([its["within"] for its in own], weights=[its["held_out"] for its in own]))
             alone = [its["names_alone_mm"] or its["groups"][group]["mm"][1] for its in draws]
-            named = f"{np.mean(alone):.4f} mm" if group == "all" else ""
+            by_names = f"{np.mean(alone):.4f} mm" if group == "all" else ""
             errors.append(
                 [
-                    *(series, str(rows), f"{own[0]['held_out']} {group}", str(len(own)), f"{geometry:.3f} mm", named),
+                    *(
+                        series,
+                        str(rows),
+                        f"{own[0]['held_out']} {group}",
+                        str(len(own)),
+                        f"{geometry:.3f} mm",
+                        by_names,
+                    ),
                     *(f"**{discovery:.4f} mm**", REFERENCE_MM.get(series, "") if group == "all" else ""),
                     *(f"{worst:.2f}", f"{100 * within:.1f} %"),
                 ]
