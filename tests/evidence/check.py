@@ -54,7 +54,7 @@ FOUND = ("tracker moved", "base moved", "smr moved", "arm changed", "not explain
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=600)
     parser.add_argument("--unchanged", type=int, default=20, help="checks of each cell as it was")
     parser.add_argument("--each", type=int, default=2, help="changes of each kind in each cell")

@@ -124,7 +124,7 @@ def run(name: str, arguments: Sequence[str]) -> int:
     evidence = module.summary(gathered.found, asked)
     stated = {
         "title": module.TITLE,
-        "command": " ".join(["python -m tests.evidence", name, *arguments]),
+        "command": " ".join(["python -m tests.evidence", name, *(one for one in arguments if one != "--resume")]),
         "date": datetime.now(UTC).strftime("%Y-%m-%d"),
         "commit": _commit(),
         "cases": len(given),
