@@ -128,7 +128,7 @@ def _ways(legs: Mapping[str, Sequence[Vector]]) -> Iterator[list[Targets]]:
             yield [{name: leg} for name in order for leg in legs[name]]
 
 
-States = Mapping[str, ArmState]
+States = dict[str, ArmState]
 
 _UNSEEN = "not measured: the tracker does not see the SMR there"
 
@@ -297,12 +297,12 @@ class TargetVisit:
         """Measure all arms again and return the means; empty if one cannot be measured.
 
         The arms in ``names`` approach their commands again for each repeat; the others stay at rest. Both arms of a
-        pair are measured together.
+        pair are measured together. ``states`` is brought up to date.
         """
         sides = {name: found.rounds[0][name].approach for name in names}
         each: list[Rest] = []
         for _ in range(REPEATS):
-            states = {**states, **self.driver.back_to({name: sent[name] for name in names}, sides)}
+            states |= self.driver.back_to({name: sent[name] for name in names}, sides)
             each.append(self._measure("compensated", found, states, sent))
             if len(each[-1]) < len(sent):
                 return {}

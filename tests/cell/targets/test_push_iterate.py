@@ -298,7 +298,7 @@ def test_each_arm_has_a_program_of_its_own(run: RunFile, tmp_path: Path) -> None
 
 
 def test_what_cannot_be_written_is_refused(run: RunFile, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"expected a file \.csv, or \.script"):
+    with pytest.raises(InputError, match=r"written as \.csv or \.script, not as \.txt"):
         compensate_paths(run, [spec()], tmp_path / "q.txt")
     targets = {"folder": run.folder, "targets": PROFILES / "targets" / "twin.yaml", "out": tmp_path / "q.csv"}
     with pytest.raises(InputError, match="--out is for path files"):
