@@ -24,7 +24,6 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run.sqlite_file import SCHEMA_VERSION, create_tables
 from cellapp.commands.docs.handbook import (
     CHAPTERS,
-    PARTS,
     anchor_of,
     chapter_text,
     effect_sections,
@@ -102,12 +101,10 @@ def test_files_that_are_linked_are_there_and_every_figure_is_shown() -> None:
     assert {picture.name for picture in PICTURES} == {path.stem for path in figures if path.stem.startswith("page-")}
 
 
-def test_the_readme_leads_to_every_chapter_by_parts() -> None:
-    listed = re.findall(r"^\| \[(\w+)\]\(cellapp/docs/\1\.md\) \| (.+) \|$", README.read_text("utf-8"), re.MULTILINE)
-    assert listed == list(CHAPTERS.items()), "the README's tables 'Read on' are those of the handbook's parts"
-    parts = re.findall(r"^\| ([a-z ]+) \| \|$", README.read_text("utf-8"), re.MULTILINE)
-    assert parts == list(PARTS)
-    for chapter, anchor in re.findall(r"\(cellapp/docs/(\w+)\.md#?([^)\s]*)\)", README.read_text("utf-8")):
+def test_the_readme_leads_to_sections_that_are_there() -> None:
+    found = re.findall(r"\(cellapp/docs/(\w+)\.md#?([^)\s]*)\)", README.read_text("utf-8"))
+    assert len(found) > 10
+    for chapter, anchor in found:
         assert chapter in CHAPTERS
         assert not anchor or anchor in _anchors(chapter), anchor
 
