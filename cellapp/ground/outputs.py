@@ -157,7 +157,7 @@ class Outputs:
             how = f"move it away, or {self.remedy}" if self.remedy else "or move it away"
             raise InputError(f"{where} exists already; nothing was written. Give another name, {how}")
         if not os.access(place, os.W_OK):
-            raise InputError(f"{where} is write-protected; give another name. Nothing was done")
+            raise InputError(f"{where} is write-protected; make it writable, or move it away. Nothing was done")
         return place
 
     def _protected(self, path: Path, place: Path) -> str:
@@ -187,8 +187,13 @@ def require_suffix(path: Path, suffixes: Sequence[str], what: str) -> None:
 
 def try_folder(folder: Path) -> None:
     """Write a file without a name in a folder, before hours of work; raise ``OSError`` if that cannot be done."""
-    with tempfile.TemporaryFile(dir=folder) as file:
-        file.write(bytes(_TRIED))
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(_TRIED))
+    except OSError as error:
+        if error.filename is not None:
+            error.filename = str(folder)  # not the name that was tried
+        raise
 
 
 @contextlib.contextmanager

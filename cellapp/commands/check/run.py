@@ -17,6 +17,7 @@ from cellapp.cell.driving.verification import measured_turn
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
+from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.confirm import confirmation
 from cellapp.commands.locate.result import LocateResult
@@ -73,6 +74,7 @@ def check_run(
         Nothing is stored.
     """
     control = work.control
+    cell_bodies(run.profile)  # a profile that lacks a pose is refused before minutes of computing
     probed = [name for name, arm in run.profile.arms.items() if arm.smr.probe is not None]
     checked = _checked(run, probed)
     design = design_of(checked.belief)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -96,7 +97,10 @@ def compensate_targets(
     """
     ranges = {name: ConditionRanges.of(one, model.arms.get(name)) for name, one in readings.items()}
     commands = compensate(commanded_profile(profile, readings), model, targets, ranges=ranges)
-    result = compensate_result(commands, [*notes, *([UNPLACED] if is_unplaced(profile) else [])])
+    unknown = [UNPLACED] if is_unplaced(profile) else []
+    if unknown:
+        commands = tuple(replace(one, visible=None) for one in commands)
+    result = compensate_result(commands, [*notes, *unknown])
     common = {name: _common(arm, name, commands, readings[name]) for name, arm in model.arms.items()}
     return commands, result.model_copy(update={"common": {name: its for name, its in common.items() if its}})
 

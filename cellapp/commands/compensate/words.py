@@ -218,7 +218,8 @@ def verify_message(verify: VerifyResult) -> str:
     if pairs:
         nominal = np.mean([pair.nominal_mm for pair in pairs if pair.nominal_mm is not None])
         last = np.mean([mm for pair in pairs if (mm := pair.final_mm) is not None])
-        parts.append(f"distance of both SMRs {nominal:.2f} -> {last:.3f} mm at {len(pairs)} cooperative targets")
+        at = counted(len(pairs), "cooperative target")
+        parts.append(f"distance of both SMRs {nominal:.2f} -> {last:.3f} mm at {at}")
     turned = [one.orientation for one in verify.targets if one.orientation is not None]
     was = [turn.nominal_mrad for turn in turned if turn.nominal_mrad is not None]
     left = [turn.final_mrad for turn in turned if turn.final_mrad is not None]

@@ -158,8 +158,9 @@ def _scatter_sentences(arm: ArmDiscoveryResult) -> list[str]:
     if arm.scatter is None or arm.omnibus_p is None:
         return []
     p = "below 0.001" if arm.omnibus_p < 0.001 else f"{arm.omnibus_p:.2g}"
+    against = "the stated uncertainty" if arm.claim is None else "the estimated noise"
     return [
-        f"The remaining scatter is {arm.scatter:.2f} times the stated uncertainty. If nothing were missing, the"
+        f"The remaining scatter is {arm.scatter:.2f} times {against}. If nothing were missing, the"
         f" probability of this much remaining structure is {p}."
     ]
 

@@ -164,9 +164,9 @@ def format_cell(cell: Cell, number_format: str = "") -> str:
     if isinstance(cell, str):
         return cell
     if isinstance(cell, Number):
-        return f"{cell.value:.{cell.decimals}f} {cell.unit}".rstrip()
+        return f"{cell.value:z.{cell.decimals}f} {cell.unit}".rstrip()
     if isinstance(cell, Interval):
-        limits = number_format if cell.decimals is None else f".{cell.decimals}f"
+        limits = number_format if cell.decimals is None else f"z.{cell.decimals}f"
         return f"{cell.low:{limits}} to {cell.high:{limits}}"
     return format(cell, number_format)
 

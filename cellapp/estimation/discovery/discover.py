@@ -220,6 +220,8 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
     terms, accepted = accepted_effects(found, fitted_model, held_out, after.rms, probable)
     left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
     nameless, claim = unnamed_record(found, held_out), _contradicted_claim(found, stated_mm)
+    if claim is not None and left is not None:
+        left = replace(left, against="estimated")
     word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure, nameless)
     if result.harmful or (accepted and word == "explained" and after.rms >= before.rms):
         word = "unknown effect"  # the search fitted something real, but not by its true cause
@@ -397,10 +399,10 @@ def _judged_by_held_out(result: Searched, held_out: HeldOut) -> Searched:
 def _with_what_was_left_out(sentence: str, result: Searched) -> str:
     """Append to the sentence of the verdict which effects and which readings were left out."""
     said = {rival.effect for one in result.found.reviews for rival in one.rivals if not rival.distinguishable}
-    improbable = {slug: p for slug, p in result.found.improbable.items() if slug not in said}
+    improbable = [slug for slug in result.found.improbable if slug not in said]
     if improbable:
-        odds = ", ".join(f"{EFFECTS[slug].title} ({p:.0%})" for slug, p in improbable.items())
-        sentence = f"{sentence}; more probably not there than there, and left out: {odds}"
+        titles = ", ".join(EFFECTS[slug].title for slug in improbable)
+        sentence = f"{sentence}; more probably not there than there, and left out: {titles}"
     if result.only_some:
         count = f"{len(result.search.data)} of {counted(len(result.data), 'reading')}"
         sentence = f"{sentence}; the model rests on {count}: {result.only_some}"

@@ -370,10 +370,11 @@ def _left(
         return gap
     if has_structure(structure):
         return f"{structure.sentence}; {gap}"
+    few = f"as {scatter.against} and are too few"
     if _far_off(scatter, structure):
-        return f"readings scatter {scatter.ratio:.0f} times as stated and are too few to look for effects; {gap}"
-    without = "but without structure" if structure.tests else "and are too few to test for structure"
-    return f"readings scatter {scatter.ratio:.2f} times as stated {without}: repeatability or noise; {gap}"
+        return f"readings scatter {scatter.ratio:.0f} times {few} to look for effects; {gap}"
+    without = f"as {scatter.against} but without structure" if structure.tests else f"{few} to test for structure"
+    return f"readings scatter {scatter.ratio:.2f} times {without}: repeatability or noise; {gap}"
 
 
 def _far_off(scatter: Scatter | None, structure: RemainingStructure) -> bool:

@@ -85,6 +85,11 @@ def test_the_verdict_follows_from_effects_rivals_and_what_is_left(effects, after
     assert ("times as stated" in sentence) == scatters
 
 
+def test_a_scatter_is_not_compared_with_a_stated_uncertainty_that_it_contradicts() -> None:
+    _, sentence = verdict([], 0.1, 0.3, 100, Scatter(1.9, 0.0, "estimated"), NONE)
+    assert "readings scatter 1.90 times as estimated but without structure" in sentence
+
+
 def test_readings_that_are_too_few_for_a_search_do_not_say_that_nothing_is_missing() -> None:
     found, sentence = verdict([], 0.1, 1.3, 10, Scatter(50.0, 0.0), UNTESTED)
     assert found == "unknown effect"

@@ -9,6 +9,7 @@ import pytest
 
 from cellapp.cell.exports.arm_export import lost_parts, workspace
 from cellapp.cell.profile import load_profile
+from cellapp.commands.discover.words import remainder_sentences
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.search import stepwise
@@ -63,6 +64,7 @@ def test_what_has_no_name_stays_in_the_model_whatever_is_stated(factor, monkeypa
     assert result.heldout_mm.after < 0.6 * result.heldout_mm.before
     assert (result.claim is not None) == (factor > 1.0)
     assert ("an expanded or maximum figure?" in result.sentence) == (factor > 1.0)
+    assert ("times the estimated noise" in " ".join(remainder_sentences(result))) == (factor > 1.0)
 
     out = slice(LEARNT, N)
     q, then = readings.q[out], conditions.take(np.arange(LEARNT, N))

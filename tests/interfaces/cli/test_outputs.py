@@ -363,8 +363,8 @@ def test_no_other_room_opens_a_file_to_replace_it() -> None:
 def test_whether_results_can_be_stored_is_asked_before_they_are_computed(
     module: str, words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    def full(**_: object) -> None:
-        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+    def full(dir: Path) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(dir / "tried"))
 
     monkeypatch.chdir(tmp_path)
     RunFile.create(Path("run"), two_arms()).close()
@@ -375,4 +375,6 @@ def test_whether_results_can_be_stored_is_asked_before_they_are_computed(
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code == 2
-    assert "Read-only file system" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "Read-only file system" in said
+    assert "tried" not in said

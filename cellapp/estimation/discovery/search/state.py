@@ -220,13 +220,14 @@ FLOOR_CHANCE = 0.001
 
 @dataclass(frozen=True)
 class Scatter:
-    """Scatter of residuals relative to the stated uncertainty.
+    """Scatter of residuals relative to the stated uncertainty, or to the scatter found where that contradicts it.
 
     ``ratio`` is the root of chi-square per degree of freedom, ``p_value`` the probability of one at least as large.
     """
 
     ratio: float
     p_value: float
+    against: str = "stated"
 
 
 def scatter(data: ArmData, fit: JointFit) -> Scatter | None:
