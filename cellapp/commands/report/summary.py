@@ -167,7 +167,8 @@ def _steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> It
     if data.next_step:
         yield Step(_next_words(data), data.next_step)
     here = data.results.model_copy(update={"run": str(HERE)})  # the page is the same wherever it lies
-    yield from (one for one in open_steps(data.profile, here, judgements) if not one.command or one.command != data.next_step)
+    steps = open_steps(data.profile, here, judgements)
+    yield from (one for one in steps if not one.command or one.command != data.next_step)
     for name, arm in ({} if data.discover is None else data.discover.arms).items():
         yield from _effect_steps(name, arm)
     due = data.profile.traceability.tracker.due
