@@ -352,7 +352,7 @@ def _levers(model: ArmModel, measured: Measured) -> Array:
     names = all_names(model.geometry.joints)
     joints = tuple(names.index(f"theta{joint + 1}") for joint in range(model.geometry.joints))
     rows = design(model, measured, joints)[: len(joints)].reshape(len(joints), 3, len(measured))
-    return np.einsum("jan,jbn->nab", rows, rows)
+    return np.asarray(np.einsum("jan,jbn->nab", rows, rows))
 
 
 def _relocated(arm: ArmBelief, T: Array) -> ArmBelief:
