@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -19,6 +20,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, DriverVariable, EffectTerm, MeasurementConditions
+from cellapp.robot.kinematics.chain import all_names
 from cellapp.robot.kinematics.transforms import Array, apply
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.model import relocated
@@ -79,6 +81,15 @@ class Scatter:
         """Compute the arm's variance about what is expected with shares ``again`` (n,), 0 at another stop."""
         return np.asarray(self.arm**2 + (again * self.whole) ** 2 - 2.0 * again * self._least)
 
+    def unremembered(self, again: Array) -> Array:
+        """Compute the factors (n,) of the model's uncertainty about what is expected with shares ``again`` (n,).
+
+        With f the model's error at a stop, e the error of its reading and a the share, (1 - a) f - a e is left. The fit
+        followed e: f and e correlate by minus the covariance of f, but for the share of e that comes again.
+        """
+        new = again - np.minimum(again, self._least / max(self.whole**2, 1e-300))
+        return np.asarray(np.sqrt((1.0 - again) * (1.0 - again + 2.0 * new)))
+
     @property
     def noise(self) -> float:
         """Standard deviation of a component of a reading at the same stop, of tracker and arm together."""
@@ -127,10 +138,22 @@ class ArmBelief:
         """The positions among the readings of the calibration."""
         return self.measured.positions
 
+    @cached_property
+    def levers(self) -> Array:
+        """Covariance (n, 3, 3) of the calibration's vectors from a unit variance of every joint [m^2/rad^2]."""
+        return _levers(self.model, self.measured)
+
     def kinds(self, measured: Measured) -> list[tuple[NDArray[np.bool_], Scatter]]:
         """Return the masks (n,) of positions and of orientations, where there are some, each with its scatter."""
         found = ((measured.points, self.of_points), (~measured.points, self.of_turns))
         return [(rows, scatter) for rows, scatter in found if rows.any()]
+
+    def unremembered(self, measured: Measured, again: Array) -> Array:
+        """Return ``Scatter.unremembered`` of each vector."""
+        found = np.ones(len(measured))
+        for rows, scatter in self.kinds(measured):
+            found[rows] = scatter.unremembered(again[rows])
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,16 +330,29 @@ def noise_covariance(arm: ArmBelief, measured: Measured, again: Array) -> Array:
     """Compute the covariance (n, 3, 3) [m^2, rad^2] of measured vectors: stated uncertainty plus the arm's scatter
     about what is expected with shares ``again`` (n,) of the calibration's residuals.
 
-    Positions or orientations without a stated uncertainty get that of the calibration.
+    The arm scatters at least as in the mean of the calibration, more where and across which its joints have longer
+    levers. Positions or orientations without a stated uncertainty get that of the calibration.
     """
     whole: Array = np.empty((len(measured), 3, 3))
-    for rows, scatter in arm.kinds(measured):
+    levers = _levers(arm.model, measured)
+    for (rows, scatter), (known, _) in zip(arm.kinds(measured), arm.kinds(arm.measured), strict=False):
         stated = None if measured.stated is None else measured.stated[rows]
         if stated is None or states_nothing(stated):
             stated = np.full(int(rows.sum()), math.sqrt(scatter.whole**2 - scatter.arm**2))
         blocks = stated[:, None, None] ** 2 * np.eye(3) if stated.ndim == 1 else stated
-        whole[rows] = blocks + scatter.beyond_tracker(again[rows])[:, None, None] * np.eye(3)
+        mean = float(np.mean(np.trace(arm.levers[known], axis1=1, axis2=2))) / 3.0
+        squares, axes = np.linalg.eigh(levers[rows] / mean)
+        squares = np.maximum(squares, 1.0) * scatter.beyond_tracker(again[rows])[:, None]
+        whole[rows] = blocks + np.einsum("nab,nb,ncb->nac", axes, squares, axes)
     return whole
+
+
+def _levers(model: ArmModel, measured: Measured) -> Array:
+    """Compute the covariance (n, 3, 3) of measured vectors from a unit variance of every joint [m^2/rad^2]."""
+    names = all_names(model.geometry.joints)
+    joints = tuple(names.index(f"theta{joint + 1}") for joint in range(model.geometry.joints))
+    rows = design(model, measured, joints)[: len(joints)].reshape(len(joints), 3, len(measured))
+    return np.einsum("jan,jbn->nab", rows, rows)
 
 
 def _relocated(arm: ArmBelief, T: Array) -> ArmBelief:

@@ -165,6 +165,8 @@ def _growth(name: str, arm: ArmBelief, rows: Array) -> list[Direction]:
 
 _SAME_STOP_RAD = 0.01
 """Distance in joint space within which a stop is one of the calibration."""
+_SIDE_RAD = 1e-3
+"""Distance that a side of approach counts."""
 _DEPENDENT = 1e-6
 """Ratio to the largest singular value below which a direction depends on the others."""
 
@@ -221,10 +223,15 @@ def _remembered(arm: ArmBelief, its: Measured) -> tuple[Array, Array]:
     left, again = np.zeros((len(its), 3)), np.zeros(len(its))
     known = arm.measured
     for (asked, scatter), (kind, _) in zip(arm.kinds(its), arm.kinds(known), strict=False):
-        distance, nearest = scipy.spatial.KDTree(known.readings.q[kind]).query(its.readings.q[asked])
+        distance, nearest = scipy.spatial.KDTree(_sided(known, kind)).query(_sided(its, asked))
         left[asked] = arm.left[kind][nearest]
         again[asked] = np.where(distance < _SAME_STOP_RAD, scatter.again, 0.0)
     return left, again
+
+
+def _sided(its: Measured, rows: NDArray[np.bool_]) -> Array:
+    """Return joint positions, then sides of approach as far less than a stop: of equal stops, that of this side."""
+    return np.hstack([its.readings.q[rows], _SIDE_RAD * its.readings.approach[rows]])
 
 
 def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions: Sequence[Direction]) -> StopRows:
@@ -249,7 +256,7 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
         X = X.reshape(-1, 3, len(its)).transpose(0, 2, 1).reshape(len(X), -1)
         left, again = _remembered(arm, its)
         p_M[here.start // 3 : here.stop // 3] += again[:, None] * left
-        uncertain = X * (1.0 - np.repeat(again, 3))
+        uncertain = X * np.repeat(arm.unremembered(its, again), 3)
         K[here, here] = uncertain.T @ arm.covariance @ uncertain
         if arm.day_m:
             at = slice(first // 3, here.stop // 3)

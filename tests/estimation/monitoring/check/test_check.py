@@ -15,7 +15,7 @@ from cellapp.estimation.monitoring.check.naming import Design, MinPValueTest, af
 from cellapp.estimation.monitoring.check.records import CheckResult
 from cellapp.estimation.monitoring.check.sequential import SequentialTest
 from cellapp.estimation.prior.belief import Measured, Prior, posterior
-from cellapp.estimation.readings import Readings
+from cellapp.estimation.readings import Readings, joined
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
@@ -261,6 +261,35 @@ def test_what_comes_again_is_expected_and_what_may_not_is_scatter(pair: Simulate
     for belief, expected in ((wild, 3.0), (CheckBelief({"left": calm}), 10.0)):
         left = stop_rows(belief, {"left": here}, directions_of(belief)).left
         assert np.sqrt(np.mean(left**2)) == pytest.approx(expected * SIGMA_M, rel=0.6)
+
+
+def test_stops_with_long_levers_scatter_as_stated_when_joints_do_not_repeat(pair: SimulatedCell) -> None:
+    known, rng, found = pair.belief.arms["left"], np.random.default_rng(5), []
+    its, model = known.measured.readings, known.model
+
+    def again(stops: NDArray[np.intp], seed: int) -> Readings:
+        here = replace(pair.measured(stops, seed)["left"], approach=its.approach[stops])
+        new = model.predict(here.q + rng.normal(0.0, 5e-5, here.q.shape)) - model.predict(here.q)
+        return replace(here, p_M=here.p_M + new)
+
+    far = np.argsort(np.linalg.norm(its.p_M - model.geometry.T_M_B()[:3, 3], axis=1))[-12:]
+    for seed in range(6):
+        calibrated = again(np.arange(len(its)), seed)
+        belief = posterior_of(pair, calibrated, MeasurementConditions(approach=its.approach))
+        moments = Moments.of(stop_rows(belief, {"left": again(far, 100 + seed)}, directions_of(belief)))
+        found.append(moments.white @ moments.white / len(moments.white))
+    assert 0.6 < np.mean(found) < 1.5
+
+
+def test_the_same_side_of_a_stop_that_was_measured_from_both_comes_again(pair: SimulatedCell) -> None:
+    its = pair.belief.arms["left"].measured.readings
+    its = joined([replace(its, approach=np.full_like(its.approach, side)) for side in (-1, 1)])
+    errors = 2e-4 * np.repeat([-1.0, 1.0], len(its) // 2)[:, None]
+    known = replace(its, p_M=its.p_M + errors)
+    belief = posterior_of(pair, known, MeasurementConditions(approach=its.approach))
+    for rows in ([1, 20, 40], np.array([1, 20, 40]) + len(its) // 2):
+        left = stop_rows(belief, {"left": known.take(np.asarray(rows))}, directions_of(belief)).left
+        assert np.sqrt(np.mean(left**2)) < 5e-5
 
 
 def test_drift_of_the_day_hides_as_large_a_motion_of_the_base(pair: SimulatedCell) -> None:
