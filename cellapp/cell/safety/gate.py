@@ -341,7 +341,8 @@ def refuse_motion(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[s
     starts, targets = (
         {name: np.asarray(q[name], dtype=np.float64)[None] for name in cell.arms} for q in (q_from, q_to)
     )
-    return checked_motions(cell, starts, targets)[1]
+    accepted, refusal = checked_motions(cell, starts, targets)
+    return "" if len(accepted) else refusal or "it was not accepted"  # nothing moves because a reason is missing
 
 
 def checked_motions(cell: CellBodies, q_from: Mapping[str, Array], q_to: Mapping[str, Array]) -> tuple[Numbers, str]:
