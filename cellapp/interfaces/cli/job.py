@@ -152,9 +152,12 @@ class Job:
     def _react(self, number: int) -> None:
         """React to a signal, in the thread that watches the signals; brakes come before any message."""
         arms = self.control.has_brakes
-        if number in INTERRUPTS and self.control.request in ("stop", "abort"):
+        ends = self.control.request in ("stop", "abort")
+        if ends and number in INTERRUPTS:
             self.control.abort()
             self._announce("abort: the job ends at once")
+        elif ends and number in HANGUP:
+            return  # the stop stands
         elif number in INTERRUPTS or number in HANGUP:
             if number in _BY_KEY:
                 self.control.stop()

@@ -39,14 +39,17 @@ def run_program(app: Callable[[], object]) -> None:
     os.environ[_WARNINGS] = before or "ignore"  # of worker processes
     handlers = {number: signal.signal(number, _stop_before_job) for number in (*INTERRUPTS, *HANGUP)}
     try:
-        with _errors_as_json(sys.argv[1:]):
-            _ended(app)
-    finally:
-        warnings.showwarning = shown
-        if before is None:
-            del os.environ[_WARNINGS]
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+        try:
+            with _errors_as_json(sys.argv[1:]):
+                _ended(app)
+        finally:
+            for number, handler in handlers.items():  # a terminal's second hangup must not change the exit code
+                signal.signal(number, signal.SIG_IGN if number in HANGUP else handler)
+            warnings.showwarning = shown
+            if before is None:
+                del os.environ[_WARNINGS]
+    except Cancelled:  # by a second signal, between the end of the job and the end of the program
+        sys.exit(EXIT_INTERRUPTED)
 
 
 def _unseen(*_: object, **__: object) -> None:
@@ -170,7 +173,9 @@ def _write_error(error: BaseException, exit_code: int) -> None:
 
 
 def _stop_before_job(number: int, frame: object) -> None:
-    """Stop while the command is still loading; later ``Job`` handles signals."""
+    """Stop while the command is still loading, or after its job; in between, ``Job`` handles signals."""
+    for hangup in HANGUP:
+        signal.signal(hangup, signal.SIG_IGN)  # it may come twice
     raise Cancelled("stopped on request")
 
 

@@ -48,8 +48,8 @@ from tests.waiting import until, within
 pytestmark = pytest.mark.waits
 
 MALFORMED = {
-    "size 0": ("000055", r"its RTDE client crashed \(signal 6: .*\); possible: a malformed packet came"),
-    "size 2": ("000255", r"its RTDE client crashed \(signal 6: .*\); possible: a malformed packet came"),
+    "size 0": ("000055", r"its RTDE client crashed \(signal (6|11): .*\); possible: a malformed packet came"),
+    "size 2": ("000255", r"its RTDE client crashed \(signal (6|11): .*\); possible: a malformed packet came"),
     "no state": ("000455", r"a malformed packet came from the controller: its state has no safety mode"),
 }
 LATE = {

@@ -87,10 +87,13 @@ def test_the_second_interrupt_aborts_at_once() -> None:
         assert "aborted" in said
 
 
-def test_a_hangup_that_comes_twice_stays_a_stop() -> None:
-    with busy("query") as process:
+@pytest.mark.parametrize("load", ["query", "hold"])
+def test_a_hangup_that_comes_twice_stays_a_stop(load: str) -> None:
+    with busy(load) as process:
         assert brake_after(process, signal.SIGHUP)[0] == "stop"
-        process.send_signal(signal.SIGHUP)
+        while process.poll() is None:  # at once, and at every later step until the process is gone
+            process.send_signal(signal.SIGHUP)
+            time.sleep(0.001)
         _, said = process.communicate(timeout=WAIT_S)
         assert process.returncode == 4
         assert "aborted" not in said
