@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,6 @@ from typing import Any
 import pytest
 
 from cellapp.interfaces import cli
-
-REPORT = (
-    "cellapp: to report this: 'cellapp doctor PROFILE --bundle FILE.zip' packs what the authors need, without secrets"
-)
 
 
 class Ended:
@@ -63,7 +60,7 @@ def one_sentence(ended: Ended, *says: str, code: int = 2) -> None:
     assert ended.out == ""
     lines = [line for line in ended.err.splitlines() if line]
     if code == 3:  # a fault of hardware can be reported
-        assert lines.pop() == REPORT
+        assert re.match(r"cellapp: to report this: 'cellapp doctor \S+yaml --bundle FILE.zip' packs ", lines.pop())
     assert len(lines) == 1, ended.err
     assert lines[0].startswith("cellapp: ")
     for text in says:

@@ -282,7 +282,7 @@ def test_a_run_of_removed_readings_opens_for_show_and_export_and_calibrate_says_
         exported = export(run, ExportRequest(folder=run.folder, csv=tmp_path / "out.csv"))
         assert exported.readings == {"left": 3, "right": 1}
         assert (tmp_path / "out.csv").read_text("utf-8").splitlines()[1].endswith(last)
-        with pytest.raises(InputError, match=rf"arm 'left': readings of {what}.*'cellapp show'"):
+        with pytest.raises(InputError, match=rf"arm 'left': readings of {what}.*'cellapp show "):
             calibrate_run(run)
         append_stage(run, "calibrate", calibration("left", "right"), basis_of(run))
         (stage,) = run_overview(run).stages

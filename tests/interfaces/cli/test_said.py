@@ -26,16 +26,15 @@ def folder(call: Any, finished_run: Path) -> Path:
 
 
 def test_printed_commands_run_in_folders_with_blanks(call: Any, folder: Path) -> None:
-    texts = [
-        call("show", folder, "--json", "-").json["next_step"],
-        call("plan", PROFILES / "twin.yaml", "--run", folder).err,
-    ]
-    printed = [
-        said for text in texts for said in re.findall(r"cellapp (?!:)[a-z].*?(?=' |'$|$)", " ".join(text.split()))
-    ]
-    assert len(printed) == 2
-    for command in printed:
-        assert str(folder) in shlex.split(command.replace("\\$", "$")), command
+    """From views, tables and messages, each on one line."""
+    said = [call("show", folder, part) for part in ("overview", "certificate", "check", "paths", "iso9283", "location")]
+    said.append(call("plan", PROFILES / "twin.yaml", "--run", folder))
+    lines = [line for one in said for line in (one.out + one.err).splitlines() if "docs" not in line]
+    printed = [command for line in lines for command in re.findall(r"cellapp (?!:)[a-z].*?(?=' |'$|'\)|$)", line)]
+    for command in (one.replace("\\$", "$") for one in printed):
+        assert str(folder) in shlex.split(command), command
+        assert not_understood(command.replace(str(folder), "x"), whole=True) == "", command
+    assert {command.split()[1] for command in printed} >= {"certificate", "check", "compensate", "iso9283", "show"}
 
 
 def quoted(node: ast.AST) -> Iterator[str]:
@@ -63,7 +62,7 @@ def test_every_command_that_is_printed_can_be_typed(monkeypatch: pytest.MonkeyPa
     for command, place in found.items():
         typed = filled(f"'cellapp {command}'", files).strip("'")
         assert not {"DIR", "PROFILE", "TARGETS"} & {*shlex.split(typed)}, place
-        assert not_understood(typed, whole=False) == "", f"{place}: {typed}"
+        assert not_understood(typed, whole=True) == "", f"{place}: {typed}"
 
 
 def test_a_message_names_the_files_of_its_call(call: Any) -> None:
