@@ -47,13 +47,17 @@ def test_the_twin_in_an_empty_folder(call: Any) -> None:
     [
         ("  stops: 80", "  stops: 1", "at least 4 and 1 are needed"),
         ("targets: targets/twin.yaml", "targets: none.yaml", "none.yaml: cannot be read"),
+        ("driver: {kind: simulated}", "driver: {kind: none}", "arms.left.driver: 'none' has no device"),
+        ("tracker:\n  driver: {kind: simulated}", "tracker:\n  driver: {kind: none}", "tracker.driver: 'none' has no"),
+        ("  stops: 80", "  stops: 80\n  effects: [bogus]", "plan.effects: 'bogus' is no effect"),
+        ("    speed_scale: 0.5", f"    speed_scale: 0.5\n    payloads: [{'{mass: 0.3}, ' * 90}]", "few for 91 loads"),
         ("  identify: 40", "  identify: 900", ""),
     ],
 )
 def test_what_run_would_refuse_the_doctor_refuses(call: Any, line: str, other: str, words: str) -> None:
     call("init", "--from", "twin-small")
     profile = Path("profiles/twin-small.yaml")
-    profile.write_text(profile.read_text("utf-8").replace(line, other), "utf-8")
+    profile.write_text(profile.read_text("utf-8").replace(line, other, 1), "utf-8")
     found = call("doctor", profile, "--json", "-")
     wrong = [one for one in found.json["findings"] if one["status"] != "ok"]
     assert found.code == bool(words)
