@@ -22,7 +22,9 @@ class NoDriver(ArmSettings, TrackerSettings):
 
     def open(self, context: object) -> NoReturn:
         """Raise ``SettingError``."""
-        raise SettingError("driver: 'none' has no device; readings of this profile come from 'cellapp import'")
+        raise SettingError(
+            "driver: 'none' has no device; readings of this profile come from 'cellapp import PROFILE CSV --run NEW'"
+        )
 
     def probe(self, context: object, patience_s: float) -> list[Finding]:
         """Report that there is nothing to check."""

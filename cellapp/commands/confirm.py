@@ -57,7 +57,8 @@ def confirmation(profile: Profile, ask: Ask | None) -> Confirm | None:
     if failed:
         shown = "; ".join(f"{finding.subject}: {finding.text}" for finding in failed[:_MOST_SHOWN])
         raise CheckFailed(
-            f"doctor: {counted(len(failed), 'check')} failed, nothing was moved: {shown}; 'cellapp doctor' shows all"
+            f"doctor: {counted(len(failed), 'check')} failed, nothing was moved: {shown}; 'cellapp doctor PROFILE'"
+            " shows all"
         )
     return lambda start, targets: ask(first_path_words(profile, start, targets))
 

@@ -201,7 +201,7 @@ class StoredStage:
             return sha256_of(self.text)
         content = json_object(self.model)
         if content is None:
-            raise InputError(f"the stored model of '{self.name}' is damaged; run 'cellapp {self.name}' again")
+            raise InputError(f"the stored model of '{self.name}' is damaged; run 'cellapp {self.name} DIR' again")
         content.pop("provenance", None)
         return sha256_of(json.dumps(content, sort_keys=True))
 
@@ -294,7 +294,7 @@ def next_command(verb: NextVerb, folder: Path) -> str:
     if verb in ("push", "compensate"):
         return at_targets(verb, folder, " --verify" if verb == "push" else "")
     if verb == "plan":
-        if (profile := _files(folder)[0]) is None:
+        if (profile := known_files(folder)[0]) is None:
             return "cellapp docs planning"
         new = next(one for k in count(2) if not (one := folder.with_name(f"{folder.resolve().name}-{k}")).exists())
         return f"cellapp plan {shell_word(profile)} --run {shell_word(new)}"
@@ -303,12 +303,12 @@ def next_command(verb: NextVerb, folder: Path) -> str:
 
 def at_targets(verb: str, folder: Path, options: str = "") -> str:
     """Return the command of a verb that takes targets, with those of the profile; the chapter if it names none."""
-    targets = _files(folder)[1]
+    targets = known_files(folder)[1]
     known = f"cellapp {verb} {shell_word(folder)} {shell_word(targets or '')}{options}"
     return "cellapp docs targets" if targets is None else known
 
 
-def _files(folder: Path) -> tuple[Path | None, Path | None]:
+def known_files(folder: Path) -> tuple[Path | None, Path | None]:
     """Return the files of the profile and of the targets that it names, None for one that is not there."""
     if folder == HERE:
         return None, None
@@ -493,7 +493,7 @@ def earlier_digest(run: RunFile, arm: str) -> str:
     """
     in_force = _in_force_before_moving({stage.name: stage for stage in read_history(run)})
     if in_force is None:
-        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
+        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate {shell_word(run.folder)}' first")
     return sha256_of(f"{in_force.digest} {readings_digest(run.readings(arm))}")
 
 

@@ -14,20 +14,24 @@ from cellapp.estimation.discovery.records import DiscoverResult, with_effects
 from cellapp.estimation.monitoring.moved import CalibratedArm
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, StageName
+from cellapp.ground.shell import shell_word
 from cellapp.robot.model.model import CellModel
 
 
 def stage_in_force(run: RunFile, stages: RunStages) -> StoredStage:
     """Return the stage whose model compensation uses. Raises ``InputError`` if the run is not calibrated yet."""
     if stages.in_force is None:
-        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
+        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate {shell_word(run.folder)}' first")
     return stages.in_force
 
 
 def model_of(run: RunFile, stage: StoredStage) -> CellModel:
     """Return the model of a stage. Raises ``InputError`` if it is missing or damaged."""
     if stage.model is None:
-        raise InputError(f"{run.folder / CALIBRATION_FILE} is missing or damaged; run 'cellapp calibrate' again")
+        raise InputError(
+            f"{run.folder / CALIBRATION_FILE} is missing or damaged;"
+            f" run 'cellapp calibrate {shell_word(run.folder)}' again"
+        )
     return CellModel.from_json(stage.model, f"{run.path}: {stage.name}")
 
 
@@ -56,7 +60,8 @@ def arms_stage(run: RunFile, stages: RunStages, verb: str) -> StoredStage:
         used = stages.current[next(iter(used.basis.stages))]
     if used.basis is None:
         raise InputError(
-            f"{verb}: {run.path}: an older version of cellapp calibrated this run; run 'cellapp calibrate' again"
+            f"{verb}: {run.path}: an older version of cellapp calibrated this run;"
+            f" run 'cellapp calibrate {shell_word(run.folder)}' again"
         )
     return used
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, Literal, NamedTuple, get_args
 
 from cellapp.ground.errors import HardwareError, InputError
-from cellapp.ground.shell import shell_word
+from cellapp.ground.shell import filled, shell_word
 
 if sys.platform != "win32":
     import fcntl
@@ -128,7 +128,7 @@ def ask_running_job(folder: Path, verb: Verb) -> str:
     answer = exchange(folder, address, verb, PATIENCE_S)
     if answer is None:
         raise NoJob(f"no job runs in {folder}; the last one has ended")
-    word, _, text = answer.partition(" ")
+    word, _, text = filled(answer, {"DIR": folder}).partition(" ")
     if word != DONE:
         raise InputError(f"{folder}: {text or 'the request was refused'}")
     return text

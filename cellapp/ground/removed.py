@@ -14,9 +14,10 @@ COMMANDS: Mapping[str, str] = {
     "iso9283 stabilisation": "'cellapp iso9283' measures poses, distances, drift and paths",
     "fleet": "use 'cellapp runs FOLDER --history ARM' for an arm over its runs, 'cellapp compare DIR DIR' for two runs",
     "check-certificate": "use 'sha256sum -c SHA256SUMS' in the folder of the certificate, and minisign or GPG",
-    "sign-key": "use minisign or GPG to sign the SHA256SUMS that 'cellapp certificate' writes",
+    "sign-key": "use minisign or GPG to sign the SHA256SUMS that 'cellapp certificate DIR' writes",
     "recalibrate": "use 'cellapp calibrate DIR' and 'cellapp discover DIR' of each run; 'cellapp runs' lists them",
-    "touch": "measure the arm with a tracker ('cellapp collect'), or take readings of one with 'cellapp import'",
+    "touch": "measure the arm with a tracker ('cellapp collect DIR'), or take readings of one with"
+    " 'cellapp import PROFILE CSV --run NEW'",
     "replay": "'cellapp show DIR collection' lists the stops of a run and its faults, the page draws them",
     "docs screens": "the source's 'python -m tests.handbook screens' draws the terminal application",
     "power": "use 'cellapp trials power DIR'",
@@ -31,7 +32,7 @@ COMMANDS: Mapping[str, str] = {
 """Name of a removed command, as it is typed -> what to do instead."""
 PROFILE_KEYS: Mapping[str, str] = {
     "plant.torques": "leave it out; masses are those that the profile states",
-    "notify": "delete it; in a script, call your command after 'cellapp collect' by its exit code",
+    "notify": "delete it; in a script, call your command after 'cellapp collect DIR' by its exit code",
     "arms.*.driver.trigger_output": "delete it; the motion tells the offset of the clocks",
     **{
         f"arms.*.smr.{key}": "mount a 6-D probe (smr.probe), or import readings of three SMRs"
@@ -41,7 +42,10 @@ PROFILE_KEYS: Mapping[str, str] = {
 """Removed key of a profile, with dots, ``*`` for any name or index -> what to do instead."""
 READINGS: Mapping[str, tuple[str, str]] = {
     "point": ("a ball in sockets", "measure the arm with a tracker"),
-    "smr": ("several SMRs at a stop", "export them as CSV, then 'cellapp import' makes one position and rotation"),
+    "smr": (
+        "several SMRs at a stop",
+        "export them as CSV, then 'cellapp import PROFILE CSV --run NEW' makes one position and rotation",
+    ),
 }
 """Column that only readings of a removed kind have -> what they are of, and what to do instead."""
 

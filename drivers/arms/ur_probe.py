@@ -245,7 +245,7 @@ def _with_open_ports(error: LinkLost, others: Sequence[Connection], patience: Pa
         return LinkLost(
             f"{others[0].where}: PolyScope X (version {major}) has no dashboard server, over which this program asks"
             " for modes and stops an arm whose program hangs; such a controller is not driven. Readings that were taken"
-            " with it are calibrated: 'cellapp import'; to be driven it needs PolyScope 5"
+            " with it are calibrated: 'cellapp import PROFILE CSV --run NEW'; to be driven it needs PolyScope 5"
         )
     accepting = [str(link.port) for link in others if not link.refusal(soon)]
     if not accepting:

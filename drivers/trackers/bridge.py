@@ -323,8 +323,8 @@ class BridgeTracker:
 
     def _link_lost(self, problem: Exception) -> TrackerLinkLost:
         return TrackerLinkLost(
-            f"tracker bridge {self._url}: {problem}; see that the tracker's computer runs 'cellapp tracker-bridge' and"
-            " that cable, address and port are right"
+            f"tracker bridge {self._url}: {problem}; see that the tracker's computer runs"
+            " 'cellapp tracker-bridge PROFILE' and that cable, address and port are right"
         )
 
     def _raise_link_lost(self, problem: Exception) -> NoReturn:

@@ -40,7 +40,9 @@ def load_lmf(library: str) -> Lmf:
     """Load Leica's library through pythonnet. Raises ``LmfMissing`` with what is missing."""
     needs = "LMF needs Windows and the extra cellapp[lmf]"
     if sys.platform != "win32":
-        raise LmfMissing(f"{needs}; this is {sys.platform}. The tracker's PC can serve it: 'cellapp tracker-bridge'")
+        raise LmfMissing(
+            f"{needs}; this is {sys.platform}. The tracker's PC can serve it: 'cellapp tracker-bridge PROFILE'"
+        )
     try:
         clr = importlib.import_module("clr")
         system = importlib.import_module("System")

@@ -74,7 +74,7 @@ def test_every_stored_part_names_stages_that_there_are() -> None:
 
 
 def test_a_part_says_that_it_is_out_of_date_and_its_json_is_its_own() -> None:
-    stored = Shown(part="verification", result=WORSE, out_of_date="new readings", made_by="cellapp push --verify")
+    stored = Shown(part="verification", result=WORSE, out_of_date="new readings", made_by="'cellapp push --verify'")
     assert view(stored).parts[-1] == "out of date: new readings; repeat it with 'cellapp push --verify'"
     assert not view(stored).failed
     assert stored.to_json(indent=1) == WORSE.to_json(indent=1)

@@ -182,7 +182,7 @@ def test_the_doctor_asks_the_tracker_behind_the_bridge() -> None:
         holder.disconnect()
     finding = trackers_finding(profile)
     assert finding.status == "failed"
-    assert "see that the tracker's computer runs 'cellapp tracker-bridge'" in finding.text
+    assert "see that the tracker's computer runs 'cellapp tracker-bridge PROFILE'" in finding.text
     finding = trackers_finding(behind(small_twin(), "socket://127.0.0.1:1", token_file="/no/such/token"))
     assert finding.status == "failed"
     assert "/no/such/token" in finding.text

@@ -350,6 +350,15 @@ def tracker_driver(profile: Profile, plant: Plant | None) -> Tracker:
         raise InputError(f"tracker.{error}") from error
 
 
+def require_devices(profile: Profile) -> None:
+    """Raise ``InputError`` if an arm, or the tracker, has no device."""
+    if not profile.tracker.driver.has_device:
+        tracker_driver(profile, None)
+    for name, arm in profile.arms.items():
+        if not arm.driver.has_device:
+            _driver_of(name, arm, None)
+
+
 def _driver_of(name: str, arm: ArmProfile, plant: Plant | None, *, simulation: bool = False, user: str = "") -> Arm:
     try:
         return arm.driver.open(arm_context(name, arm, plant, simulation=simulation, user=user))

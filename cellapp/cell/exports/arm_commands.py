@@ -116,7 +116,7 @@ def _last_driven(record: TargetCommand, one: MeasuredTarget) -> TargetCommand:
     if sent is None:
         return record
     unknown = tuple(condition for condition in record.unknown if condition.condition != "approach")
-    words = ["as driven by 'cellapp push'", *record.holds_for.split("; ")[1:]]
+    words = ["as driven by push", *record.holds_for.split("; ")[1:]]
     if one.approach is not None:
         words.insert(0, f"joints that arrive with the signs {signs_words(one.approach)}")
     kept = {"q_compensated": sent, "approach": one.approach, "unknown": unknown, "holds_for": "; ".join(words)}
@@ -133,7 +133,7 @@ def _way(
     if record.refusal or record.q_compensated is None:
         return (), record.refusal or "it has no command"
     if record.partner:
-        return (), f"cooperative: arm '{record.partner}' must be there too; 'cellapp push' drives both"
+        return (), f"cooperative: arm '{record.partner}' must be there too; push drives both"
     q = np.array(record.q_compensated)
     signs = np.zeros(len(q)) if record.approach is None else np.array(record.approach, dtype=np.float64)
     chosen = any(one.condition == "approach" for one in record.unknown)

@@ -166,7 +166,7 @@ def ur_description(export: ArmExport, sentences: Sequence[str]) -> str:
 
     comment = [
         *sentences,
-        "The hash is that of a controller which holds the file of 'cellapp export --as ur-calibration'; with another",
+        "The hash is that of a controller which holds the file that export writes --as ur-calibration; with another",
         "calibration the driver says that they do not match.",
         f"SMR in tool0 [mm]: {millimetres(smr_in_tool0(export))}",
         *frame_sentences(export)[1:],

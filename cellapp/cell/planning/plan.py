@@ -13,6 +13,7 @@ import numpy as np
 from cellapp.cell.planning.balance import correlations, travel_time
 from cellapp.cell.planning.candidates import random_configurations
 from cellapp.cell.planning.designed import DesignedStops, arm_design, design_stops, of_each_arm
+from cellapp.cell.planning.information import even_conditions, information_model
 from cellapp.cell.planning.planned_stops import PlannedStops, joined_after, straight_stops, write_planned_stops
 from cellapp.cell.planning.records import ArmDesign, PlanDesignResult
 from cellapp.cell.run import RunFile
@@ -180,6 +181,30 @@ def make_stops(
     return _with_loads(profile, designed.stops, kept), design_result(profile, designed, listener, cancel)
 
 
+_SHOWN = 100
+"""Configurations of each arm at which an effect must show that a plan is asked to show."""
+
+
+def require_plannable(profile: Profile) -> None:
+    """Raise ``InputError`` for what no plan of this cell can have: more loads than stops, effects, parameters."""
+    _require_stops(profile.plan.stops, profile.loads)
+    if profile.plan.method == "random":
+        return
+    rng = np.random.default_rng(profile.seed)
+    limits = {name: np.array(arm.joint_limits) for name, arm in profile.arms.items()}
+    drawn = {name: rng.uniform(*ends.T, (_SHOWN, len(ends))) for name, ends in limits.items()}
+    for name, q in drawn.items():
+        others = {other: its for other, its in drawn.items() if other != name}
+        information_model(profile, name, q, even_conditions(profile, name, q, others, rng), potential=False)
+
+
+def _require_stops(stops: int, loads: int) -> None:
+    if stops < loads:
+        raise InputError(
+            f"plan: {counted(stops, 'stop is', 'stops are')} too few for {loads} loads; ask for more stops"
+        )
+
+
 def _with_loads(profile: Profile, stops: PlannedStops, kept: PlannedStops | None) -> PlannedStops:
     """Assign the loads of the profile in turn, to equally many stops each; kept stops keep their loads.
 
@@ -189,8 +214,7 @@ def _with_loads(profile: Profile, stops: PlannedStops, kept: PlannedStops | None
     first = int(stops.load[before - 1]) if before else 0
     reserves = 0 if before else len(profile.plan.reserves(len(stops)))
     left, n = profile.loads - first, len(stops) - before - reserves
-    if n < left:
-        raise InputError(f"plan: {counted(n, 'stop is', 'stops are')} too few for {left} loads; ask for more stops")
+    _require_stops(n, left)
     load = first + np.minimum(np.arange(len(stops) - before) * left // n, left - 1)
     return replace(stops, load=np.concatenate([stops.load[:before], load]))
 

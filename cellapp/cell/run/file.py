@@ -65,6 +65,7 @@ from cellapp.ground.grouping import grouped
 from cellapp.ground.outputs import try_folder
 from cellapp.ground.profile import Profile
 from cellapp.ground.removed import removed_readings
+from cellapp.ground.shell import shell_word
 from cellapp.robot.plugins import program_of
 
 
@@ -438,8 +439,10 @@ class RunFile:
             If they are of a kind that was removed.
         """
         if reason := self.removed_kinds().get(arm):
+            word = shell_word(self.folder)
             raise InputError(
-                f"{self.path}: arm '{arm}': {reason}; 'cellapp show' and 'cellapp export' still open this run"
+                f"{self.path}: arm '{arm}': {reason}; 'cellapp show {word}' and 'cellapp export {word} --csv FILE'"
+                " still open this run"
             )
         return self._in_one_frame(self.rows(arm))
 

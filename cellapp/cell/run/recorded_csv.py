@@ -349,7 +349,7 @@ def _check_joints(path: Path, line: int, there: Sequence[str], known: Understood
         if points and not joints:
             text += (
                 ". Points of a motion are imported with the file of its joints: give that one to 'cellapp init"
-                " --readings'; its next command takes these points, too, where they lie beside it"
+                " NAME --readings FILE'; its next command takes these points, too, where they lie beside it"
             )
         problems.add(1, "joint positions", text)
     for name in POINT:

@@ -298,7 +298,7 @@ def check_header(folder: Path, path: Path) -> None:
         If it is missing, no run file, cut off, or of a newer schema.
     """
     if not folder.exists():
-        raise InputError(f"{folder}: run folder not found; 'cellapp plan' or 'cellapp import' makes one")
+        raise InputError(f"{folder}: run folder not found; plan, import or run makes one")
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder; give the folder that holds {FILE_NAME}")
     if not path.exists():

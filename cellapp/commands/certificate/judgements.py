@@ -176,7 +176,7 @@ def orientation_budget(profile: Profile, results: RunResults, arm: str) -> tuple
 def _iso(profile: Profile, results: RunResults) -> list[Judgement | None]:
     """Return the judgements of measured characteristics, and those with a tolerance that were not measured."""
     held = _held_iso(profile.tolerances, results)
-    why = _outdated(results, ISO9283, "the test by ISO 9283") or "not measured (cellapp iso9283)"
+    why = _outdated(results, ISO9283, "the test by ISO 9283") or "not measured"
     return [
         *held,
         *(

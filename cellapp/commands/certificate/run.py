@@ -76,10 +76,11 @@ def certify(run: RunFile, request: CertificateRequest, work: Work, now: datetime
     profile = run.profile if request.data is None else with_sections(run.profile, request.data, DATA_SECTIONS)
     stages = read_stages(run)
     if not any(name in stages.current for name in (CALIBRATE, *CERTIFIED_STAGES)):
+        word = shell_word(run.folder)
         raise InputError(
             f"{run.folder}: nothing here was measured that a certificate could state: no calibration"
-            f" ('cellapp calibrate {shell_word(run.folder)}'), no verified targets ('cellapp push'), no test"
-            " ('cellapp iso9283')"
+            f" ('cellapp calibrate {word}'), no verified targets ('cellapp push {word} TARGETS --verify'), no test"
+            f" ('cellapp iso9283 --run {word}')"
         )
     basis = certified_basis(run, stages)
     with tempfile.TemporaryDirectory(prefix="cellapp-certificate-") as temporary:

@@ -168,8 +168,8 @@ def _stop_table(result: CheckResult) -> Table:
             for name, arm in result.arms.items()
             if arm.rms_mrad is not None
         ),
-        ("evidence of a change", lambda row: row[1].log_evidence, "z.2f"),
-        ("evidence of none", lambda row: row[1].log_valid, "z.2f"),
+        ("evidence of a change", lambda row: row[1].log_evidence, ".2f"),
+        ("evidence of none", lambda row: row[1].log_valid, ".2f"),
         ("p", lambda row: _chance(row[1].p_value)),
     )
 

@@ -144,11 +144,11 @@ def discover_effects(
 def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> tuple[DiscoverResult, CellDiscovery]:
     calibrated = read_stages(run).current.get(CALIBRATE)
     if calibrated is None:
-        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate' first")
+        raise InputError(f"{run.path}: not calibrated yet; run 'cellapp calibrate {shell_word(run.folder)}' first")
     if calibrated.basis is None:
         raise InputError(
             f"{run.path}: an older version of cellapp calibrated this run and may have changed that calibration since;"
-            " run 'cellapp calibrate' again"
+            f" run 'cellapp calibrate {shell_word(run.folder)}' again"
         )
     with one_blas_thread():
         earlier = earlier_of_calibration(run)

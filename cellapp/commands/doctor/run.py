@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
+from cellapp.cell.driving.cell import require_devices
 from cellapp.cell.driving.controller_tables import controller_files, factory_findings, factory_tables
 from cellapp.cell.driving.examination import examine
 from cellapp.cell.exports.formats import all_formats
+from cellapp.cell.planning.plan import require_plannable
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.targets.targets import named_targets
@@ -99,18 +102,31 @@ def _reports(result: DoctorResult) -> dict[str, tuple[tuple[tuple[float, ...], .
     }
 
 
+def needs(profile: Profile, path: Path, sweeps: int | None = None) -> dict[str, Callable[[], object]]:
+    """What ``run`` needs of a profile at ``path`` before it plans -> callable that raises ``InputError`` without it."""
+    return {
+        "devices": partial(require_devices, profile),
+        "targets": partial(named_targets, profile, path),
+        "splits": partial(planned_splits, profile, sweeps),
+        "plan": partial(require_plannable, profile),
+    }
+
+
 def run_findings(profile: Profile, path: Path) -> Iterator[Finding]:
-    """Yield what the verb ``run`` would refuse before it measures, or do otherwise, by the functions that it calls."""
-    if not any(arm.driver.has_device for arm in profile.arms.values()):
-        return
-    try:
-        named_targets(profile, path)
-    except InputError as error:
-        yield Finding("targets", "failed", str(error))
-    try:
-        yield from (Finding("splits", "warning", note) for note in planned_splits(profile).notes)
-    except InputError as error:
-        yield Finding("plan", "failed", str(error))
+    """Yield what the verb ``run`` would refuse before it measures, or do otherwise, by the functions that it calls.
+
+    A cell without any device is one for readings of a file: there this is a warning.
+    """
+    driven = any(arm.driver.has_device for arm in profile.arms.values())
+    for subject, need in needs(profile, path).items():
+        try:
+            found = need()
+        except InputError as error:
+            yield Finding(subject, "failed" if driven else "warning", str(error))
+        else:
+            yield from (Finding(subject, "warning", note) for note in getattr(found, "notes", ()))
+        if not driven:
+            return
 
 
 def installed_findings() -> list[Finding]:

@@ -282,7 +282,7 @@ def _for_recordings(
         if recorded.points
         else f"the points come from {points}, the only file beside it that has points and their times"
         if points
-        else "the points come from another file: 'cellapp import' takes both, with --joints and --points"
+        else "the points come from another file: import takes both, with --joints and --points"
     )
     note = f"{joints}: joint positions of a motion, {len(recorded.joints)} joints; {where}"
     notes = (note, *recorded.notes)

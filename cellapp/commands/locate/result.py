@@ -88,5 +88,5 @@ class LocateResult(Result, schema="cellapp-locate"):
         return [
             f"no motion of the tracker explains the points: they are off by {self.rms_mm:.3f} mm rms, most"
             f" ({math.hypot(*worst.residual_mm):.3f} mm) of arm {worst.arm}: a base or an SMR was moved too, or the arm"
-            " changed. With the tracker where it stood, 'cellapp check' names what; or calibrate again"
+            " changed. With the tracker where it stood, 'cellapp check DIR' names what; or calibrate again"
         ]

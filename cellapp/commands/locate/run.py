@@ -112,7 +112,7 @@ def _stage_before_moving(run: RunFile, stages: RunStages) -> StoredStage:
     used = arms_stage(run, stages, "locate")
     stale = "; ".join(f"'{n}' is out of date ({r})" for n, r in stages.out_of_date.items() if n == used.name)
     if stale:
-        raise InputError(f"locate: {stale}; nothing was moved. Run 'cellapp {used.name} {run.folder}' first")
+        raise InputError(f"locate: {stale}; nothing was moved. Run 'cellapp {used.name} DIR' first")
     return used
 
 
@@ -203,7 +203,7 @@ def _model_notes(model: CellModel) -> list[str]:
     """Return notes on what the located model does not state."""
     notes = [
         f"arm {name}: the calibration states no uncertainty of its own, so the station's is not carried on either; run"
-        " 'cellapp discover' for both"
+        " 'cellapp discover DIR' for both"
         for name, arm in model.arms.items()
         if arm.posterior is None
     ]

@@ -60,6 +60,6 @@ def log_section(log: RehearsalLog) -> Section:
         "",
         [Table("Rungs of the rehearsal", columns, tuple(rows))],
         f"{passed} of {counted(len(RUNGS), 'rung')} passed before the readings were taken.",
-        "What 'cellapp rehearse' recorded of these arms before the plan was collected: the controllers in simulation"
+        "What rehearse recorded of these arms before the plan was collected: the controllers in simulation"
         " mode first, then real arms at 5 % speed.",
     )

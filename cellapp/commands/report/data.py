@@ -16,7 +16,7 @@ from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.next_step import arm_states, missing_step
 from cellapp.commands.run_results import RunResults, read_results
-from cellapp.commands.stages import HERE, RunStages, read_stages
+from cellapp.commands.stages import HERE, RunStages, next_command, read_stages
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
@@ -124,12 +124,13 @@ def read_report_data(run: RunFile) -> ReportData:
     """
     stages = read_stages(run)
     results = read_results(run, stages)
+    again = next_command("calibrate", run.folder)
     if results.calibrate is None:
         reason = results.out_of_date.get(CALIBRATE, "not calibrated yet")
-        raise InputError(f"{run.path}: {reason}, nothing to report; run 'cellapp calibrate' first")
+        raise InputError(f"{run.path}: {reason}, nothing to report; run '{again}' first")
     calibrated = _stored_model(run, stages, CALIBRATE)
     if calibrated is None or stages.in_force is None or stages.in_force.model is None:
-        raise InputError(f"{run.path}: the calibrated model is missing; run 'cellapp calibrate' first")
+        raise InputError(f"{run.path}: the calibrated model is missing; run '{again}' first")
     discovered = None if results.held.discover is None else _stored_model(run, stages, DISCOVER)
     measured, missing = run.arms(), missing_step(run, stages, arm_states(run), HERE)
     return ReportData(

@@ -19,6 +19,7 @@ from cellapp.commands.compensate.tables import verification_tables
 from cellapp.commands.confirm import asked_once, require_permission
 from cellapp.commands.discover import view as discovery
 from cellapp.commands.discover.run import discover_run
+from cellapp.commands.doctor.run import needs
 from cellapp.commands.plan.run import default_folder, new_planned_run
 from cellapp.commands.push.request import PushRequest
 from cellapp.commands.push.run import push_targets
@@ -27,7 +28,6 @@ from cellapp.commands.report.result import shown_by
 from cellapp.commands.run.request import RunRequest
 from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.view.parts import Part
-from cellapp.estimation.calibration.calibrate import planned_splits
 from cellapp.ground.threads import give_back
 
 
@@ -54,8 +54,9 @@ def run(request: RunRequest, work: Work) -> WholeRunResult:
     ask = work.ask(profile.name)
     require_permission(profile, ask)
     once = None if ask is None else asked_once(ask)
-    targets = named_targets(profile, request.profile)  # read now: report errors before hours of measuring
-    planned_splits(profile, request.sweeps)
+    targets = named_targets(profile, request.profile)
+    for need in needs(profile, request.profile, request.sweeps).values():  # now: before hours of measuring
+        need()
     notes: list[str] = []
     folder = request.folder or default_folder(profile.name)
     with (

@@ -6,6 +6,7 @@ import json
 
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measurement_order import read_in_order
+from cellapp.cell.run.sqlite_file import Event
 from cellapp.cell.run.unseen_arms import unseen_arms
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, StageState, UnseenArmState
@@ -45,8 +46,16 @@ def run_history(run: RunFile) -> HistoryResult:
 
 
 def run_log(run: RunFile, level: str | None = None, last: int | None = None) -> LogResult:
-    """Return lines of the log, oldest first; only those of one ``level`` and only the ``last`` ones, if given."""
-    lines = [event for event in run.events() if level is None or event.level == level]
+    """Return lines of the log, oldest first; only those of one ``level`` and only the ``last`` ones, if given.
+
+    Sessions of collecting and stages, which the run stores with their times, are lines of it, too, without a number.
+    """
+    own = [(stage.written, f"'{stage.name}' stored by {stage.program}") for stage in read_history(run)]
+    for one in run.sessions():
+        what = f"session {one.number} of collecting"
+        own += [(one.began, f"{what} began")] + ([(one.ended, f"{what} ended: {one.outcome}")] if one.ended else [])
+    found = [*run.events(), *(Event(0, written, None, "info", text) for written, text in own)]
+    lines = sorted((one for one in found if level is None or one.level == level), key=lambda one: one.written)
     return LogResult(run=str(run.folder), lines=tuple(lines if last is None else lines[-last:]))
 
 

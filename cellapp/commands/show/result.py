@@ -77,7 +77,7 @@ class HistoryResult(Result, schema="cellapp-history"):
 
 
 class LogResult(Result, schema="cellapp-log"):
-    """``show DIR log``: lines of the run's log, oldest first."""
+    """``show DIR log``: lines of the run's log, its sessions and stages, oldest first."""
 
     run: str
     lines: tuple[Event, ...]

@@ -19,7 +19,7 @@ from cellapp.commands.stages import complaints_of, read_stages
 from cellapp.commands.stored_model import model_of, values_in_force
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import Result
-from cellapp.ground.shell import shell_word
+from cellapp.ground.shell import filled, shell_word
 
 
 def run(request: ShowRequest, work: Work) -> Shown:
@@ -55,9 +55,7 @@ def _found(run: RunFile, request: ShowRequest, work: Work) -> Shown:
 
 def _recordings(run: RunFile) -> RecordingsResult:
     if not (states := recording_states(run)):
-        raise InputError(
-            f"{run.path}: it holds no recording of motion; 'cellapp import' with --joints and --points makes a run"
-        )
+        raise InputError(f"{run.path}: it holds no recording of motion; import with --joints and --points makes a run")
     return RecordingsResult(run=str(run.folder), recordings=states)
 
 
@@ -86,11 +84,14 @@ def _stored(run: RunFile, request: ShowRequest) -> Shown:
     verb, how = next((verb, how) for verb in records(STORING) for how in verb.stored if how.part == request.part)
     name = next((stage for stage in how.stages if getattr(results, stage) is not None), how.stages[-1])
     reason = {str(key): text for key, text in results.out_of_date.items()}.get(name, "")
-    made_by = f"cellapp {how.made_by or verb.name}"
+    needs = (words for field, words in verb.request.asked() if verb.is_needed(field) or field == "folder")
+    taken = (one.metavar if one.argument else f"{one.option} {one.metavar}" for one in needs)
+    command = " ".join(["'cellapp", how.made_by or verb.name, *taken])
+    made_by = filled(f"{command}'", {"DIR": run.folder})
     stored = getattr(results, name)
     if stored is None:
         why = f"{name} is stored, but {reason}" if reason else f"{how.missing} stored"
-        raise InputError(f"{run.path}: {why}; run '{made_by}' first")
+        raise InputError(f"{run.path}: {why}; run {made_by} first")
     if request.part == "parameters" and (used := read_stages(run).in_force) is not None:
         stored = values_in_force(stored, model_of(run, used))
     return Shown(part=request.part, result=stored, out_of_date=reason, made_by=made_by)

@@ -114,7 +114,7 @@ def _holds(stage: StageState) -> str:
 def view(found: Shown, request: Request | None = None) -> View:
     """Show the part, and whether it still holds."""
     shown = _view_of(found, request)
-    old = (f"out of date: {found.out_of_date}; repeat it with '{found.made_by}'",) if found.out_of_date else ()
+    old = (f"out of date: {found.out_of_date}; repeat it with {found.made_by}",) if found.out_of_date else ()
     if shown.failed and found.part == "plan":
         return View((*shown.parts, *old), shown.failed, shown.checks)
     return View((*shown.parts, *old), found.complaints)

@@ -240,7 +240,7 @@ def judge_trials(folder: Path, work: Work, *, again: bool = False) -> JudgeResul
     check_seal(folder)  # without parsing: report a broken seal before hours of work
     runs = sorted(path for path in folder.glob("run-*") if path.is_dir())
     if not runs:
-        raise InputError(f"{folder} holds no runs; give a folder that 'cellapp trials seal' made")
+        raise InputError(f"{folder} holds no runs; give a folder that 'cellapp trials seal PROFILE --out FOLDER' made")
     source = source_digest()
     pending = runs if again else [run for run in runs if _stored(run) is None]
     failures = _judge_all(pending, source, len(runs), work)

@@ -258,11 +258,12 @@ def check_seal(folder: Path) -> bytes:
         If truth and seal do not match.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: folder not found; 'cellapp trials seal' makes one")
+        raise InputError(f"{folder}: folder not found; 'cellapp trials seal PROFILE --out FOLDER' makes one")
     for name in (TRUTH_FILE, SEAL_FILE):
         if not (folder / name).is_file():
             raise InputError(
-                f"{folder} holds no sealed trials ({name} is missing); give a folder that 'cellapp trials seal' made"
+                f"{folder} holds no sealed trials ({name} is missing); give a folder that"
+                " 'cellapp trials seal PROFILE --out FOLDER' made"
             )
     try:
         data = (folder / TRUTH_FILE).read_bytes()

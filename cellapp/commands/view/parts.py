@@ -6,8 +6,9 @@ show the sentences of a section first, then its charts, tables and inner section
 
 from __future__ import annotations
 
+import re
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Union
 
@@ -60,28 +61,33 @@ class Section:
     outdated: str = ""
 
 
-def printed(parts: Parts, depth: int = 0) -> Iterator[Table | str]:
+def printed(parts: Parts, said: Callable[[str], str] = str, depth: int = 0) -> Iterator[Table | str]:
     """Yield lines and tables in their order for plain text: without charts, details and explanations.
+
+    ``said`` changes each text, as one that holds commands.
 
     The contents of a section are indented below its title and wrapped for a terminal of 80 columns.
     """
     for part in parts:
         if isinstance(part, Section):
             inside = [] if part.folded else [*filter(None, [part.message]), *part.parts]
-            body = list(printed(inside, depth + 1))
+            body = list(printed(inside, said, depth + 1))
             yield from (*_indented(part.title, depth), *body, *([] if depth else [""])) if body else ()
         elif isinstance(part, Facts):
             for title, text in part.rows:
-                yield from _indented(f"{title}: {text}" if title else f"  {text}", depth)
+                yield from _indented(said(f"{title}: {text}" if title else f"  {text}"), depth)
         elif isinstance(part, str):
-            yield from _indented(part, depth) if depth else [part]
+            yield from _indented(said(part), depth) if depth else [said(part)]
         elif isinstance(part, Table):
-            yield part
+            yield part.with_texts(said)
 
 
 def _indented(text: str, depth: int) -> list[str]:
+    """Wrap a text; a quoted command stays on one line, as people copy it."""
     first = "  " * depth + text[: len(text) - len(text.lstrip())]
-    return textwrap.wrap(text.strip(), _WIDTH, initial_indent=first, subsequent_indent=f"{first}  ")
+    whole = re.sub(r"'cellapp [^']+'", lambda found: found[0].translate({ord(" "): "\0", ord("-"): "\1"}), text.strip())
+    lines = textwrap.wrap(whole, _WIDTH, initial_indent=first, subsequent_indent=f"{first}  ", break_long_words=False)
+    return [line.translate({0: " ", 1: "-"}) for line in lines]
 
 
 def sentence(text: str) -> str:

@@ -6,7 +6,7 @@ Terminal, TUI, HTML and Markdown draw the same ``Table``.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any, Literal, TypeAlias, TypeVar
 
@@ -92,6 +92,11 @@ class Table:
         """Column headings with units."""
         return tuple(column.heading for column in self.columns)
 
+    def with_texts(self, change: Callable[[str], str]) -> Table:
+        """Return the table with ``change`` made to the text of its cells."""
+        rows = tuple(tuple(change(cell) if isinstance(cell, str) else cell for cell in row) for row in self.rows)
+        return replace(self, rows=rows)
+
     def text_rows(self) -> tuple[tuple[str, ...], ...]:
         """Return all cells as text."""
         return tuple(
@@ -164,11 +169,16 @@ def format_cell(cell: Cell, number_format: str = "") -> str:
     if isinstance(cell, str):
         return cell
     if isinstance(cell, Number):
-        return f"{cell.value:z.{cell.decimals}f} {cell.unit}".rstrip()
+        return f"{figure(cell.value, f'.{cell.decimals}f')} {cell.unit}".rstrip()
     if isinstance(cell, Interval):
-        limits = number_format if cell.decimals is None else f"z.{cell.decimals}f"
-        return f"{cell.low:{limits}} to {cell.high:{limits}}"
-    return format(cell, number_format)
+        limits = number_format if cell.decimals is None else f".{cell.decimals}f"
+        return f"{figure(cell.low, limits)} to {figure(cell.high, limits)}"
+    return figure(cell, number_format)
+
+
+def figure(value: float, number_format: str) -> str:
+    """Format a number; it is never minus zero."""
+    return format(value, number_format.replace(".", "z.", 1))
 
 
 def exact_cell(cell: Cell, text: str) -> str:

@@ -18,7 +18,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin
 import typer
 from rich.markup import escape
 
-from cellapp.ground.errors import CellappError, InputError
+from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
 from cellapp.ground.shell import filled
 from cellapp.interfaces.cli.requests import REMEDY
@@ -42,8 +42,14 @@ class CommandOutputs:
     named: dict[str, Path] = field(default_factory=dict)
 
     def filled(self, text: str) -> str:
-        """Put the files of this call into the commands that a message quotes."""
-        return filled(text, self.named)
+        """Put the files of this call, and those that its run knows, into the commands that a message quotes."""
+        files = dict(self.named)
+        if "DIR" in files and "'cellapp " in text:
+            from cellapp.commands.stages import known_files  # late: a help needs none
+
+            known = zip(("PROFILE", "TARGETS"), known_files(files["DIR"]), strict=True)
+            files = {word: path for word, path in known if path is not None} | files
+        return filled(text, files)
 
     def check(self) -> None:
         """Check all files before anything is done. Raises ``InputError`` for one that may not be written."""
@@ -84,6 +90,7 @@ class Commands(typer.Typer):
 
     def __call__(self, *args: Any, **settings: Any) -> Any:
         """Parse the arguments and call the command."""
+        _current.set(_NOTHING_CALLED)
         return self._built(*args, **settings)
 
     def command(self, name: str | None = None, **settings: Any) -> Callable[[CommandFunction], CommandFunction]:
@@ -163,13 +170,8 @@ def _paths(value: object) -> Iterator[Path]:
 @contextmanager
 def _called(outputs: CommandOutputs) -> Iterator[None]:
     token = _current.set(outputs)
-    try:
-        yield
-    except CellappError as error:
-        error.args = tuple(outputs.filled(one) if isinstance(one, str) else one for one in error.args)
-        raise
-    finally:
-        _current.reset(token)
+    yield
+    _current.reset(token)  # a call that failed keeps its files for the message about it
 
 
 def _how(annotation: object) -> Writes | None:

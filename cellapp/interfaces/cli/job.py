@@ -118,7 +118,7 @@ class Job:
 
     def show_view(self, view: Parts) -> None:
         """Print the tables and lines of a view in their order."""
-        for part in printed(view):
+        for part in printed(view, self._filled):
             if isinstance(part, str):
                 self.say(part)
             else:

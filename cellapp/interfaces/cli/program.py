@@ -72,7 +72,7 @@ def _ended(app: Callable[[], object]) -> None:
     except (CellappError, Cancelled) as error:
         _complain(error_text(error))
         if isinstance(error, HardwareError):
-            _complain(_REPORT)
+            _complain(_filled(_REPORT))
         sys.exit(EXIT_INTERRUPTED if isinstance(error, Cancelled) else error.exit_code)
     except BrokenPipeError:
         _reader_gone()
@@ -111,8 +111,19 @@ def _print_nowhere() -> None:
     os.close(nowhere)
 
 
+def _filled(text: str) -> str:
+    """Put the files of the call that failed into the commands that a message quotes."""
+    from cellapp.interfaces.cli.command_outputs import current_outputs  # late: only for a message
+
+    return current_outputs().filled(text)
+
+
 def error_text(error: BaseException) -> str:
     """Return the sentence for a person about an error."""
+    return _filled(_error_text(error))
+
+
+def _error_text(error: BaseException) -> str:
     if isinstance(error, Cancelled):
         return (
             f"{error}; what was stored is kept. Give the same command again; 'cellapp collect DIR --resume' continues a"

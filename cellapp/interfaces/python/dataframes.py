@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
+from cellapp.ground.shell import shell_word
 from cellapp.interfaces.python.api import Run
 from cellapp.interfaces.python.frames import parameters_frame, readings_frame, residuals_frame, targets_frame
 
@@ -65,7 +66,9 @@ def targets(run: Run) -> pd.DataFrame:
     elif results.compensate is not None:
         found = results.compensate.targets
     else:
-        raise InputError(f"{run.folder} has no targets yet; run 'cellapp compensate' or 'cellapp push --verify' first")
+        raise InputError(
+            f"{run.folder} has no targets yet: 'cellapp compensate {shell_word(run.folder)} TARGETS' computes some"
+        )
     return targets_frame(found)
 
 

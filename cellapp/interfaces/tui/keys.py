@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from textual.binding import Binding, BindingType
 
 from cellapp.commands.docs.keys import KEYS, SHOWN
 from cellapp.commands.iso9283.request import VERB as ISO9283
 from cellapp.commands.registry import ALL, name_of
-from cellapp.commands.view.table import Table
 from cellapp.interfaces.tui.workspace import STEPS, Step
 
 WAYS: Mapping[str, tuple[Step, str]] = {
@@ -91,12 +89,6 @@ def way_to(verb: str) -> str:
         return f"{SHOWN['palette']}, cellapp {verb}"
     step, meaning = WAYS[verb]
     return f"keys {STEPS.index(step) + 1}, {SHOWN[meaning]}"
-
-
-def table_with_keys(table: Table) -> Table:
-    """Return the table with commands in its cells replaced by keys."""
-    rows = tuple(tuple(with_keys(cell) if isinstance(cell, str) else cell for cell in row) for row in table.rows)
-    return replace(table, rows=rows)
 
 
 _CHAPTERS = {"docs targets": "push", "docs planning": "plan"}

@@ -460,8 +460,8 @@ def term_from_json(content: Mapping[str, Any], effects: Mapping[str, Effect]) ->
 def _law_from_json(slug: str, name: str, constants: Mapping[str, Any], effects: Mapping[str, Effect]) -> Law:
     if slug not in effects:
         raise ValueError(
-            f"this version does not know the effect '{slug}'; if a plug-in has it, install that: 'cellapp doctor'"
-            " lists plug-ins and says what keeps one from being used"
+            f"this version does not know the effect '{slug}'; if a plug-in has it, install that:"
+            " 'cellapp doctor PROFILE' lists plug-ins and says what keeps one from being used"
         )
     law = effects[slug].law(name, {key: float(value) for key, value in constants.items()})
     missing = law.form.missing(law.constants)

@@ -452,7 +452,7 @@ class CellModel:
         try:
             content = json.loads(text)
         except json.JSONDecodeError as error:
-            raise InputError(f"{where}:{error.lineno}: not JSON; make it again with 'cellapp calibrate'") from None
+            raise InputError(f"{where}:{error.lineno}: not JSON; make it again with 'cellapp calibrate DIR'") from None
         if not isinstance(content, dict) or content.get("schema") != MODEL_SCHEMA:
             raise InputError(f'{where}: expected a file with "schema": "{MODEL_SCHEMA}"')
         if content.get("version") != _VERSION:
@@ -470,7 +470,7 @@ class CellModel:
             )
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             raise InputError(
-                f"{where}: incomplete or damaged ({error}); make it again with 'cellapp calibrate'"
+                f"{where}: incomplete or damaged ({error}); make it again with 'cellapp calibrate DIR'"
             ) from None
 
     def save(self, path: Path) -> None:
@@ -487,7 +487,7 @@ class CellModel:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             reason = error.strerror if isinstance(error, OSError) else "not text"
-            raise InputError(f"{path}: cannot be read ({reason}); run 'cellapp calibrate' first") from None
+            raise InputError(f"{path}: cannot be read ({reason}); run 'cellapp calibrate DIR' first") from None
         return cls.from_json(text, str(path))
 
 

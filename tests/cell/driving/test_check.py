@@ -273,7 +273,7 @@ def test_a_moved_base_is_no_motion_of_the_tracker_and_its_model_not_used(
     found = locate_run(run)
     assert found.verdict == "not explained"
     (complaint,) = found.complaints()
-    assert "'cellapp check' names what" in complaint
+    assert "'cellapp check DIR' names what" in complaint
     stages = read_stages(run)
     assert stages.in_force == stages.current[DISCOVER]
     assert "no motion of the tracker explains the points" in stages.stale_model()

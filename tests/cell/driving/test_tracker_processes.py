@@ -72,7 +72,7 @@ def first_line(running: subprocess.Popen[str]) -> str:
 @pytest.mark.parametrize(
     ("how", "within_s", "words"),
     [
-        (signal.SIGKILL, 0.3, "see that the tracker's computer runs 'cellapp tracker-bridge'"),
+        (signal.SIGKILL, 0.3, "see that the tracker's computer runs 'cellapp tracker-bridge PROFILE'"),
         (signal.SIGSTOP, 0.8, "no answer"),
     ],
 )

@@ -190,7 +190,7 @@ def test_what_verification_drove_last_is_written(finished_copy: Path, tmp_path: 
                 np.testing.assert_array_equal(positions(row, "q"), one.q_driven)
                 np.testing.assert_allclose(one.q_driven, one.q, atol=1e-4, err_msg="what the joints then read")
                 assert signs(row) == [float(sign) for sign in one.approach or ()]
-                assert "as driven by 'cellapp push'" in row["holds_for"]
+                assert "as driven by push" in row["holds_for"]
                 assert np.abs(positions(row, "q") - positions(first, "q")).max() < 1e-3
         targets = load_targets(PROFILES / "targets" / "twin.yaml", run.profile)[4:5]
         compensate_run(run, targets)

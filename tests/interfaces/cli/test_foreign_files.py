@@ -16,7 +16,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import read_recordings_of
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
 from tests.arms import OFF_AXIS, UR5, Array, at_station, true_geometry
-from tests.interfaces.cli.test_cli import call, one_sentence  # noqa: F401 - a fixture
+from tests.interfaces.cli.conftest import one_sentence
 
 N = 40
 RNG = np.random.default_rng(5)
@@ -210,7 +210,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_table_of_another_program(name: str, call: Any) -> None:  # noqa: F811
+def test_a_table_of_another_program(name: str, call: Any) -> None:
     case = CASES[name]
     Path("own.csv").write_text(case.text, case.encoding)
     if case.options:
@@ -245,7 +245,7 @@ PROGRAMS = {
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_what_is_no_table_is_named(name: str, call: Any) -> None:  # noqa: F811
+def test_what_is_no_table_is_named(name: str, call: Any) -> None:
     Path("own.csv").write_text(PROGRAMS[name], "utf-8")
     one_sentence(call("init", "--readings", "own.csv", "--arm", "ur5"), name, "no table of joint positions and points")
 
@@ -284,7 +284,7 @@ STREAMS = {
 
 
 @pytest.mark.parametrize("name", STREAMS)
-def test_a_recording_of_other_programs(name: str, call: Any) -> None:  # noqa: F811
+def test_a_recording_of_other_programs(name: str, call: Any) -> None:
     text, words = STREAMS[name]
     Path("joints.csv").write_text(JOINTS, "utf-8")
     Path("points.txt").write_text(text, "utf-8")
@@ -304,12 +304,12 @@ def test_a_recording_of_other_programs(name: str, call: Any) -> None:  # noqa: F
     np.testing.assert_allclose(np.diff(recording.points.time_s), np.diff(T), atol=1e-4)
 
 
-def test_joints_alone_lead_to_the_chapter(call: Any) -> None:  # noqa: F811
+def test_joints_alone_lead_to_the_chapter(call: Any) -> None:
     Path("joints.csv").write_text(JOINTS, "utf-8")
     assert call("init", "--readings", "joints.csv", "--arm", "ur5").out.endswith("next: cellapp docs readings\n")
 
 
-def test_four_joints_counted_from_0(call: Any) -> None:  # noqa: F811
+def test_four_joints_counted_from_0(call: Any) -> None:
     """Their columns look like those of a quaternion."""
     np.savetxt("rows.csv", UR5[:4], delimiter=",", header="theta_rad,d_m,a_m,alpha_rad", comments="")
     arm = true_geometry(at_station(UR5[:4], OFF_AXIS), np.random.default_rng(1))
@@ -320,7 +320,7 @@ def test_four_joints_counted_from_0(call: Any) -> None:  # noqa: F811
     assert "arm, units and signs fit" in " ".join(made.out.split())
 
 
-def test_tables_of_a_maker(call: Any) -> None:  # noqa: F811
+def test_tables_of_a_maker(call: Any) -> None:
     """The row of the flange behind those of the joints, and modified rows given as standard ones."""
     rows = np.vstack([np.column_stack([UR5[:, :2], np.roll(UR5[:, 2:], 1, axis=0)]), [0.0, 0.05, 0.0, 0.0]])
     np.savetxt("rows.csv", rows, delimiter=",", header="theta_rad,d_m,a_m,alpha_rad", comments="")
@@ -350,7 +350,7 @@ DH_TABLES = {
 
 
 @pytest.mark.parametrize("name", DH_TABLES)
-def test_tables_of_d_h_rows(name: str, call: Any) -> None:  # noqa: F811
+def test_tables_of_d_h_rows(name: str, call: Any) -> None:
     head, row = DH_TABLES[name]
     lines = [row(joint, 0, *(float(one) for one in its[1:])) for joint, its in enumerate(UR5, start=1)]
     Path("rows.csv").write_text("\n".join([head.strip(), *lines]), "utf-8")
@@ -361,7 +361,7 @@ def test_tables_of_d_h_rows(name: str, call: Any) -> None:  # noqa: F811
 
 
 @pytest.mark.parametrize(("turns", "rows"), [(0.3, "motion"), (30.0, "stops"), (1.0, "")])
-def test_rows_that_may_be_stops_or_a_motion(turns: float, rows: str, call: Any) -> None:  # noqa: F811
+def test_rows_that_may_be_stops_or_a_motion(turns: float, rows: str, call: Any) -> None:
     """Stamps of 8000 without a unit: milliseconds from stop to stop, or microseconds from sample to sample."""
     phase = np.linspace(0.0, 2.0 * np.pi * turns, 60)[:, None]
     q = np.sin(phase + np.arange(6))

@@ -27,13 +27,13 @@ from cellapp.ground.progress import Halt, Progress
 from cellapp.interfaces.cli.job import Job
 from cellapp.interfaces.cli.requests import JobRequest, plain_request
 from tests.cell.run.small_runs import planned_run
-from tests.interfaces.cli.test_cli import call, exit_code, one_sentence  # noqa: F401 - a fixture
+from tests.interfaces.cli.conftest import one_sentence
 from tests.latency import attempts
 from tests.program import app
 from tests.waiting import WAIT_S
 
 
-def test_the_twin_in_an_empty_folder(call: Any) -> None:  # noqa: F811
+def test_the_twin_in_an_empty_folder(call: Any) -> None:
     ended = call("init", "--twin", "--json", "-")
     assert ended.code == 0
     assert ended.json["profile"] == str(Path("profiles") / "twin.yaml")
@@ -47,13 +47,17 @@ def test_the_twin_in_an_empty_folder(call: Any) -> None:  # noqa: F811
     [
         ("  stops: 80", "  stops: 1", "at least 4 and 1 are needed"),
         ("targets: targets/twin.yaml", "targets: none.yaml", "none.yaml: cannot be read"),
+        ("driver: {kind: simulated}", "driver: {kind: none}", "arms.left.driver: 'none' has no device"),
+        ("tracker:\n  driver: {kind: simulated}", "tracker:\n  driver: {kind: none}", "tracker.driver: 'none' has no"),
+        ("  stops: 80", "  stops: 80\n  effects: [bogus]", "plan.effects: 'bogus' is no effect"),
+        ("    speed_scale: 0.5", f"    speed_scale: 0.5\n    payloads: [{'{mass: 0.3}, ' * 90}]", "few for 91 loads"),
         ("  identify: 40", "  identify: 900", ""),
     ],
 )
-def test_what_run_would_refuse_the_doctor_refuses(call: Any, line: str, other: str, words: str) -> None:  # noqa: F811
+def test_what_run_would_refuse_the_doctor_refuses(call: Any, line: str, other: str, words: str) -> None:
     call("init", "--from", "twin-small")
     profile = Path("profiles/twin-small.yaml")
-    profile.write_text(profile.read_text("utf-8").replace(line, other), "utf-8")
+    profile.write_text(profile.read_text("utf-8").replace(line, other, 1), "utf-8")
     found = call("doctor", profile, "--json", "-")
     wrong = [one for one in found.json["findings"] if one["status"] != "ok"]
     assert found.code == bool(words)
@@ -64,7 +68,7 @@ def test_what_run_would_refuse_the_doctor_refuses(call: Any, line: str, other: s
         assert any("80 stops are too few" in one["text"] for one in wrong)
 
 
-def test_answers_into_another_folder(call: Any) -> None:  # noqa: F811
+def test_answers_into_another_folder(call: Any) -> None:
     call("init", "--from", "ur5-real")
     Path("a.yaml").write_text(
         "name: one\narms: {left: {type: ur5, driver: {kind: none}, smr: {offset: unknown}}}\n"
@@ -78,7 +82,7 @@ def test_answers_into_another_folder(call: Any) -> None:  # noqa: F811
 
 
 @pytest.mark.parametrize("arguments", [(), ("--twin", "--from", "twin")])
-def test_one_source_is_needed(call: Any, arguments: tuple[str, ...]) -> None:  # noqa: F811
+def test_one_source_is_needed(call: Any, arguments: tuple[str, ...]) -> None:
     ended = call("init", *arguments)
     assert ended.code == 2
     assert "give one of --twin, --from NAME, --answers FILE and --readings FILE" in ended.err

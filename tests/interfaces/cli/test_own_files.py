@@ -19,7 +19,7 @@ from cellapp.robot.kinematics.plain_dh import plain_geometry
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import OFF_AXIS, UR5, UR10, Array, at_station, true_geometry
 from tests.cell.programs.plain_controller import forward
-from tests.interfaces.cli.test_cli import call, exit_code, one_sentence  # noqa: F401 - a fixture
+from tests.interfaces.cli.conftest import exit_code, one_sentence
 
 
 def write_table(path: Path, q: Array, p_M: Array) -> None:
@@ -32,7 +32,7 @@ def points(q: Array) -> Array:
     return smr_positions(true_geometry(at_station(UR5, OFF_AXIS), np.random.default_rng(1)), q)
 
 
-def calibrated(call: Any, q: Array, p_M: Array) -> tuple[Any, Any, Any]:  # noqa: F811
+def calibrated(call: Any, q: Array, p_M: Array) -> tuple[Any, Any, Any]:
     """What ``init`` ends with, and the results of ``import`` and ``calibrate``, of an own table."""
     write_table(Path("own.csv"), q, p_M)
     made = call("init", "cell", "--readings", "own.csv", "--arm", "ur5")
@@ -41,7 +41,7 @@ def calibrated(call: Any, q: Array, p_M: Array) -> tuple[Any, Any, Any]:  # noqa
     return made, imported.json, found.json
 
 
-def test_repeats_stay_on_one_side(call: Any) -> None:  # noqa: F811
+def test_repeats_stay_on_one_side(call: Any) -> None:
     rng = np.random.default_rng(0)
     q = np.repeat(rng.uniform(-2.0, 2.0, (60, 6)), 3, axis=0)
     its_own = np.repeat(rng.normal(0.0, 0.1e-3, (60, 3)), 3, axis=0)  # what no model of the joints predicts
@@ -62,7 +62,7 @@ def test_repeats_stay_on_one_side(call: Any) -> None:  # noqa: F811
     assert searched["verdict"] == "nothing missing"
 
 
-def test_neighbours_are_held_out_together(call: Any) -> None:  # noqa: F811
+def test_neighbours_are_held_out_together(call: Any) -> None:
     rng = np.random.default_rng(0)
     ends = rng.uniform(-1.5, 1.5, (6, 2, 6))
     along = np.linspace(0.0, 1.0, 60)[None, :, None]
@@ -77,7 +77,7 @@ def test_neighbours_are_held_out_together(call: Any) -> None:  # noqa: F811
 
 
 @pytest.mark.parametrize("first", [[0.3, -1.2, 1.6, -1.9, -1.5, 0.2], [-0.5, -1.4, 1.9, -1.3, 0.7, 1.2]])
-def test_a_grid_at_one_orientation(first: list[float], call: Any) -> None:  # noqa: F811
+def test_a_grid_at_one_orientation(first: list[float], call: Any) -> None:
     """Where the SMR is on the flange acts like a shift of the base then: what the readings carry is found and said."""
     rng, nominal, q = np.random.default_rng(0), at_station(UR5, OFF_AXIS), np.tile(first, (125, 1))
     steps = np.stack(np.meshgrid(*[np.linspace(-0.1, 0.1, 5)] * 3), axis=-1).reshape(-1, 3)
@@ -101,7 +101,7 @@ def with_factory(path: Path, table: Array, share: float = 1.0) -> None:
     path.write_text(text, "utf-8")
 
 
-def test_the_factory_file_of_another_arm(call: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
+def test_the_factory_file_of_another_arm(call: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     q = np.random.default_rng(0).uniform(-2.0, 2.0, (60, 6))
     write_table(Path("own.csv"), q, points(q))
     call("init", "--readings", "own.csv", "--arm", "ur5")
@@ -134,7 +134,7 @@ def test_the_factory_file_of_another_arm(call: Any, monkeypatch: pytest.MonkeyPa
     np.testing.assert_allclose(rows[1], rows[0], atol=2e-9)
 
 
-def test_the_posture_is_the_one_that_was_measured(call: Any) -> None:  # noqa: F811
+def test_the_posture_is_the_one_that_was_measured(call: Any) -> None:
     taught = np.array([0.3, -1.2, 1.6, -1.0, 1.2, 0.2])
     T = forward(UR5, taught)
     pose = [*T[:3, 3].tolist(), *Rotation.from_matrix(T[:3, :3]).as_rotvec().tolist()]
@@ -156,7 +156,7 @@ def test_the_posture_is_the_one_that_was_measured(call: Any) -> None:  # noqa: F
     assert "postures reach it, (17, -69, 92, -57, 69, 11)" in " ".join(refused.out.split())
 
 
-def test_sigma_is_the_targets_own_and_what_is_common_stands_once(call: Any) -> None:  # noqa: F811
+def test_sigma_is_the_targets_own_and_what_is_common_stands_once(call: Any) -> None:
     """An arm that is as published, measured with noise: its corrections are not significant."""
     rng = np.random.default_rng(0)
     q = np.array([0.3, -1.2, 1.6, -1.0, 1.2, 0.2]) + rng.uniform(-1.0, 1.0, (60, 6))

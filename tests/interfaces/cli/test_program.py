@@ -41,20 +41,20 @@ from cellapp.interfaces.page.page import page_text
 from cellapp.interfaces.tui.workspace import load_workspace
 from drivers.findings import Finding
 from tests.cell.run.small_runs import import_csv
-from tests.interfaces.cli.test_cli import call, exit_code  # noqa: F401 - a fixture
+from tests.interfaces.cli.conftest import exit_code
 from tests.interfaces.page.cases import calibration
 from tests.interfaces.page.parsed_page import NOON
 from tests.program import app
 from tests.twin import PROFILES, small_twin, write_profile
 
 
-def test_version(call: Any) -> None:  # noqa: F811
+def test_version(call: Any) -> None:
     ended = call("--version")
     assert (ended.code, ended.out, ended.err) == (0, f"cellapp {cellapp.__version__}\n", "")
 
 
 @pytest.mark.parametrize("verb", [(), ("plan",), ("trials", "seal")])
-def test_short_and_long_help_are_the_same(call: Any, verb: tuple[str, ...]) -> None:  # noqa: F811
+def test_short_and_long_help_are_the_same(call: Any, verb: tuple[str, ...]) -> None:
     short, long = call(*verb, "-h"), call(*verb, "--help")
     assert short.code == long.code == 0
     assert "Usage" in short.out
@@ -69,7 +69,7 @@ def test_short_and_long_help_are_the_same(call: Any, verb: tuple[str, ...]) -> N
         ("import", "several are given by repeating both options"),
     ],
 )
-def test_help_shows_units_and_breaks_lines_at_its_edge_alone(call: Any, verb: str, words: str) -> None:  # noqa: F811
+def test_help_shows_units_and_breaks_lines_at_its_edge_alone(call: Any, verb: str, words: str) -> None:
     assert words in call(verb, "--help").out
 
 
@@ -85,7 +85,7 @@ def test_the_list_of_commands_is_that_of_the_whole_program_and_loads_none_of_the
 
 
 @pytest.mark.parametrize(("words", "expected"), [("cellapp calib", "calibrate"), ("cellapp plan --che", "--check")])
-def test_the_shell_completes(call: Any, monkeypatch: pytest.MonkeyPatch, words: str, expected: str) -> None:  # noqa: F811
+def test_the_shell_completes(call: Any, monkeypatch: pytest.MonkeyPatch, words: str, expected: str) -> None:
     monkeypatch.setenv("_CELLAPP_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", words)
     monkeypatch.setenv("COMP_CWORD", str(words.count(" ")))
@@ -104,7 +104,7 @@ FAILING = {
 
 @pytest.mark.parametrize("case", FAILING)
 @pytest.mark.parametrize("form", [("--json", "-"), ("--json=-",)])
-def test_a_failure_is_one_object_on_standard_output(call: Any, case: str, form: tuple[str, ...]) -> None:  # noqa: F811
+def test_a_failure_is_one_object_on_standard_output(call: Any, case: str, form: tuple[str, ...]) -> None:
     arguments, code, text = FAILING[case]
     ended = call(*arguments, *form)
     assert ended.code == code
@@ -114,7 +114,7 @@ def test_a_failure_is_one_object_on_standard_output(call: Any, case: str, form: 
     jsonschema.validate(ended.json, json_schema(ErrorResult))
 
 
-def test_every_verb_answers_bad_usage_with_an_object(call: Any) -> None:  # noqa: F811
+def test_every_verb_answers_bad_usage_with_an_object(call: Any) -> None:
     from typer.main import get_command
 
     from tests.program import app
@@ -126,7 +126,7 @@ def test_every_verb_answers_bad_usage_with_an_object(call: Any) -> None:  # noqa
         assert (verb, ended.code, ended.json["schema"]) == (verb, 2, "cellapp-error")
 
 
-def test_a_result_that_was_written_stays_the_only_object(call: Any, monkeypatch: pytest.MonkeyPatch) -> None:  # noqa: F811
+def test_a_result_that_was_written_stays_the_only_object(call: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     failed = DoctorResult(findings=(Finding(subject="arm", status="failed", text="not reached"),))
     monkeypatch.setattr("cellapp.commands.doctor.run.examine_run", lambda profile, nests: failed)
     ended = call("doctor", write_profile(Path("profiles")), "--json", "-")
@@ -282,7 +282,7 @@ def test_a_run_of_removed_readings_opens_for_show_and_export_and_calibrate_says_
         exported = export(run, ExportRequest(folder=run.folder, csv=tmp_path / "out.csv"))
         assert exported.readings == {"left": 3, "right": 1}
         assert (tmp_path / "out.csv").read_text("utf-8").splitlines()[1].endswith(last)
-        with pytest.raises(InputError, match=rf"arm 'left': readings of {what}.*'cellapp show'"):
+        with pytest.raises(InputError, match=rf"arm 'left': readings of {what}.*'cellapp show "):
             calibrate_run(run)
         append_stage(run, "calibrate", calibration("left", "right"), basis_of(run))
         (stage,) = run_overview(run).stages

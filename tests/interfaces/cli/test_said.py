@@ -16,26 +16,25 @@ import cellapp
 import drivers
 from cellapp.ground.shell import filled
 from tests.handbook.workspace import not_understood
-from tests.interfaces.cli.test_cli import call, exit_code, one_sentence  # noqa: F401 - a fixture
+from tests.interfaces.cli.conftest import one_sentence
 from tests.twin import PROFILES
 
 
 @pytest.fixture
-def folder(call: Any, finished_run: Path) -> Path:  # noqa: F811
+def folder(call: Any, finished_run: Path) -> Path:
     return Path(shutil.copytree(finished_run, Path("my cell") / "a $run"))
 
 
-def test_printed_commands_run_in_folders_with_blanks(call: Any, folder: Path) -> None:  # noqa: F811
-    texts = [
-        call("show", folder, "--json", "-").json["next_step"],
-        call("plan", PROFILES / "twin.yaml", "--run", folder).err,
-    ]
-    printed = [
-        said for text in texts for said in re.findall(r"cellapp (?!:)[a-z].*?(?=' |'$|$)", " ".join(text.split()))
-    ]
-    assert len(printed) == 2
-    for command in printed:
-        assert str(folder) in shlex.split(command.replace("\\$", "$")), command
+def test_printed_commands_run_in_folders_with_blanks(call: Any, folder: Path) -> None:
+    """From views, tables and messages, each on one line."""
+    said = [call("show", folder, part) for part in ("overview", "certificate", "check", "paths", "iso9283", "location")]
+    said.append(call("plan", PROFILES / "twin.yaml", "--run", folder))
+    lines = [line for one in said for line in (one.out + one.err).splitlines() if "docs" not in line]
+    printed = [command for line in lines for command in re.findall(r"cellapp (?!:)[a-z].*?(?=' |'$|'\)|$)", line)]
+    for command in (one.replace("\\$", "$") for one in printed):
+        assert str(folder) in shlex.split(command), command
+        assert not_understood(command.replace(str(folder), "x"), whole=True) == "", command
+    assert {command.split()[1] for command in printed} >= {"certificate", "check", "compensate", "iso9283", "show"}
 
 
 def quoted(node: ast.AST) -> Iterator[str]:
@@ -63,10 +62,10 @@ def test_every_command_that_is_printed_can_be_typed(monkeypatch: pytest.MonkeyPa
     for command, place in found.items():
         typed = filled(f"'cellapp {command}'", files).strip("'")
         assert not {"DIR", "PROFILE", "TARGETS"} & {*shlex.split(typed)}, place
-        assert not_understood(typed, whole=False) == "", f"{place}: {typed}"
+        assert not_understood(typed, whole=True) == "", f"{place}: {typed}"
 
 
-def test_a_message_names_the_files_of_its_call(call: Any) -> None:  # noqa: F811
+def test_a_message_names_the_files_of_its_call(call: Any) -> None:
     call("init", "my cell", "--twin")
     profile = Path("my cell/profiles/twin.yaml")
     text = profile.read_text("utf-8").replace("type: arms/ur10.yaml", "type: arms/ur10.yaml\n    factory: none.conf", 1)
@@ -84,21 +83,21 @@ def test_a_message_names_the_files_of_its_call(call: Any) -> None:  # noqa: F811
         ("export FOLDER --as dh --out arm.json", "is written as .yaml, not as .json: give --out arm.yaml"),
     ],
 )
-def test_what_cannot_be_is_refused_with_what_can(call: Any, folder: Path, words: str, says: str) -> None:  # noqa: F811
+def test_what_cannot_be_is_refused_with_what_can(call: Any, folder: Path, words: str, says: str) -> None:
     shutil.copy(PROFILES / "paths" / "twin.yaml", "paths.yaml")
     refused = call(*[str(folder) if word == "FOLDER" else word for word in words.split()])
     assert refused.code == 2
     assert says in " ".join(refused.err.split())
 
 
-def test_a_table_of_parameters_says_what_it_holds(call: Any, folder: Path) -> None:  # noqa: F811
+def test_a_table_of_parameters_says_what_it_holds(call: Any, folder: Path) -> None:
     call("export", folder, "--as", "parameters", "--out", "p.csv", "--arm", "left")
     head = Path("p.csv").read_text("utf-8")
     assert "does not hold" not in head
     assert "joint_compliance." in head
 
 
-def test_parameters_are_those_of_the_model_in_force(call: Any, folder: Path) -> None:  # noqa: F811
+def test_parameters_are_those_of_the_model_in_force(call: Any, folder: Path) -> None:
     call("export", folder, "--as", "parameters", "--out", "p.csv", "--arm", "left")
     exported = [line.split(",") for line in Path("p.csv").read_text("utf-8").splitlines() if not line.startswith("#")]
     values = {row[0]: float(row[3]) for row in exported[1:]}

@@ -17,7 +17,7 @@ from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Facts, Part, Parts, Section, printed
 from cellapp.commands.view.table import Table, markdown
 from cellapp.ground.counting import counted
-from cellapp.interfaces.tui.keys import bind, table_with_keys, with_keys
+from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.widgets.copied import Copied, Copy
 
@@ -119,7 +119,7 @@ def widgets_of(parts: Parts) -> Iterator[Widget]:
             if part is charts[0]:
                 yield ItemGrid(*map(ScrolledPlot, charts), min_column_width=LEAST_COLUMNS)
         elif isinstance(part, Table):
-            yield Static(rich_table(table_with_keys(part)), classes="table")
+            yield Static(rich_table(part.with_texts(with_keys)), classes="table")
         elif isinstance(part, Facts):
             yield Static("\n".join(map(str, printed((part,)))), markup=False)
         elif isinstance(part, Section):
