@@ -111,7 +111,7 @@ class AcceptScreen(DayScreen):
             "Drive to a few stops that tell most, and measure: does the calibration still hold? It ends as soon as it"
             " is sure; no model is changed;"
         )
-        if ask_of_calibrated(self, CHECK_VERB, words):
+        if ask_of_calibrated(self, CHECK_VERB, words, {"tracker_pose": None, "simulated_pose": None}):
             self.show_tab(CHECK)
 
     def action_iso9283(self) -> None:
