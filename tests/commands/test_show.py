@@ -224,7 +224,7 @@ def test_a_field_has_the_type_of_the_command_line() -> None:
     assert get_args(parameters["sides"].annotation)[0] == Literal["both"] | None
 
 
-# -- A verb is one folder and one word: a toy appears on the command line, in schemas and palette -----------------------
+# -- A verb is one folder and one word: a toy appears on the command line, in schemas and palette ----------------------
 
 WITH_TOY = (*records(), GREET)
 

@@ -27,7 +27,7 @@ from cellapp.commands.docs.schema import json_schema
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.export.run import export
-from cellapp.commands.registry import records
+from cellapp.commands.registry import PANEL, name_of, records
 from cellapp.commands.runs.history import summarise
 from cellapp.commands.show.overview import run_history, run_overview
 from cellapp.commands.show.view import overview_sentences, overview_tables
@@ -214,6 +214,8 @@ def test_a_removed_command_says_what_to_do_instead(some_removed, command):
 def test_every_removed_command_says_something_else_that_is_there():
     for name, instead in removed.COMMANDS.items():
         assert instead.strip().rstrip(".") == instead, name
+        for verb in re.findall(r"'cellapp ([a-z][\w-]*)", instead):
+            assert verb in {name_of(word) for word in PANEL}, name
 
 
 def test_a_removed_key_of_a_users_profile_is_refused_by_name(some_removed, tmp_path):
