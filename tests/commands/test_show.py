@@ -24,7 +24,7 @@ from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Asked, Request, Stored, Variant, Verb, View, Work
 from cellapp.commands.registry import STORING, records
 from cellapp.commands.run.request import VERB as RUN
-from cellapp.commands.run.run import WholeRunResult
+from cellapp.commands.run.result import WholeRunResult
 from cellapp.commands.run_results import RunResults
 from cellapp.commands.show.request import OWN_PARTS, show_verb
 from cellapp.commands.show.result import Shown

@@ -10,11 +10,10 @@ from cellapp.cell.profile.starters import FOLDER, TWIN_SMALL, readings_of, write
 from cellapp.commands.init.answers import write_answers
 from cellapp.commands.init.own_data import InitResult, write_own_data
 from cellapp.commands.init.request import InitRequest
-from cellapp.commands.plan.run import default_folder
 from cellapp.commands.record import Request, View, Work
-from cellapp.commands.run import run as whole
+from cellapp.commands.run.request import VERB as RUN
 from cellapp.commands.run.request import RunRequest
-from cellapp.commands.run.run import WholeRunResult
+from cellapp.commands.run.result import WholeRunResult
 from cellapp.ground.shell import shell_word
 from cellapp.ground.starters import TWIN
 
@@ -36,6 +35,9 @@ def run(request: InitRequest, work: Work) -> InitResult | WholeRunResult:
 
 def _demo(request: InitRequest, work: Work) -> WholeRunResult:
     """Write the profile if there is none, and run everything."""
+    from cellapp.commands.plan.run import default_folder  # late: planning takes long to load
+    from cellapp.commands.run.run import run as run_all
+
     name = TWIN if request.full else TWIN_SMALL
     profile = request.folder / FOLDER / f"{name}.yaml"
     if profile.is_file():
@@ -44,13 +46,13 @@ def _demo(request: InitRequest, work: Work) -> WholeRunResult:
         write_starter(name, request.folder)
         work.say(f"written: {profile}")
     sweeps = _SWEEPS if request.sweeps else None
-    return whole.run(RunRequest(profile=profile, folder=request.folder / default_folder(name), sweeps=sweeps), work)
+    return run_all(RunRequest(profile=profile, folder=request.folder / default_folder(name), sweeps=sweeps), work)
 
 
 def view(result: InitResult | WholeRunResult, request: Request | None = None) -> View:
     """Show notes, the written files, and the next command; of the demonstration what ``run`` shows."""
     if isinstance(result, WholeRunResult):
-        return whole.view(result)
+        return RUN.view(result)
     files = [result.profile, *([] if result.readings is None else [result.readings])]
     return View((*result.notes, f"written: {', '.join(files)}", f"next: {_next_command(result)}"))
 

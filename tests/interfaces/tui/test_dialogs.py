@@ -20,7 +20,7 @@ from cellapp.commands.compensate.request import CompensateRequest
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.record import Request
 from cellapp.commands.run.request import VERB as WHOLE_DAY
-from cellapp.commands.run.run import WholeRunResult
+from cellapp.commands.run.result import WholeRunResult
 from cellapp.commands.run_results import read_results
 from cellapp.ground.results import ErrorSummary, Result
 from cellapp.interfaces.tui import work
