@@ -117,10 +117,12 @@ def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:
     app.push_screen(VerbQuestion(verb, text, BEGIN, given, simulated=simulated), begin)
 
 
-def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str, given: Mapping[str, Any]) -> bool:
+def ask_of_calibrated(
+    screen: DayScreen, verb: Verb, words: str, given: Mapping[str, Any], proposed: Mapping[str, Any]
+) -> bool:
     """Ask for the request of a verb that measures with the model in force, then run it; return whether it is asked.
 
-    ``given`` are fields that are not asked for.
+    ``given`` are fields that are not asked for, ``proposed`` values of those that are.
     """
     if (calibrated := screen.calibrated_run()) is None:
         return False
@@ -129,7 +131,7 @@ def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str, given: Mapping[
     if stale := screen.workspace.stale:
         text += f"\nThe model is not up to date: {stale}."
     simulated = screen.workspace.kind == "simulated"
-    screen.ask_verb(VerbQuestion(verb, text, BEGIN, {"folder": folder, **given}, simulated=simulated))
+    screen.ask_verb(VerbQuestion(verb, text, BEGIN, {"folder": folder, **given}, proposed=proposed, simulated=simulated))
     return True
 
 

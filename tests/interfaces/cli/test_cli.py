@@ -488,7 +488,7 @@ LIGHT = (
     "doctor twin.yaml",
     "docs backlash",
     "runs .",
-    "compare done calibrated",
+    "show done --against calibrated",
     *(f"show done {part}" for part in ("overview", "calibration", "discovery", "verification", "plan")),
     "calibrate collected",
     "discover calibrated",
@@ -598,7 +598,7 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
     with started("collect", long_run.name, cwd=long_run.parent) as process:
         assert process.stderr is not None
         wait_for_stops(long_run, process)
-        paused = shell("pause", long_run.name, cwd=long_run.parent)
+        paused = shell("job", "pause", long_run.name, cwd=long_run.parent)
         assert (paused.code, paused.out[:6]) == (0, "pause:"), paused.err
         assert "collect: paused" in within(process.stderr.readline, "the pause")
         one_sentence(call("collect", long_run.name, "--resume"), "another job runs here")

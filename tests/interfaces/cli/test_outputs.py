@@ -304,7 +304,7 @@ def test_devices_pipes_and_standard_output_are_written_to_as_they_are(run_file: 
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell with pipes")
-@pytest.mark.parametrize("words", ["schema --json -", "docs effects"])
+@pytest.mark.parametrize("words", ["docs --schema --json -", "docs effects"])
 def test_who_reads_one_line_ends_it_well(words: str, run_file: Path) -> None:
     line = f"set -o pipefail; {sys.executable} -m cellapp {words} | head -1"
     done = subprocess.run(["bash", "-c", line], capture_output=True, env=surroundings(), timeout=60, check=False)
@@ -356,7 +356,7 @@ def test_no_other_room_opens_a_file_to_replace_it() -> None:
         ("push.run.push_targets", "push run targets.yaml"),
         ("check.run.check_run", "check run"),
         ("report.run.read_results", "report run"),
-        ("correct.correct", "correct run a.script --out b.script --json made.json"),
+        ("compensate.run.correct", "compensate run a.script --out b.script --json made.json"),
     ],
 )
 def test_whether_results_can_be_stored_is_asked_before_they_are_computed(

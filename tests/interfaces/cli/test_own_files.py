@@ -116,7 +116,7 @@ def test_the_factory_file_of_another_arm(call: Any, monkeypatch: pytest.MonkeyPa
     said += call("calibrate", "run", "--json", "-").json["notes"]
     assert sum("explains the points worse" in note for note in said) == 2
     Path("a.script").write_text("def a():\n  movej([0.1, -1.2, 1.0, 0.2, 0.3, 0.4])\nend\n", "utf-8")
-    for line in ("correct run a.script --out b.script", "export run --as dh --out c"):
+    for line in ("compensate run a.script --out b.script", "export run --as dh --out c"):
         one_sentence(call(*line.split()), "explains the points worse", "nothing was written")
     profile.write_text(plain, "utf-8")
     with_factory(profile, UR5)  # its own

@@ -25,6 +25,7 @@ from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.targets.target_text import new_texts, targets_text, typed_texts
 from cellapp.cell.targets.targets import Target, list_problems, load_targets
 from cellapp.commands.check.location import LocateResult
+from cellapp.commands.check.request import STOPS_TO_LOCATE
 from cellapp.commands.check.request import VERB as CHECK
 from cellapp.commands.compensate.charts import target_charts
 from cellapp.commands.compensate.program import correct_table
@@ -405,7 +406,8 @@ class TargetsScreen(DayScreen):
     def action_locate(self) -> None:
         """Ask, then measure the pose of the tracker after it was moved."""
         words = "After the tracker was moved: measure a few points, so that the calibration holds from where it stands;"
-        ask_of_calibrated(self, CHECK, words, {"tracker_moved": True, "simulated_plant": None})
+        given = {"tracker_moved": True, "simulated_plant": None}
+        ask_of_calibrated(self, CHECK, words, given, {"stops": STOPS_TO_LOCATE})
 
     def action_correct(self) -> None:
         """Ask for a program and the file of its corrected copy."""
