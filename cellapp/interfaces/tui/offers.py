@@ -131,7 +131,9 @@ def ask_of_calibrated(
     if stale := screen.workspace.stale:
         text += f"\nThe model is not up to date: {stale}."
     simulated = screen.workspace.kind == "simulated"
-    screen.ask_verb(VerbQuestion(verb, text, BEGIN, {"folder": folder, **given}, proposed=proposed, simulated=simulated))
+    screen.ask_verb(
+        VerbQuestion(verb, text, BEGIN, {"folder": folder, **given}, proposed=proposed, simulated=simulated)
+    )
     return True
 
 
