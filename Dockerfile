@@ -1,7 +1,7 @@
 # Unattended runs and the emulated cell, without the terminal application's screen and without a browser.
 #
 #     docker build --tag cellapp .
-#     docker run --rm --volume "$PWD:/work" --user "$(id -u):$(id -g)" cellapp demo
+#     docker run --rm --volume "$PWD:/work" --user "$(id -u):$(id -g)" cellapp init --demo
 
 FROM python:3.11.11-slim-bookworm AS build
 WORKDIR /source

@@ -15,19 +15,20 @@ from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import Target
-from cellapp.commands import correct, import_
+from cellapp.commands import import_
 from cellapp.commands.certificate import request as certificate
 from cellapp.commands.certificate.run import certify
 from cellapp.commands.certificate_result import CertificateResult
 from cellapp.commands.check import request as check
+from cellapp.commands.check.locate import locate_run as locate_asked
+from cellapp.commands.check.location import LocateResult
 from cellapp.commands.check.run import check_run as check_asked
 from cellapp.commands.collect.request import CollectRequest
 from cellapp.commands.collect.run import collect_planned
+from cellapp.commands.compensate import request as compensate
+from cellapp.commands.compensate.program import correct
 from cellapp.commands.export import request as export
 from cellapp.commands.export.run import export as export_asked
-from cellapp.commands.locate import request as locate
-from cellapp.commands.locate.result import LocateResult
-from cellapp.commands.locate.run import locate_run as locate_asked
 from cellapp.commands.plan.run import new_planned_run, plan_result
 from cellapp.commands.push import request as push
 from cellapp.commands.push.run import push_targets
@@ -68,8 +69,8 @@ def collect_stops(run: RunFile, **asked: Any) -> CollectResult:
 
 
 def correct_run(run: RunFile, program: Path, out: Path, arm: str | None = None, **asked: Any) -> CorrectResult:
-    request: Any = correct.VERB.asked({"folder": run.folder, "program": program, "out": out, "arm": arm, **asked})
-    return correct.correct(run, request)
+    request: Any = compensate.VERB.asked({"folder": run.folder, "targets": program, "out": out, "arm": arm, **asked})
+    return correct(run, request)
 
 
 def export_as_run(
@@ -94,14 +95,14 @@ def import_new_run(
 
 def locate_run(
     run: RunFile,
-    points: int = 4,
+    stops: int | None = None,
     listener: Listener = ignore,
     control: JobControl | None = None,
     *,
     ask: Callable[[str], bool] | None = None,
     **opening: Any,
 ) -> LocateResult:
-    request: Any = locate.VERB.asked({"folder": run.folder, "points": points})
+    request: Any = check.VERB.asked({"folder": run.folder, "tracker_moved": True, "stops": stops})
     return locate_asked(run, request, Work(listener, control or JobControl(), lambda profile_name: ask), **opening)
 
 

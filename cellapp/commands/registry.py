@@ -1,4 +1,4 @@
-"""The verbs in the order of the work. A new verb is a file or a folder here, and a word below.
+"""The commands in the order of the work, in panels. A new verb is a file or a folder here, and a word below.
 
 None is imported before somebody asks for its record: a small verb brings all that it needs to run.
 """
@@ -6,7 +6,7 @@ None is imported before somebody asks for its record: a small verb brings all th
 from __future__ import annotations
 
 import ast
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,15 +14,25 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from cellapp.commands.record import Verb
 
-STORING = ("calibrate", "discover", "locate", "compensate", "push", "iso9283", "check", "certificate")
+STORING = ("calibrate", "discover", "compensate", "push", "check", "iso9283", "certificate")
 """Verbs that store results in a run, in the order in which ``show`` names them."""
 
-ALL = (
-    *("run", "demo", "doctor", "init", "plan", "rehearse", "collect", "import_"),
-    *STORING,
-    *("report", "show", "export", "correct", "at_rest", "runs", "compare"),
-    *("schema", "docs", "emulate", "tracker_bridge"),
-)
+PANELS: Mapping[str, tuple[str, ...]] = {
+    "Start": ("init", "doctor", "run"),
+    "Measure": ("plan", "rehearse", "collect", "import_"),
+    "Identify": ("calibrate", "discover"),
+    "Use": ("compensate", "push", "export"),
+    "Accept": ("check", "iso9283", "certificate", "report"),
+    "Runs": ("show", "runs"),
+    "A running job": ("stop", "job"),
+    "Develop": ("emulate", "tracker_bridge", "trials", "docs"),
+}
+"""Title of each panel of the help -> its commands."""
+PANEL: Mapping[str, str] = {word: title for title, words in PANELS.items() for word in words}
+ALL = tuple(word for word in PANEL if word not in ("stop", "trials"))
+"""Words of the verbs; ``stop`` and the trials have no record."""
+MOVES = "ARMS MOVE. "
+"""Begins the help of a command that moves arms."""
 _HERE = Path(__file__).parent
 
 
@@ -37,11 +47,11 @@ def records(verbs: Sequence[str] = ALL) -> tuple[Verb, ...]:
 
 
 def help_of(verb: str) -> str:
-    """Return the help of a verb, its request's docstring, from the source: importing all of them would be slow."""
+    """Return ``Verb.help`` of a verb from the source: importing all of them would be slow."""
     source = _HERE.joinpath(*_module(verb).split(".")).with_suffix(".py").read_text(encoding="utf-8")
     declared = [node for node in ast.parse(source).body if isinstance(node, ast.ClassDef)]
     request = next(node for node in declared if any(ast.unparse(base) == "Request" for base in node.bases))
-    return ast.get_docstring(request) or ""
+    return (MOVES if "moves_arms=True" in source else "") + (ast.get_docstring(request) or "")
 
 
 def _module(verb: str) -> str:

@@ -11,7 +11,7 @@ from cellapp.cell.run.file import RunFile
 from cellapp.cell.targets.path import PathResult
 from cellapp.cell.targets.records import CompensateResult, VerifyResult
 from cellapp.commands.certificate_result import CertificateResult
-from cellapp.commands.locate.result import LocateResult
+from cellapp.commands.check.location import LocateResult
 from cellapp.commands.stages import RunStages, read_stages
 from cellapp.commands.stored_model import joined_calibration
 from cellapp.estimation.calibration.records import CalibrateResult

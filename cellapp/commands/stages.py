@@ -139,7 +139,7 @@ NextVerb = Literal[
     "collect",
     "calibrate",
     "discover",
-    "locate",
+    "check --tracker-moved",
     "compensate",
     "push",
     "iso9283",
@@ -254,7 +254,7 @@ class RunStages:
         """Say why the last location of the tracker does not hold; empty if it holds, or none was needed."""
         located = self.current.get(LOCATE)
         if located is not None and located.model is None:
-            return "no motion of the tracker explains the points of the last 'locate'"
+            return "no motion of the tracker explains the points of the last location"
         if tracker_moved(located) and LOCATE in self.out_of_date:
             return f"the tracker was moved, and '{LOCATE}' is out of date ({self.out_of_date[LOCATE]})"
         return ""
@@ -273,7 +273,7 @@ class RunStages:
         if self.stale_arms():
             return "plan"
         if self.stale_station():
-            return "locate"
+            return "check --tracker-moved"
         return "push" if VERIFY not in self.current or VERIFY in self.out_of_date else ""
 
     def next_step(self, folder: Path) -> str:
@@ -291,6 +291,8 @@ def next_command(verb: NextVerb, folder: Path) -> str:
     Empty if there is no verb.
     """
     run = shell_word(folder)
+    if not verb:
+        return ""
     if verb in ("push", "compensate"):
         return at_targets(verb, folder, " --verify" if verb == "push" else "")
     if verb == "plan":
@@ -298,7 +300,8 @@ def next_command(verb: NextVerb, folder: Path) -> str:
             return "cellapp docs planning"
         new = next(one for k in count(2) if not (one := folder.with_name(f"{folder.resolve().name}-{k}")).exists())
         return f"cellapp plan {shell_word(profile)} --run {shell_word(new)}"
-    return f"cellapp {verb} {run}" if verb else ""
+    name, *options = verb.split()
+    return " ".join(["cellapp", name, run, *options])
 
 
 def at_targets(verb: str, folder: Path, options: str = "") -> str:
@@ -326,7 +329,7 @@ def known_files(folder: Path) -> tuple[Path | None, Path | None]:
 
 
 def tracker_moved(located: StoredStage | None) -> bool:
-    """Return whether ``locate`` found that the tracker was moved since the readings were taken."""
+    """Return whether ``check --tracker-moved`` found that the tracker was moved since the readings were taken."""
     return located is not None and says_moved(located.text)
 
 
@@ -538,7 +541,7 @@ def json_object(text: str) -> dict[str, object] | None:
 
 
 def says_moved(text: str) -> bool:
-    """Return whether this result of ``locate`` says that the tracker was moved since the readings were taken."""
+    """Return whether this location of the tracker says that it was moved since the readings were taken."""
     content = json_object(text)
     return content is not None and content.get("moved") is True
 

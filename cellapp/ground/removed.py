@@ -12,7 +12,7 @@ COMMANDS: Mapping[str, str] = {
     "follow": "'cellapp compensate DIR PATHS --out FILE' writes the joint path for the controller",
     "iso9283 compliance": "measure static compliance with a force gauge and your own dial indicator",
     "iso9283 stabilisation": "'cellapp iso9283' measures poses, distances, drift and paths",
-    "fleet": "use 'cellapp runs FOLDER --history ARM' for an arm over its runs, 'cellapp compare DIR DIR' for two runs",
+    "fleet": "use 'cellapp runs FOLDER --history ARM' for an arm, 'cellapp show DIR --against DIR' for two runs",
     "check-certificate": "use 'sha256sum -c SHA256SUMS' in the folder of the certificate, and minisign or GPG",
     "sign-key": "use minisign or GPG to sign the SHA256SUMS that 'cellapp certificate DIR' writes",
     "recalibrate": "use 'cellapp calibrate DIR' and 'cellapp discover DIR' of each run; 'cellapp runs' lists them",
@@ -21,6 +21,13 @@ COMMANDS: Mapping[str, str] = {
     "replay": "'cellapp show DIR collection' lists the stops of a run and its faults, the page draws them",
     "docs screens": "the source's 'python -m tests.handbook screens' draws the terminal application",
     "power": "use 'cellapp trials power DIR'",
+    "demo": "use 'cellapp init --demo'",
+    "schema": "use 'cellapp docs --schema'",
+    "at-rest": "use 'cellapp job confirm-rest DIR ARM'",
+    "locate": "use 'cellapp check DIR --tracker-moved'",
+    "compare": "use 'cellapp show DIR --against DIR'",
+    "correct": "use 'cellapp compensate DIR PROGRAM --out FILE'",
+    **{request: f"use 'cellapp job {request} DIR'" for request in ("pause", "resume", "abort")},
     **{
         f"trials {name}": _EVIDENCE
         for name in (

@@ -160,7 +160,7 @@ def test_the_other_zero_of_a_joint_is_measured(arm_changed: tuple[RunFile, Check
 @pytest.mark.parametrize(
     ("change", "verdict", "says", "next_step"),
     [
-        (kicked_tracker, "tracker moved", "tracker", "cellapp locate"),
+        (kicked_tracker, "tracker moved", "tracker", "--tracker-moved"),
         (kicked_base, "base moved", "left", "put the base back"),
         (remounted_smr, "smr moved", "left", "put the SMR back"),
     ],
@@ -181,7 +181,7 @@ def test_a_change_is_named_and_the_model_not_used(
     with pytest.raises(InputError, match="nothing was moved"):
         push_run(run, SOME, verify=True)
     if verdict == "tracker moved":
-        assert read_stages(run).next_verb() == "locate"
+        assert read_stages(run).next_verb() == "check --tracker-moved"
         assert found.station_shift_mm == pytest.approx(np.hypot(20.0, 30.0), abs=0.5)
         assert found.station_turn_deg == pytest.approx(np.degrees(np.hypot(0.002, 0.01)), abs=0.01)
 

@@ -16,16 +16,16 @@ from typer.testing import CliRunner
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import ArmVerification, MeasuredTarget, VerifyResult
+from cellapp.commands.check.request import VERB as CHECK
 from cellapp.commands.compensate.request import VERB as COMPENSATE
 from cellapp.commands.discover.request import VERB as DISCOVER
-from cellapp.commands.locate.request import VERB as LOCATE
+from cellapp.commands.docs.schema import results_by_name, written_results
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.record import Asked, Request, Stored, Variant, Verb, View, Work
 from cellapp.commands.registry import STORING, records
 from cellapp.commands.run.request import VERB as RUN
-from cellapp.commands.run.run import WholeRunResult
+from cellapp.commands.run.result import WholeRunResult
 from cellapp.commands.run_results import RunResults
-from cellapp.commands.schema import results_by_name, written_results
 from cellapp.commands.show.request import OWN_PARTS, show_verb
 from cellapp.commands.show.result import Shown
 from cellapp.commands.show.view import view
@@ -35,7 +35,7 @@ from cellapp.commands.view.table import Column, Table
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorSummary
 from cellapp.interfaces.cli.command_outputs import Commands
-from cellapp.interfaces.cli.derived import add_verbs, command_of, group_of
+from cellapp.interfaces.cli.derived import add_verb, command_of, group_of
 from cellapp.interfaces.page.drawn import drawn_parts
 from cellapp.interfaces.page.notebook import html_view
 from cellapp.interfaces.page.page import template
@@ -48,7 +48,6 @@ from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.work import job_of
 from tests.commands.toys.greet import VERB as GREET
 from tests.commands.toys.greet import GreetResult
-from tests.handbook import declarations
 from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, shown_text, until
 from tests.twin import finished_twin
 
@@ -103,7 +102,7 @@ def test_a_job_is_called_as_its_request_says() -> None:
     names = [job_of(PUSH, folder="here", targets=(), verify=verify).name for verify in (True, False)]
     assert names == ["verify", "push"]
     assert job_of(DISCOVER, folder="here", propose=3).name == "propose"
-    assert job_of(LOCATE, folder="here").name == "locate"
+    assert job_of(CHECK, folder="here", tracker_moved=True).name == "locate"
 
 
 # -- What a view is made of: plain text says all of it but the charts, and a section has a message ---------------------
@@ -225,7 +224,7 @@ def test_a_field_has_the_type_of_the_command_line() -> None:
     assert get_args(parameters["sides"].annotation)[0] == Literal["both"] | None
 
 
-# -- A verb is one folder and one line: a toy appears on the command line, in schemas, handbook and palette ------------
+# -- A verb is one folder and one word: a toy appears on the command line, in schemas and palette ----------------------
 
 WITH_TOY = (*records(), GREET)
 
@@ -240,7 +239,7 @@ def run(tmp_path: Path) -> Path:
 def test_a_command_with_its_options_its_output_and_its_json(run: Path) -> None:
     app = Commands()
     app.callback()(lambda: None)
-    add_verbs(app, WITH_TOY)
+    add_verb(app, GREET, GREET.name)
     printed = CliRunner().invoke(app, ["greet", str(run), "--times", "2"])
     assert printed.exit_code == 0
     assert "Greeted" in printed.stdout
@@ -253,13 +252,6 @@ def test_a_command_with_its_options_its_output_and_its_json(run: Path) -> None:
 def test_a_schema() -> None:
     assert GreetResult in written_results(WITH_TOY)
     assert "toy-greet" in results_by_name(written_results(WITH_TOY))
-
-
-def test_a_line_in_the_list_of_the_handbook(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(declarations, "records", lambda: WITH_TOY)
-    assert "| `cellapp greet` | Say hello to the arms of a run. | no | [commands](commands.md) |" in (
-        declarations.verbs_part()
-    )
 
 
 async def test_a_dialog_a_job_and_a_text_in_the_terminal_application(

@@ -30,8 +30,8 @@ from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
 from cellapp.cell.targets.targets import Target
 from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.check.location import LocateVerdict
 from cellapp.commands.discover.run import discover_run
-from cellapp.commands.locate.result import LocateVerdict
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force

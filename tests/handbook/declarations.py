@@ -6,9 +6,10 @@ import re
 
 from cellapp.commands.docs.effect_parts import declared_part
 from cellapp.commands.docs.keys import KEYS
-from cellapp.commands.registry import records
-from cellapp.commands.schema import written_results
+from cellapp.commands.docs.schema import written_results
+from cellapp.commands.registry import ALL, PANEL, name_of, records
 from cellapp.ground.results import Result
+from cellapp.interfaces.cli.top import JOB, REQUESTS, TRIALS
 from cellapp.robot.effects import EFFECTS
 from tests.evidence.page import figures_part, readme_part
 from tests.interfaces.tui.states import states_table
@@ -27,12 +28,14 @@ def with_declarations(text: str) -> str:
 
 def verbs_part() -> str:
     """Every verb, what it does, whether it moves arms, its chapter: a Markdown table with its markers."""
-    rows = [
-        f"| `cellapp {verb.name}` | {verb.summary} | {'**yes**' if verb.moves_arms else 'no'}"
-        f" | [{verb.chapter}]({verb.chapter}.md) |"
-        for verb in records()
-    ]
-    head = ["| command | what it does | moves the arms | chapter |", "| --- | --- | --- | --- |"]
+    verbs = dict(zip(ALL, records(), strict=True))
+    others = {"stop": (REQUESTS["stop"], "faults"), "job": (JOB, "faults"), "trials": (TRIALS, "scale")}
+    rows = []
+    for word, panel in PANEL.items():
+        words, chapter = others.get(word) or (verbs[word].summary, verbs[word].chapter)
+        moves = "**yes**" if word in verbs and verbs[word].moves_arms else "no"
+        rows.append(f"| {panel} | `cellapp {name_of(word)}` | {words} | {moves} | [{chapter}]({chapter}.md) |")
+    head = ["| | command | what it does | moves the arms | chapter |", "| --- | --- | --- | --- | --- |"]
     return "\n".join(["<!-- declared: verbs -->", *head, *rows, "<!-- end -->", ""])
 
 

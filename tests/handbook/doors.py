@@ -16,9 +16,9 @@ from cellapp.cell.planning.plan_csv import read_plan_csv
 from cellapp.cell.profile import load_profile
 from cellapp.cell.targets.path import load_paths
 from cellapp.cell.targets.targets import load_targets
+from cellapp.commands.docs.schema import json_schema, results_by_name, written_results
 from cellapp.commands.init.answers import write_answers
 from cellapp.commands.registry import records
-from cellapp.commands.schema import json_schema, results_by_name, written_results
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import ArmType
 from tests.cell.run.small_runs import read_readings_csv

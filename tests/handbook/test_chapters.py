@@ -33,10 +33,10 @@ from cellapp.commands.docs.handbook import (
     topics,
 )
 from cellapp.commands.docs.keys import SHOWN, filled_keys
+from cellapp.commands.docs.schema import written_results
 from cellapp.commands.doctor.run import installed_findings
 from cellapp.commands.registry import records
 from cellapp.commands.report.sections import SECTIONS
-from cellapp.commands.schema import written_results
 from cellapp.estimation.discovery.plan_forecast import nominal_model
 from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError

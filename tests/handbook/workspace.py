@@ -59,8 +59,8 @@ PYTHON_NAMES: Mapping[str, object] = {"q": np.zeros((3, 6))}
 _NEEDS_A_SHELL = re.compile(r"[|<>;$*`]|&[^&]|&$")
 _MAKES_A_RUN = frozenset({"plan", "import", "run"})
 """Verbs whose ``--run`` names a run that is not there yet, ..."""
-_CHANGES_A_RUN = frozenset({"--add", "--replan", "--freeze"})
-"""... but with one of these options names one that is."""
+_CHANGES_A_RUN = frozenset({"--edit"})
+"""... but with this option names one that is."""
 _QUOTED = re.compile(r"[\"']([^\"'\n]+)[\"']")
 _INSTALLS = re.compile(r"\b(pip|pipx|docker|podman|apt|apt-get|git|pytest|ruff|mypy|conda|uv)\b")
 

@@ -150,7 +150,7 @@ class _Checking:
         if not self.driven.stops:
             raise HardwareError(
                 f"no SMR could be measured at any stop: {'; '.join(self.driven.notes)}. If the tracker was moved, run"
-                " 'cellapp locate DIR' with --tracker-pose first"
+                " 'cellapp check DIR --tracker-moved' with --tracker-pose first"
             )
         return self.driven
 

@@ -173,7 +173,7 @@ class CollectionResult(Result, schema="cellapp-collection"):
 
 
 class RequestResult(Result, schema="cellapp-request"):
-    """``pause``, ``resume``, ``stop`` and ``abort``: what the running job was asked, and its answer."""
+    """``stop``, ``job pause``, ``job resume`` and ``job abort``: what the running job was asked, and its answer."""
 
     run: str
     request: Verb

@@ -170,7 +170,7 @@ def answer_to(control: JobControl, verb: str) -> Answer:
     control.ask(verb)
     match verb:
         case "pause":
-            text = "pause: the arms rest after the present stop; 'cellapp resume DIR' continues"
+            text = "pause: the arms rest after the present stop; 'cellapp job resume DIR' continues"
         case "resume":
             text = "resume: the job continues"
         case "stop":

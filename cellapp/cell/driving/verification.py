@@ -34,8 +34,8 @@ _FIRST_STREAK, _LATER_STREAK = 2, 5
 """Consecutive targets that disagree before the job ends: if none has agreed yet, and if one has."""
 _WHAT_NOW = (
     "the tracker was moved, the SMR was mounted anew, or the arm has changed; the arms went home, and what was measured"
-    " says nothing about the calibration. After moving the tracker run 'cellapp locate DIR'; else measure and calibrate"
-    " again"
+    " says nothing about the calibration. After moving the tracker run 'cellapp check DIR --tracker-moved'; else"
+    " measure and calibrate again"
 )
 
 

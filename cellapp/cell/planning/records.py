@@ -38,7 +38,7 @@ class PlanRefusal(Record):
 class PlanCheckResult(Result, schema="cellapp-plan-check"):
     """``show DIR plan --check``: the safety gate and the tracker's view, over all stops and ways of a plan.
 
-    ``plan PROFILE --check FILE`` is the same for a hand-edited plan; ``run`` is empty and ``file`` is given then.
+    ``plan PROFILE --from CSV`` is the same for a hand-edited plan; ``run`` is empty and ``file`` is given then.
     """
 
     run: str

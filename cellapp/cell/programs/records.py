@@ -1,4 +1,4 @@
-"""Result of ``correct``: a controller's program with its targets corrected by the calibrated model.
+"""Result of ``compensate`` of a program: a controller's program with its targets corrected by the calibrated model.
 
 Targets of a program: the target of each motion, its tool frame, and the place of its numbers in the text.
 
@@ -158,7 +158,7 @@ class CorrectedTarget(Record):
 
 
 class CorrectResult(Result, schema="cellapp-correct"):
-    """``correct``: every target and what was assumed; ``out`` is None where nothing was written."""
+    """``compensate`` of a program: every target and what was assumed; ``out`` is None where nothing was written."""
 
     program: str
     out: str | None

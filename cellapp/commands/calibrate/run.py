@@ -143,7 +143,10 @@ def note_later_stages(run: RunFile, stages: RunStages) -> list[str]:
         )
     if LOCATE in stages.out_of_date:
         reason = stages.out_of_date[LOCATE]
-        notes.append(f"the tracker's station is out of date ({reason}); run 'cellapp locate {shell_word(run.folder)}'")
+        notes.append(
+            f"the tracker's station is out of date ({reason}); run 'cellapp check"
+            f" {shell_word(run.folder)} --tracker-moved'"
+        )
     if VERIFY in stages.out_of_date:
         notes.append(f"the verification is out of date ({stages.out_of_date[VERIFY]})")
     if CHECK in stages.out_of_date:

@@ -18,10 +18,11 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
 from cellapp.cell.safety.cell_bodies import cell_bodies
+from cellapp.commands.check.locate import locate_run, typed_pose
+from cellapp.commands.check.location import LocateResult
 from cellapp.commands.check.request import CheckRequest
+from cellapp.commands.check.station import excess_of_readings, profile_at_station
 from cellapp.commands.confirm import confirmation
-from cellapp.commands.locate.result import LocateResult
-from cellapp.commands.locate.station import excess_of_readings, profile_at_station
 from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
@@ -47,9 +48,15 @@ from cellapp.robot.kinematics.transforms import xyz_of
 from cellapp.robot.model import ArmModel, CellModel
 
 
-def run(request: CheckRequest, work: Work) -> CheckResult:
-    """Measure whether the calibration still holds."""
+def run(request: CheckRequest, work: Work) -> CheckResult | LocateResult:
+    """Measure whether the calibration still holds, or where the moved tracker stands now."""
     with RunFile.open(request.folder, write=True) as opened:
+        if request.tracker_moved:
+            tracker, simulated = (
+                None if text is None else typed_pose(text, request.option_of(name))
+                for name, text in (("tracker_pose", request.tracker_pose), ("simulated_pose", request.simulated_pose))
+            )
+            return locate_run(opened, request, work, tracker_pose=tracker, simulated_pose=simulated)
         plant = None if request.simulated_plant is None else plant_of(request.simulated_plant)
         return check_run(opened, request, work, plant)
 
@@ -78,7 +85,7 @@ def check_run(
     probed = [name for name, arm in run.profile.arms.items() if arm.smr.probe is not None]
     checked = _checked(run, probed)
     design = design_of(checked.belief)
-    chosen = _stops(run.profile, checked, design, request.stops)
+    chosen = _stops(run.profile, checked, design, request.most_stops)
     profile = _with_plant(profile_at_station(run, checked.stages), plant)
     task = CheckTask(profile, checked.model, chosen, excess_of_readings(run, checked.model))
     test = SequentialTest(design, len(chosen))
@@ -217,7 +224,7 @@ def _next_step(verdict: CheckVerdict, folder: Path) -> str:
         case "valid":
             return ""
         case "tracker moved":
-            return f"cellapp locate {shell_word(folder)}"
+            return f"cellapp check {shell_word(folder)} --tracker-moved"
         case "base moved":
             return f"put the base back, or {again}"
         case "smr moved":

@@ -1,4 +1,4 @@
-"""The verb ``compensate``: compute commands for targets, or along paths, with the model in force."""
+"""The verb ``compensate``: compute commands for targets, along paths or of a program, with the model in force."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from cellapp.cell.exports.command_table import path_csv, path_script
 from cellapp.cell.exports.out_files import files_of_arms
 from cellapp.cell.profile.files import write_new
+from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
 from cellapp.cell.targets.compensate import Command, compensate, compensate_result
@@ -19,6 +20,7 @@ from cellapp.cell.targets.path import PathPlan, PathResult, PathSpec, holds_path
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.records import CompensateResult
 from cellapp.cell.targets.targets import Target, load_targets
+from cellapp.commands.compensate.program import correct
 from cellapp.commands.compensate.request import CompensateRequest
 from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
@@ -40,8 +42,11 @@ _PERIOD_S = 0.008
 """Time between two joint positions along a path [s]: a period of the slower UR controllers, four of the others."""
 
 
-def run(request: CompensateRequest, work: Work) -> CompensateResult | PathResult:
-    """Compute and store the commands; of a path file also write them."""
+def run(request: CompensateRequest, work: Work) -> CompensateResult | PathResult | CorrectResult:
+    """Compute and store the commands; of a path file also write them; of a program write the corrected copy alone."""
+    if request.program is not None:
+        with RunFile.open(request.folder) as opened:
+            return correct(opened, request, work.outputs)
     with RunFile.open(request.folder, write=True) as opened:
         if isinstance(request.targets, Path) and holds_paths(request.targets):
             paths = load_paths(request.targets, opened.profile)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.targets.path import PathRecord, PathResult
 from cellapp.cell.targets.records import CompensateResult, VerifyResult
 from cellapp.commands.compensate.charts import parts_charts, target_charts
+from cellapp.commands.compensate.program import program_view
 from cellapp.commands.compensate.tables import (
     measured_tables,
     predicted_tables,
@@ -30,10 +32,12 @@ from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Table, table_of
 
 
-def view(result: CompensateResult | PathResult, request: Request | None = None) -> View:
+def view(result: CompensateResult | PathResult | CorrectResult, request: Request | None = None) -> View:
     """Show what is expected at the targets, and the uncertainty's sources; of a stored result also the commands."""
     if isinstance(result, PathResult):
         return paths_view(result)
+    if isinstance(result, CorrectResult):
+        return program_view(result)
     tables = stored_tables(result) if request is None else predicted_tables(result)
     return View((*tables, *compensate_lines(result), *parts_charts(result)))
 

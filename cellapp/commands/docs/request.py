@@ -10,11 +10,15 @@ from cellapp.commands.record import Asked, Request, Verb
 
 
 class DocsRequest(Request):
-    """Print the handbook: a chapter, or the section of one effect."""
+    """Print the handbook: a chapter, the section of one effect, or the JSON schemas of the results."""
 
     topic: Annotated[str | None, Asked("A chapter or an effect; without one: all topics.", "TOPIC", argument=True)] = (
         None
     )
+    as_schema: Annotated[
+        bool,
+        Asked('JSON schemas by the name that JSON carries under "schema"; of one if TOPIC is it.', option="--schema"),
+    ] = False
     words: Annotated[
         str | None, Asked("List the sections that have all of these words.", "WORDS", option="--search")
     ] = None
@@ -24,6 +28,8 @@ class DocsRequest(Request):
         """Refuse a search in one topic."""
         if self.words is not None and self.topic is not None:
             raise ValueError("--search looks through the whole handbook; give it without a topic")
+        if self.words is not None and self.as_schema:
+            raise ValueError("--search looks through the handbook; give it without --schema")
         return self
 
 

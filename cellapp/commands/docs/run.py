@@ -1,4 +1,4 @@
-"""The verb ``docs``: show a part of the handbook or its topics."""
+"""The verb ``docs``: show a part of the handbook, its topics, or the JSON schemas of the results."""
 
 from __future__ import annotations
 
@@ -15,8 +15,23 @@ class DocsResult(Result, schema="cellapp-docs", version=2):
     text: str
 
 
-def run(request: DocsRequest, work: Work) -> DocsResult:
+class SchemaResult(Result, schema="cellapp-schema"):
+    """``docs --schema``: JSON schemas as a text, which is its JSON, too."""
+
+    has_own_schema = False
+    text: str
+
+    def to_json(self, *, indent: int | None = None) -> str:
+        """Return the schemas themselves."""
+        return self.text
+
+
+def run(request: DocsRequest, work: Work) -> DocsResult | SchemaResult:
     """Find the requested topic."""
+    if request.as_schema:
+        from cellapp.commands.docs.schema import schemas_text  # late: it imports the results of every verb
+
+        return SchemaResult(text=schemas_text(request.topic))
     if request.words is not None:
         lines = [f"{hit.section.address}\n  {hit.line}" for hit in search(request.words)]
         return DocsResult(topic="", text="\n".join(lines) or f"no section has all of these words: {request.words}")
@@ -32,6 +47,6 @@ def _topics() -> str:
     return "\n".join([*lines, "or an effect:", *(f"  {slug}" for slug in effect_sections())])
 
 
-def view(result: DocsResult, request: Request | None = None) -> View:
+def view(result: DocsResult | SchemaResult, request: Request | None = None) -> View:
     """Show the text."""
-    return View((result.text.rstrip("\n"),))
+    return View((result.text.rstrip("\n"),), is_json=isinstance(result, SchemaResult))

@@ -14,9 +14,14 @@ TABLES = (".csv", ".txt", ".tsv", ".dat")
 
 
 class InitRequest(Request):
-    """Write a new profile as YAML; nothing is overwritten."""
+    """Write a new profile as YAML; with --demo also run everything, simulated. Nothing is overwritten."""
 
     folder: Annotated[Path, Asked("The profile goes into FOLDER/profiles.", "FOLDER", argument=True)] = Path()
+    demo: Annotated[bool, Asked("The simulated cell, everything run on it, and its report below FOLDER/logs.")] = False
+    full: Annotated[bool, Asked("With --demo: all 400 stops instead of 80.")] = False
+    sweeps: Annotated[
+        bool, Asked("With --demo: 20 stops, and a sweep of each arm about every one: calibration in motion.")
+    ] = False
     twin: Annotated[bool, Asked("The simulated cell, to try the program without hardware.")] = False
     starter: Annotated[str | None, Asked("A copy of a profile that comes with cellapp.", "NAME", option="--from")] = (
         None
@@ -65,12 +70,14 @@ class InitRequest(Request):
             raise ValueError(
                 "--arm, --modified, --angles, --lengths, --column, --rows and --name belong to --readings; add it"
             )
-        if self.twin + sum(one is not None for one in (self.starter, self.answers, self.readings)) != 1:
+        if (self.full or self.sweeps) and not self.demo:
+            raise ValueError("--full and --sweeps belong to --demo; add it")
+        if self.demo + self.twin + sum(one is not None for one in (self.starter, self.answers, self.readings)) != 1:
             from cellapp.cell.profile.starters import starter_profiles  # late: needed only for a message
 
             listed = "\n".join(f"  {item.name:14} {item.sentence}" for item in starter_profiles())
             raise ValueError(
-                "give one of --twin, --from NAME, --answers FILE and --readings FILE. Profiles that come with"
+                "give one of --demo, --twin, --from NAME, --answers FILE and --readings FILE. Profiles that come with"
                 f" cellapp:\n{listed}"
             )
         return self

@@ -1,4 +1,4 @@
-"""The verb ``init``: write a profile as a starting point."""
+"""The verb ``init``: write a profile as a starting point, or run the whole demonstration."""
 
 from __future__ import annotations
 
@@ -6,17 +6,25 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cellapp.cell.profile import load_profile
-from cellapp.cell.profile.starters import readings_of, write_starter
+from cellapp.cell.profile.starters import FOLDER, TWIN_SMALL, readings_of, write_starter
 from cellapp.commands.init.answers import write_answers
 from cellapp.commands.init.own_data import InitResult, write_own_data
 from cellapp.commands.init.request import InitRequest
 from cellapp.commands.record import Request, View, Work
+from cellapp.commands.run.request import VERB as RUN
+from cellapp.commands.run.request import RunRequest
+from cellapp.commands.run.result import WholeRunResult
 from cellapp.ground.shell import shell_word
 from cellapp.ground.starters import TWIN
 
+_SWEEPS = 20
+"""Stops of the demonstration in motion, each with a sweep of every arm."""
 
-def run(request: InitRequest, work: Work) -> InitResult:
-    """Write the profile; ask for missing data of recorded readings."""
+
+def run(request: InitRequest, work: Work) -> InitResult | WholeRunResult:
+    """Write the profile; ask for missing data of recorded readings. For the demonstration, run everything."""
+    if request.demo:
+        return _demo(request, work)
     if request.readings is not None:
         return write_own_data(request, work.choose, work.outputs)
     if request.answers is not None:
@@ -25,8 +33,26 @@ def run(request: InitRequest, work: Work) -> InitResult:
     return InitResult(profile=str(write_starter(starter, request.folder)))
 
 
-def view(result: InitResult, request: Request | None = None) -> View:
-    """Show notes, the written files, and the next command."""
+def _demo(request: InitRequest, work: Work) -> WholeRunResult:
+    """Write the profile if there is none, and run everything."""
+    from cellapp.commands.plan.run import default_folder  # late: planning takes long to load
+    from cellapp.commands.run.run import run as run_all
+
+    name = TWIN if request.full else TWIN_SMALL
+    profile = request.folder / FOLDER / f"{name}.yaml"
+    if profile.is_file():
+        work.say(f"{profile} exists already and is used as it is")
+    else:
+        write_starter(name, request.folder)
+        work.say(f"written: {profile}")
+    sweeps = _SWEEPS if request.sweeps else None
+    return run_all(RunRequest(profile=profile, folder=request.folder / default_folder(name), sweeps=sweeps), work)
+
+
+def view(result: InitResult | WholeRunResult, request: Request | None = None) -> View:
+    """Show notes, the written files, and the next command; of the demonstration what ``run`` shows."""
+    if isinstance(result, WholeRunResult):
+        return RUN.view(result)
     files = [result.profile, *([] if result.readings is None else [result.readings])]
     return View((*result.notes, f"written: {', '.join(files)}", f"next: {_next_command(result)}"))
 

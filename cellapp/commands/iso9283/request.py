@@ -50,7 +50,7 @@ def _percents(values: tuple[float, ...]) -> tuple[float, ...]:
 
 
 class Iso9283Request(Request):
-    """Test pose accuracy and more by ISO 9283: 'cellapp iso9283 PROFILE' makes all tests. THE ARMS MOVE."""
+    """Test pose accuracy and more by ISO 9283: 'cellapp iso9283 PROFILE' makes all tests."""
 
     profile: Annotated[Path | None, Asked("The cell, as YAML; --run knows its own.", "PROFILE", argument=True)] = None
     """None: that of the run in ``folder``."""

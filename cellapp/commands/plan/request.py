@@ -1,4 +1,4 @@
-"""Request of the verb ``plan``: a new plan, a plan from a file, a file to check, a plan to extend or to redo."""
+"""Request of the verb ``plan``: a new plan, a plan from a file, a plan to edit."""
 
 from __future__ import annotations
 
@@ -15,65 +15,61 @@ MOST_STOPS = 100_000
 class PlanRequest(Request):
     """Plan the stops of a run: visible to the tracker, safe to stand at and to reach.
 
-    'cellapp export DIR --plan FILE' writes a plan as CSV, to be edited by hand.
+    'plan PROFILE --run DIR' designs a new plan; 'plan PROFILE --from CSV' checks an edited one, and with --run makes
+    the run of it; 'plan --edit --run DIR' changes the plan of a run. 'cellapp export DIR --plan CSV' writes a plan.
     """
 
     profile: Annotated[Path | None, Asked("The cell, as YAML.", "PROFILE", argument=True)] = None
     folder: Annotated[
-        Path | None,
-        Asked(
-            "Folder of the new run; with --add, --replan, --freeze that of the run to change.", "DIR", option="--run"
-        ),
+        Path | None, Asked("Folder of the new run; with --edit that of the run to change.", "DIR", option="--run")
     ] = None
-    source: Annotated[
-        Path | None, Asked("Take the plan from FILE exactly as it is written.", "FILE", option="--from")
-    ] = None
-    keep: Annotated[Path | None, Asked("Freeze the stops of FILE; design the rest around.", "FILE")] = None
-    check: Annotated[Path | None, Asked("Only check the plan in FILE; exit code 1 if unsafe.", "FILE")] = None
-    add: Annotated[
-        int | None,
-        Field(ge=1, le=MOST_STOPS),
-        Asked("Append N stops to the plan of a run.", "N", label="further stops", hint=f"1 to {MOST_STOPS}"),
-    ] = None
-    replan: Annotated[bool, Asked("Design the stops of a run that are not measured again.")] = False
-    freeze: Annotated[str | None, Asked("Configurations, as 0-9,12, that later designs of the run leave.", "LIST")] = (
-        None
-    )
     sweeps: Annotated[
         int | None,
         Field(ge=1, le=MOST_STOPS),
-        Asked("Plan N stops, and at each of them a recorded sweep of every arm.", "N"),
+        Asked("Of a new plan: N stops, and at each of them a recorded sweep of every arm.", "N"),
+    ] = None
+    source: Annotated[
+        Path | None,
+        Asked("Take the plan exactly as it is written; without --run only check it.", "CSV", option="--from"),
+    ] = None
+    keep: Annotated[bool, Asked("With --from: freeze its stops and design the rest around them.")] = False
+    edit: Annotated[bool, Asked("Change the plan of the run --run, by the profile in it.")] = False
+    add: Annotated[
+        int | None,
+        Field(ge=1, le=MOST_STOPS),
+        Asked("With --edit: append N stops.", "N", label="further stops", hint=f"1 to {MOST_STOPS}"),
+    ] = None
+    replan: Annotated[bool, Asked("With --edit: design the stops that are not measured again.")] = False
+    freeze: Annotated[
+        str | None, Asked("With --edit: configurations, as 0-9,12, that later designs leave.", "LIST")
     ] = None
 
     def job_name(self) -> str:
-        named = {"check": self.check is not None, "freeze": self.freeze is not None}
-        return next((name for name, is_asked in named.items() if is_asked), "")
+        if self.source is not None and self.folder is None:
+            return "check"
+        return "freeze" if self.freeze is not None else ""
 
     @model_validator(mode="after")
     def _belongs_together(self) -> Self:
-        given = {
-            "--from": self.source is not None,
-            "--keep": self.keep is not None,
-            "--check": self.check is not None,
-            "--add": self.add is not None,
-            "--replan": self.replan,
-            "--freeze": self.freeze is not None,
-            "--sweeps": self.sweeps is not None,
-        }
-        words = [word for word, is_given in given.items() if is_given]
-        if len(words) > 1:
-            raise ValueError(f"{' and '.join(words)} do not go together; give one of them")
-        changes_run = given["--add"] or given["--replan"] or given["--freeze"]
-        if changes_run and (self.profile is not None or self.folder is None):
-            raise ValueError(
-                f"{words[0]} changes the plan of a run by the profile in it: give --run DIR and no PROFILE"
-            )
-        if not changes_run and self.profile is None:
+        mode = "--edit" if self.edit else "--from" if self.source is not None else ""
+        if self.edit and self.source is not None:
+            raise ValueError("--from and --edit do not go together; give one of them")
+        changes = {"--add": self.add is not None, "--replan": self.replan, "--freeze": self.freeze is not None}
+        for owner, words in (
+            ("--edit", changes),
+            ("--from", {"--keep": self.keep}),
+            ("", {"--sweeps": self.sweeps is not None}),
+        ):
+            if owner != mode and any(words.values()):
+                given = next(word for word, is_given in words.items() if is_given)
+                raise ValueError(f"{given} belongs to 'plan {owner or 'PROFILE --run DIR'}'")
+        if self.edit and (self.profile is not None or self.folder is None):
+            raise ValueError("--edit changes the plan of a run by the profile in it: give --run DIR and no PROFILE")
+        if self.edit and sum(changes.values()) != 1:
+            raise ValueError("--edit takes one of --add N, --replan and --freeze LIST")
+        if not self.edit and self.profile is None:
             raise ValueError("PROFILE is missing; name the cell's YAML file")
-        only_reads = given["--check"]
-        if only_reads and self.folder is not None:
-            raise ValueError(f"{words[0]} makes no run; leave out --run")
-        if not (changes_run or only_reads) and self.folder is None:
+        if self.folder is None and (self.source is None or self.keep):
             raise ValueError("--run DIR is missing; name the folder of the new run")
         return self
 

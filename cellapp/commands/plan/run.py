@@ -57,13 +57,12 @@ def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult:
         assert request.folder is not None, "the request says so"
         return _changed(request, request.folder, work)
     profile, watched = load_profile(request.profile), (work.listener, work.control)
-    if request.check is not None:
-        return check_plan_file(profile, request.check, *watched)
-    assert request.folder is not None, "the request says so"
+    if request.folder is None:
+        assert request.source is not None, "the request says so"
+        return check_plan_file(profile, request.source, *watched)
     if request.source is not None:
-        result = plan_from_file(profile, request.source, request.folder, *watched)
-    elif request.keep is not None:
-        result = plan_around_file(profile, request.keep, request.folder, *watched)
+        make = plan_around_file if request.keep else plan_from_file
+        result = make(profile, request.source, request.folder, *watched)
     else:
         with new_planned_run(profile, request.folder, *watched, sweeps=request.sweeps) as made:
             result = plan_result(made)
@@ -323,7 +322,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
         if needed <= 0:
             raise InputError(
                 f"{run.path}: every stop is measured, proposed or frozen: nothing is left to design; extend the run"
-                f" with 'cellapp plan --run {shell_word(run.folder)} --add N'"
+                f" with 'cellapp plan --edit --run {shell_word(run.folder)} --add N'"
             )
         kept = stops.take([*parts.fixed, *parts.frozen])
         made, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=needed)

@@ -13,12 +13,12 @@ from cellapp.cell.driving.requests import running_job
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import all_known_readings
 from cellapp.cell.targets.records import VerifyResult
+from cellapp.commands.check.station import profile_at_station
 from cellapp.commands.compensate.charts import target_charts
 from cellapp.commands.compensate.run import compensated_commands, listed_targets
 from cellapp.commands.compensate.tables import all_measured_tables, verification_tables
 from cellapp.commands.compensate.words import push_lines, verify_lines
 from cellapp.commands.confirm import confirmation
-from cellapp.commands.locate.station import profile_at_station
 from cellapp.commands.push.request import PushRequest
 from cellapp.commands.record import Request, View, Work
 from cellapp.commands.run_results import evidence_of, read_results

@@ -40,6 +40,7 @@ from cellapp.commands.calibrate.view import (
     motion_sentences,
     transform_tables,
 )
+from cellapp.commands.check.view import location_view
 from cellapp.commands.check.view import view as check_view
 from cellapp.commands.collect.charts import residual_drift_chart
 from cellapp.commands.collect.state import collection_state
@@ -48,7 +49,6 @@ from cellapp.commands.compensate.view import paths_section, targets_section
 from cellapp.commands.discover.view import discovery_section
 from cellapp.commands.export.run import lost_by_arm
 from cellapp.commands.iso9283.view import iso9283_section
-from cellapp.commands.locate.view import view as locate_view
 from cellapp.commands.plan.view import plan_section
 from cellapp.commands.rehearse.result import kept_log
 from cellapp.commands.rehearse.view import log_section
@@ -379,7 +379,7 @@ def _station(data: ReportData) -> Section | None:
     if located is None or not located.moved:
         return None
     about = "The tracker was moved after the readings were taken; what follows was measured from where it stands now."
-    return section_of("", locate_view(located).parts, about=about)
+    return section_of("", location_view(located).parts, about=about)
 
 
 # -- geometry ---------------------------------------------------------------------------------------------------------

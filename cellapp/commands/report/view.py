@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from cellapp.commands.calibrate.view import calibration_tables
+from cellapp.commands.check.view import location_tables
 from cellapp.commands.compensate.tables import verification_tables
 from cellapp.commands.discover.tables import discovery_tables
-from cellapp.commands.locate.view import location_tables
 from cellapp.commands.record import Request, View
 from cellapp.commands.report.request import ReportRequest
 from cellapp.commands.report.result import ReportResult

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run.file import note_profile
@@ -26,16 +25,10 @@ from cellapp.commands.push.run import push_targets
 from cellapp.commands.record import Request, View, Work
 from cellapp.commands.report.result import shown_by
 from cellapp.commands.run.request import RunRequest
-from cellapp.commands.run_results import RunResults, read_results
+from cellapp.commands.run.result import WholeRunResult
+from cellapp.commands.run_results import read_results
 from cellapp.commands.view.parts import Part
 from cellapp.ground.threads import give_back
-
-
-class WholeRunResult(RunResults, schema="cellapp-run"):
-    """``run``: the folder, the results of every step, and notes for the operator."""
-
-    collect: CollectResult | None = None
-    notes: tuple[str, ...] = ()
 
 
 def run(request: RunRequest, work: Work) -> WholeRunResult:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, create_model, model_validator
@@ -25,6 +26,9 @@ class ShowRequest(Request):
     last: Annotated[int | None, Field(ge=1), Asked("With log: the last N lines.", "N")] = None
     check: Annotated[bool, Asked("With plan: run the safety gate over all stops and ways again.")] = False
     forecast: Annotated[bool, Asked("With plan: time, joint ranges, expected errors, effects it can show.")] = False
+    against: Annotated[
+        Path | None, Asked("Where this run differs from another one: profile, parameters, errors, effects.", "DIR")
+    ] = None
     target: Annotated[str | None, Asked("With targets: all about one of them.", "NAME")] = None
     strict: Strict = False
 
@@ -36,6 +40,8 @@ class ShowRequest(Request):
             raise ValueError("--check and --forecast belong to 'plan'; give one of them")
         if self.part != "targets" and self.target is not None:
             raise ValueError("--target belongs to 'targets'")
+        if self.against is not None and self.part != OWN_PARTS[0]:
+            raise ValueError(f"--against compares whole runs; give it without '{self.part}'")
         return self
 
 

@@ -11,6 +11,7 @@ from cellapp.commands.plan.run import stored_plan
 from cellapp.commands.record import Work
 from cellapp.commands.registry import STORING, records
 from cellapp.commands.run_results import read_results
+from cellapp.commands.show.comparison import compare_runs
 from cellapp.commands.show.overview import run_history, run_log, run_overview
 from cellapp.commands.show.request import ShowRequest
 from cellapp.commands.show.result import RecordingsResult, Shown
@@ -25,6 +26,9 @@ from cellapp.ground.shell import filled, shell_word
 def run(request: ShowRequest, work: Work) -> Shown:
     """Read the requested part, or compute what was requested of a plan."""
     with RunFile.open(request.folder) as opened:
+        if request.against is not None:
+            with RunFile.open(request.against) as other:
+                return Shown(part="comparison", result=compare_runs(opened, other))
         found = _found(opened, request, work)
         return found.model_copy(update={"complaints": tuple(complaints_of(opened))}) if request.strict else found
 

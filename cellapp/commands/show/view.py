@@ -13,6 +13,7 @@ from cellapp.commands.compensate.view import target_parts
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.commands.record import Request, View
 from cellapp.commands.registry import STORING, records
+from cellapp.commands.show.comparison import RunComparison, comparison_sentences, comparison_tables
 from cellapp.commands.show.request import ShowRequest
 from cellapp.commands.show.result import (
     HistoryResult,
@@ -79,7 +80,7 @@ def unseen_sentence(name: str, arm: UnseenArmState, run: str) -> str:
     """State the danger of an arm that was not seen at rest, and how to settle it."""
     return (
         f"arm {name}: NOT SEEN AT REST since {second_of(arm.since)} UTC: treat it as moving ({arm.reason.rstrip('.')})."
-        " A job that sees it at rest settles this, or a person who has seen it: 'cellapp at-rest"
+        " A job that sees it at rest settles this, or a person who has seen it: 'cellapp job confirm-rest"
         f" {shell_word(run)} {name}'"
     )
 
@@ -132,6 +133,8 @@ def _view_of(found: Shown, request: Request | None) -> View:
             return View(recording_tables(found.result.recordings))
         case LogResult():
             return View(log_lines(found.result) or ("no log lines to show",))
+        case RunComparison():
+            return View((*comparison_tables(found.result), *comparison_sentences(found.result)))
         case CollectionResult():
             return stored_view(found.result)
     asked = request if isinstance(request, ShowRequest) else None

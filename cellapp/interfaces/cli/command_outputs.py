@@ -23,7 +23,10 @@ from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
 from cellapp.ground.shell import filled
 from cellapp.interfaces.cli.requests import REMEDY
 
+HELP_OPTIONS = ["-h", "--help"]
 _FORCE = "force"
+_OUTPUT = "Output"
+"""Panel of the options that every command has."""
 CommandFunction = TypeVar("CommandFunction", bound=Callable[..., Any])
 
 
@@ -105,7 +108,13 @@ class Commands(typer.Typer):
 
 
 def _as_text(command: Any) -> Any:
-    """Mark brackets in help texts as text, which Rich takes for markup as in "[kg]"; join the lines of paragraphs."""
+    """Mark brackets in help texts as text, which Rich takes for markup as in "[kg]"; join the lines of paragraphs.
+
+    A flag shows no type.
+    """
+    for one in (*command.params, command.get_help_option(typer.Context(command, help_option_names=HELP_OPTIONS))):
+        if getattr(one, "is_flag", False):
+            one.metavar = ""
     for one in (command, *command.params):
         if one_help := getattr(one, "help", None):
             one.help = "\n\n".join(escape(part.replace("\n", " ")) for part in one_help.split("\n\n"))
@@ -128,7 +137,8 @@ def with_force(function: Callable[..., Any]) -> Callable[..., Any]:
             return function(**values)
 
     replaced = [option for name, option in options.items() if written[name] not in _ADDED_TO]
-    flag = typer.Option("--force", help=f"Replace files of {', '.join(replaced)} that are there.")
+    words = f"Replace files of {', '.join(replaced)} that are there."
+    flag = typer.Option("--force", help=words, rich_help_panel=_OUTPUT)
     parameter = inspect.Parameter(
         _FORCE, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Annotated[bool, flag]
     )
@@ -190,7 +200,12 @@ ProfilePath = Annotated[Path, typer.Argument(metavar="PROFILE", help="The cell, 
 RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="The run's folder.")]
 JsonOption = Annotated[
     str | None,
-    typer.Option("--json", metavar="FILE", help="Write the result as JSON to FILE; '-' is standard output."),
+    typer.Option(
+        "--json",
+        metavar="FILE",
+        help="Write the result as JSON to FILE; '-' is standard output.",
+        rich_help_panel=_OUTPUT,
+    ),
     Writes.FILE,
 ]
 AllowMotion = Annotated[

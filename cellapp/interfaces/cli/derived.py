@@ -11,7 +11,7 @@ import operator
 import queue
 import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from types import MappingProxyType, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, Union, get_args, get_origin
@@ -81,20 +81,19 @@ class _FirstByDefault(TyperGroup):
         return super().parse_args(ctx, args)
 
 
-def add_verbs(app: Commands, verbs: Iterable[Verb]) -> None:
-    """Add the command of each verb; a verb with variants is a group."""
-    for verb in verbs:
-        if verb.variants:
-            app.add_typer(group_of(verb), name=verb.name)
-        else:
-            app.command(verb.name)(command_of(verb))
+def add_verb(app: Commands, verb: Verb, name: str, panel: str | None = None) -> None:
+    """Add the command of a verb; a verb with variants is a group."""
+    if verb.variants:
+        app.add_typer(group_of(verb), name=name, rich_help_panel=panel)
+    else:
+        app.command(name, rich_help_panel=panel)(command_of(verb))
 
 
 def group_of(verb: Verb) -> Commands:
     """Return the group of a verb with variants: one command for each word."""
-    group = Commands(cls=_FirstByDefault, no_args_is_help=True, help=inspect.getdoc(verb.request))
+    group = Commands(cls=_FirstByDefault, no_args_is_help=True, help=verb.help)
     for word, variant in verb.variants.items():
-        group.command(word, help=variant.help)(command_of(verb, variant.fixed))
+        group.command(word, help=verb.marked(variant.help))(command_of(verb, variant.fixed))
     return group
 
 
@@ -131,7 +130,7 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
         own.append(_keyword("allow_motion", AllowMotion, False))
     own.append(_keyword("json_file", JsonOption, None))
     command.__signature__ = inspect.Signature(own)  # type: ignore[attr-defined]
-    command.__doc__ = inspect.getdoc(verb.request)
+    command.__doc__ = verb.help
     return command
 
 

@@ -1,4 +1,4 @@
-"""Fast path of ``pause``, ``resume``, ``stop``, ``abort`` from a shell. Imports little, see ``ground.asking``."""
+"""Fast path of ``stop`` and ``job pause``, ``resume``, ``abort`` from a shell. Imports little (``ground.asking``)."""
 
 from __future__ import annotations
 
@@ -27,9 +27,14 @@ class JobRequest(NamedTuple):
 
 def plain_request(arguments: Sequence[str]) -> JobRequest | None:
     """Parse a plain request from the program's arguments; None if the whole command line must parse them."""
-    if not arguments or arguments[0] not in VERBS or any(_EXPANDED & {*word} for word in arguments):
+    word, *words = arguments or ("",)
+    if word == "job" and words[:1] != ["stop"]:
+        word, *words = words or ("",)
+    elif word != "stop":
         return None
-    words, json_file = list(arguments[1:]), None
+    if word not in VERBS or any(_EXPANDED & {*one} for one in words):
+        return None
+    json_file = None
     if "--json" in words[:-1]:
         place = words.index("--json")
         json_file = words[place + 1]
@@ -39,7 +44,7 @@ def plain_request(arguments: Sequence[str]) -> JobRequest | None:
         words.remove(_FORCE)
     if len(words) != 1 or words[0].startswith("-") or ((json_file or "").startswith("-") and json_file != "-"):
         return None
-    return JobRequest(arguments[0], Path(words[0]), json_file, force)
+    return JobRequest(word, Path(words[0]), json_file, force)
 
 
 def ask_job(request: JobRequest) -> None:

@@ -1,47 +1,56 @@
 """Top level of the command line: the program's own help and options, and the order of the commands.
 
-``pause``, ``resume``, ``stop``, ``abort`` as regular commands, with help, options and usage errors.
+``stop`` and ``job pause``, ``resume``, ``abort`` as regular commands, with help, options and usage errors.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from cellapp.commands.registry import ALL, help_of, name_of
+from cellapp.commands.registry import PANEL, help_of, name_of
+from cellapp.ground.asking import Verb
 from cellapp.ground.errors import InputError
 from cellapp.ground.removed import removed_command
 from cellapp.ground.version import __version__
-from cellapp.interfaces.cli.command_outputs import Commands, JsonOption, RunFolder, current_outputs
+from cellapp.interfaces.cli.command_outputs import HELP_OPTIONS, Commands, JsonOption, RunFolder, current_outputs
 from cellapp.interfaces.cli.requests import JobRequest, ask_job
 
-
-def pause(folder: RunFolder, json_file: JsonOption = None) -> None:
-    """Let the job that runs in DIR finish the present stop, then wait with the arms at rest."""
-    ask_job(JobRequest("pause", folder, json_file, current_outputs().outputs.force))
-
-
-def resume(folder: RunFolder, json_file: JsonOption = None) -> None:
-    """Let a paused job continue, or a stopped one that waits for it."""
-    ask_job(JobRequest("resume", folder, json_file, current_outputs().outputs.force))
+REQUESTS: Mapping[Verb, str] = {
+    "stop": "Brake all arms of the job that runs in DIR now. It can be resumed.",
+    "pause": "Let the job that runs in DIR finish the present stop, then wait with the arms at rest.",
+    "resume": "Let a paused job continue, or a stopped one that waits for it.",
+    "abort": "Brake all arms of the job that runs in DIR now, and end the job.",
+}
+"""Request to a running job -> its help."""
 
 
-def stop(folder: RunFolder, json_file: JsonOption = None) -> None:
-    """Brake all arms of the job that runs in DIR now. It can be resumed."""
-    ask_job(JobRequest("stop", folder, json_file, current_outputs().outputs.force))
+def _asking(verb: Verb) -> Callable[..., None]:
+    """Return the command of a request."""
+
+    def ask(folder: RunFolder, json_file: JsonOption = None) -> None:
+        ask_job(JobRequest(verb, folder, json_file, current_outputs().outputs.force))
+
+    ask.__name__ = verb
+    return ask
 
 
-def abort(folder: RunFolder, json_file: JsonOption = None) -> None:
-    """Brake all arms of the job that runs in DIR now, and end the job."""
-    ask_job(JobRequest("abort", folder, json_file, current_outputs().outputs.force))
+def add_requests(app: Commands) -> Commands:
+    """Add ``stop``, and the group ``job`` with the other requests to a running job; return the group."""
+    job = Commands(cls=InOrder, help=JOB, no_args_is_help=True)
+    for verb, words in REQUESTS.items():
+        if verb == "stop":
+            app.command(verb, help=words, rich_help_panel=PANEL[verb])(_asking(verb))
+        else:
+            job.command(verb, help=words)(_asking(verb))
+    app.add_typer(job, name="job", rich_help_panel=PANEL["job"])
+    return job
 
 
-REQUESTS = (pause, resume, stop, abort)
-
-
-HELP_OPTIONS = ["-h", "--help"]
+JOB = "Ask the job that runs in DIR to pause, resume or abort; say that you have seen an arm at rest."
 TRIALS = "Effects hidden in a simulated cell of yours: which of which size would be named?"
 
 
@@ -54,7 +63,7 @@ class InOrder(TyperGroup):
         return super().get_command(ctx, cmd_name)
 
     def list_commands(self, ctx: Any) -> list[str]:
-        work = [name_of(verb) for verb in ALL]
+        work = [name_of(word) for word in PANEL]
         return sorted(super().list_commands(ctx), key=lambda name: work.index(name) if name in work else len(work))
 
 
@@ -93,9 +102,7 @@ def _tui(
 def overview() -> Commands:
     """Create the program for its help page: commands have only their help text, so little is loaded."""
     app = top()
-    for verb in ALL:
-        app.command(name_of(verb), help=help_of(verb))(lambda: None)
-    for request in REQUESTS:
-        app.command()(request)
-    app.command("trials", help=TRIALS)(lambda: None)
+    for word, panel in PANEL.items():
+        words = {"stop": REQUESTS["stop"], "job": JOB, "trials": TRIALS}.get(word) or help_of(word)
+        app.command(name_of(word), help=words, rich_help_panel=panel)(lambda: None)
     return app

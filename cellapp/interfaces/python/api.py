@@ -54,7 +54,7 @@ class Run(Printed):
         Result of each verb, None if it has not run; ``results.out_of_date`` says which are out of date, and why.
     model : CellModel or None
         The model that compensation uses; None before the calibration. Its tracker frame M is that of the tracker's
-        current station: that of the readings, or the one that ``cellapp locate`` has found since.
+        current station: that of the readings, or the one that ``cellapp check --tracker-moved`` has found since.
     models : mapping
         The models that calibration and discovery stored, as JSON.
     """

@@ -25,18 +25,18 @@ WAYS: Mapping[str, tuple[Step, str]] = {
     "discover --propose": ("discover", "add"),
     "compensate": ("targets", "go"),
     "push": ("targets", "measure"),
-    "locate": ("targets", "locate"),
-    "correct": ("targets", "export"),
     "check": ("accept", "check"),
+    "check --tracker-moved": ("targets", "locate"),
     "iso9283": ("accept", "measure"),
     "certificate": ("accept", "export"),
     "report": ("accept", "go"),
     "export": ("calibrate", "export"),
 }
-"""Verb -> the screen and the meaning of the key that does it; other verbs are in the palette."""
+"""Verb, or verb and option -> the screen and the meaning of the key that does it; other verbs are in the palette."""
 _EVERYWHERE: Mapping[str, str] = {"run": "day", "docs": "handbook", "runs": "runs"}
 """Verb -> the meaning of the key that does it on every screen; these verbs are not in the palette."""
 _PARTS: Mapping[str, Step] = {
+    "locate": "targets",
     "verify": "targets",
     "path": "targets",
     "run": "plan",
@@ -77,8 +77,12 @@ def way_of(command: str) -> tuple[Step, str] | None:
     """Return the screen and the meaning of the key that do a command; None for words, or if no key does."""
     if not command.startswith("cellapp "):
         return None
-    verb = command.split()[1]
-    return WAYS.get("discover --propose" if verb == "discover" and "--propose" in command else verb)
+    return WAYS.get(_done_by(command.split()[1], command))
+
+
+def _done_by(verb: str, command: str) -> str:
+    """Return the verb of a command, with the option that has a key of its own."""
+    return next((one for one in WAYS if one.startswith(f"{verb} ") and one.split()[1] in command), verb)
 
 
 def way_to(verb: str) -> str:
@@ -103,7 +107,7 @@ def with_keys(text: str) -> str:
         verb = found[1] or found[2]
         if verb not in verbs:
             return found[0]
-        return way_to("discover --propose" if verb == "discover" and "--propose" in found[0] else verb)
+        return way_to(_done_by(verb, found[0]))
 
     for words, verb in _CHAPTERS.items():
         text = re.sub(rf"'?cellapp {words}\b'?", way_to(verb), text)

@@ -117,8 +117,13 @@ def _offer(screen: DayScreen, verb: Verb, given: Mapping[str, Any]) -> None:
     app.push_screen(VerbQuestion(verb, text, BEGIN, given, simulated=simulated), begin)
 
 
-def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str) -> bool:
-    """Ask for the request of a verb that measures with the model in force, then run it; return whether it is asked."""
+def ask_of_calibrated(
+    screen: DayScreen, verb: Verb, words: str, given: Mapping[str, Any], proposed: Mapping[str, Any]
+) -> bool:
+    """Ask for the request of a verb that measures with the model in force, then run it; return whether it is asked.
+
+    ``given`` are fields that are not asked for, ``proposed`` values of those that are.
+    """
     if (calibrated := screen.calibrated_run()) is None:
         return False
     folder, *_ = calibrated
@@ -126,7 +131,9 @@ def ask_of_calibrated(screen: DayScreen, verb: Verb, words: str) -> bool:
     if stale := screen.workspace.stale:
         text += f"\nThe model is not up to date: {stale}."
     simulated = screen.workspace.kind == "simulated"
-    screen.ask_verb(VerbQuestion(verb, text, BEGIN, {"folder": folder}, simulated=simulated))
+    screen.ask_verb(
+        VerbQuestion(verb, text, BEGIN, {"folder": folder, **given}, proposed=proposed, simulated=simulated)
+    )
     return True
 
 
@@ -159,8 +166,8 @@ def offer_at_rest(app: Host, arm: str) -> None:
 
     def record(answer: str | None) -> None:
         if answer == "seen":
-            from cellapp.commands.at_rest import VERB as AT_REST
-            from cellapp.commands.at_rest import AtRestRequest
+            from cellapp.commands.job import VERB as AT_REST
+            from cellapp.commands.job import AtRestRequest
 
             app.start_job(work.verb_job(AT_REST, AtRestRequest(folder=folder, arm=arm)))
 

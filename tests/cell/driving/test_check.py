@@ -19,10 +19,10 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import refuse_motion
 from cellapp.cell.targets.targets import load_targets
-from cellapp.commands.locate.result import LocateResult
-from cellapp.commands.locate.run import typed_pose
-from cellapp.commands.locate.station import excess_of_readings
-from cellapp.commands.locate.view import location_sentences, location_tables
+from cellapp.commands.check.locate import typed_pose
+from cellapp.commands.check.location import LocateResult
+from cellapp.commands.check.station import excess_of_readings
+from cellapp.commands.check.view import location_sentences, location_tables
 from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
@@ -277,7 +277,7 @@ def test_a_moved_base_is_no_motion_of_the_tracker_and_its_model_not_used(
     stages = read_stages(run)
     assert stages.in_force == stages.current[DISCOVER]
     assert "no motion of the tracker explains the points" in stages.stale_model()
-    with pytest.raises(InputError, match="cellapp locate"):
+    with pytest.raises(InputError, match="cellapp check DIR --tracker-moved"):
         push_run(run, SOME, verify=True)
     assert read_results(run).locate == found
 
@@ -341,6 +341,6 @@ def test_a_pose_that_is_none_is_refused(text: str) -> None:
 
 
 def test_what_cannot_be_done_is_refused_before_anything_moves(run: RunFile) -> None:
-    with pytest.raises(InputError, match="--points: expected at least 3, got 2"):
+    with pytest.raises(InputError, match="--stops: expected at least 4, got 2"):
         locate_run(run, 2)
     assert typed_pose("3.8,0,0.6,0,0,180", "").rpy[2] == pytest.approx(np.pi)

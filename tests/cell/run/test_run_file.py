@@ -411,7 +411,7 @@ def test_a_doubt_survives_a_restart_and_other_arms(run: RunFile) -> None:
         assert ("error", "arm left: NOT SEEN AT REST") in levels
         first = overview_sentences(run_overview(again))[0]
     assert first.startswith("arm left: NOT SEEN AT REST since 2")
-    assert f"cellapp at-rest {run.folder} left" in first
+    assert f"cellapp job confirm-rest {run.folder} left" in first
 
 
 def test_the_first_time_is_kept(run: RunFile) -> None:

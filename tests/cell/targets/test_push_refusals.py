@@ -173,7 +173,7 @@ def test_a_moved_tracker_ends_the_job_after_two_targets(
     found = push(run.profile, moved, commands, verify=True)
     assert len(found.targets) == 2
     assert "the tracker was moved, the SMR was mounted anew, or the arm has changed" in found.stopped
-    assert "cellapp locate DIR" in found.stopped
+    assert "cellapp check DIR --tracker-moved" in found.stopped
     assert found.complaints()[0] == found.stopped
     (cell,) = cells
     for name, home in home_positions(run.profile).items():

@@ -205,16 +205,19 @@ SHOWN = (
 
 
 def test_results_are_valid_by_the_exported_schemas(made: Path, work: Path, call: Any) -> None:
-    schemas = call("schema", "--json", "-").out
+    schemas = call("docs", "--schema", "--json", "-").out
     schemas = json.loads(schemas)
     results = [json.loads(path.read_text("utf-8")) for path in made.glob("*-*.json")]
     results += [call("show", "done", part, "--json", "-").json for part in SHOWN]
-    results += [call("runs", ".", "--json", "-").json, call("compare", "collected", "done", "--json", "-").json]
+    results += [
+        call("runs", ".", "--json", "-").json,
+        call("show", "collected", "--against", "done", "--json", "-").json,
+    ]
     results += [call("report", "done", "--json", "-").json, call("doctor", "twin.yaml", "--json", "-").json]
     assert len({result["schema"] for result in results}) >= 10
     for result in results:
         jsonschema.validate(result, schemas[result["schema"]])
-    assert json.loads(call("schema", "cellapp-calibrate").out) == schemas["cellapp-calibrate"]
+    assert json.loads(call("docs", "cellapp-calibrate", "--schema").out) == schemas["cellapp-calibrate"]
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate({**results[0], "unknown": 1}, schemas[results[0]["schema"]])
 
@@ -427,7 +430,7 @@ LIGHT = (
     "doctor twin.yaml",
     "docs backlash",
     "runs .",
-    "compare done calibrated",
+    "show done --against calibrated",
     *(f"show done {part}" for part in ("overview", "calibration", "discovery", "verification", "plan")),
     "calibrate collected",
     "discover calibrated",
@@ -537,11 +540,11 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
     with started("collect", long_run.name, cwd=long_run.parent) as process:
         assert process.stderr is not None
         wait_for_stops(long_run, process)
-        paused = shell("pause", long_run.name, cwd=long_run.parent)
+        paused = shell("job", "pause", long_run.name, cwd=long_run.parent)
         assert (paused.code, paused.out[:6]) == (0, "pause:"), paused.err
         assert "collect: paused" in within(process.stderr.readline, "the pause")
         one_sentence(call("collect", long_run.name, "--resume"), "another job runs here")
-        one_sentence(call("pause", long_run.name), "paused already")
+        one_sentence(call("job", "pause", long_run.name), "paused already")
         stopped = call("stop", long_run.name, "--json", "-")
         assert stopped.json["answer"].startswith("stopped: all arms brake")
         process.communicate(timeout=WAIT_S)

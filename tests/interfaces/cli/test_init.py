@@ -85,12 +85,12 @@ def test_answers_into_another_folder(call: Any) -> None:
 def test_one_source_is_needed(call: Any, arguments: tuple[str, ...]) -> None:
     ended = call("init", *arguments)
     assert ended.code == 2
-    assert "give one of --twin, --from NAME, --answers FILE and --readings FILE" in ended.err
+    assert "give one of --demo, --twin, --from NAME, --answers FILE and --readings FILE" in ended.err
     assert "ur10-ur5       The real cell" in ended.err
     one_sentence(call("init", "--from", "tvin"), "'tvin' is no profile that comes with cellapp; there are twin,")
 
 
-# -- ``at-rest``: a person settles that an arm counts as moving; ``show`` says it first --------------------------------
+# -- ``job confirm-rest``: a person settles that an arm counts as moving; ``show`` says it first -----------------------
 
 
 def test_a_person_says_that_an_arm_rests(tmp_path: Path) -> None:
@@ -102,11 +102,11 @@ def test_a_person_says_that_an_arm_rests(tmp_path: Path) -> None:
     state = json.loads(invoke(app, ["show", str(folder), "--json", "-"]).stdout)
     assert state["not_seen_at_rest"]["left"]["reason"] == "arm left: link lost"
 
-    told = json.loads(invoke(app, ["at-rest", str(folder), "left", "--json", "-"]).stdout)
+    told = json.loads(invoke(app, ["job", "confirm-rest", str(folder), "left", "--json", "-"]).stdout)
     assert (told["schema"], told["counted_as_moving"]) == ("cellapp-at-rest", True)
-    assert "it did not count as moving" in invoke(app, ["at-rest", str(folder), "left"]).stdout
+    assert "it did not count as moving" in invoke(app, ["job", "confirm-rest", str(folder), "left"]).stdout
     assert "NOT SEEN" not in invoke(app, ["show", str(folder)]).output
-    refused = invoke(app, ["at-rest", str(folder), "middle"])
+    refused = invoke(app, ["job", "confirm-rest", str(folder), "middle"])
     assert isinstance(refused.exception, InputError)
     assert "arm 'middle' not found" in str(refused.exception)
 
@@ -178,19 +178,31 @@ def whole(*arguments: object) -> subprocess.CompletedProcess[str]:
     return asked(*arguments, program=("-c", "from cellapp.interfaces.cli.app import main; main()"))
 
 
+def words_of(verb: Verb) -> tuple[str, ...]:
+    return (verb,) if verb == "stop" else ("job", verb)
+
+
 def test_only_plain_arguments_are_sent_at_once() -> None:
     for verb in VERBS:
-        assert plain_request([verb, "logs/a"]) == JobRequest(verb, Path("logs/a"))
-        assert plain_request([verb, "logs/a", "--json", "-"]) == JobRequest(verb, Path("logs/a"), "-")
-        assert plain_request([verb, "--json", "x.json", "logs/a"]) == JobRequest(verb, Path("logs/a"), "x.json")
+        words = words_of(verb)
+        assert plain_request([*words, "logs/a"]) == JobRequest(verb, Path("logs/a"))
+        assert plain_request([*words, "logs/a", "--json", "-"]) == JobRequest(verb, Path("logs/a"), "-")
+        assert plain_request([*words, "--json", "x.json", "logs/a"]) == JobRequest(verb, Path("logs/a"), "x.json")
         for unusual in ([], ["--help"], ["a", "b"], ["a", "--json"], ["--json", "a"], ["a", "--json=b"], ["-a"],
                         ["a", "--json", "--x"], ["a", "--json", "b", "--json", "c"], ["lo*"], ["--", "a"]):  # fmt: skip
-            assert plain_request([verb, *unusual]) is None, unusual
-    assert plain_request(["collect", "logs/a"]) is None
-    assert plain_request([]) is None
+            assert plain_request([*words, *unusual]) is None, unusual
+    for other in (
+        ["collect", "logs/a"],
+        ["job", "stop", "logs/a"],
+        ["pause", "logs/a"],
+        ["job", "confirm-rest", "a"],
+        ["job"],
+        [],
+    ):
+        assert plain_request(other) is None, other
 
 
-@pytest.mark.parametrize("words", ["stop --help", "pause a b", "stop a --json nowhere/b"])
+@pytest.mark.parametrize("words", ["stop --help", "job pause a b", "stop a --json nowhere/b"])
 def test_errors_and_help_are_those_of_the_whole_command_line(words: str) -> None:
     one, other = asked(*words.split()), whole(*words.split())
     assert (one.returncode, one.stdout, one.stderr) == (other.returncode, other.stdout, other.stderr)
@@ -206,7 +218,7 @@ def test_answers_are_those_of_the_whole_command_line(folder: Path, before: Verb 
         if before is not None:
             control.ask(before)
         with taking_requests(folder, control):
-            ended.append(ask(verb, folder, "--json", "-"))
+            ended.append(ask(*words_of(verb), folder, "--json", "-"))
     one, other = ended
     assert (one.returncode, one.stdout, one.stderr) == (other.returncode, other.stdout, other.stderr)
     if one.returncode == 0:

@@ -116,14 +116,14 @@ def test_the_factory_file_of_another_arm(call: Any, monkeypatch: pytest.MonkeyPa
     said += call("calibrate", "run", "--json", "-").json["notes"]
     assert sum("explains the points worse" in note for note in said) == 2
     Path("a.script").write_text("def a():\n  movej([0.1, -1.2, 1.0, 0.2, 0.3, 0.4])\nend\n", "utf-8")
-    for line in ("correct run a.script --out b.script", "export run --as dh --out c"):
+    for line in ("compensate run a.script --out b.script", "export run --as dh --out c"):
         one_sentence(call(*line.split()), "explains the points worse", "nothing was written")
     profile.write_text(plain, "utf-8")
     with_factory(profile, UR5)  # its own
     said = call("import", profile, readings, "--run", "mine", "--json", "-").json["notes"]
     said += call("calibrate", "mine", "--json", "-").json["notes"]
     assert "explains the points worse" not in " ".join(said)
-    assert exit_code(monkeypatch, "correct", "mine", "a.script", "--out", "b.script") == 0
+    assert exit_code(monkeypatch, "compensate", "mine", "a.script", "--out", "b.script") == 0
     rows = []
     for form, file in (("ur-calibration", "its.conf"), ("ur-description", "default_kinematics.yaml")):
         call("export", "mine", "--as", form, "--out", f"profiles/exported-{file}")
@@ -146,12 +146,12 @@ def test_the_posture_is_the_one_that_was_measured(call: Any) -> None:
         call("init", "--readings", f"{run}.csv", "--arm", "ur5")
         call("import", f"profiles/{run}.yaml", f"readings/{run}.csv", "--run", run)
         call("calibrate", run)
-    found = call("correct", "narrow", "a.script", "--out", "b.script", "--json", "b.json")
+    found = call("compensate", "narrow", "a.script", "--out", "b.script", "--json", "b.json")
     (target,) = json.loads(Path("b.json").read_text("utf-8"))["targets"]
     np.testing.assert_allclose(target["q_new"], taught, atol=0.02)
     assert target["nearest_to"] == "readings"
     assert "posture (17, -69, 92, -57, 69, 11) deg, the only one within the ranges" in " ".join(found.out.split())
-    refused = call("correct", "wide", "a.script", "--out", "c.script")
+    refused = call("compensate", "wide", "a.script", "--out", "c.script")
     assert (refused.code, Path("c.script").exists()) == (2, False)
     assert "postures reach it, (17, -69, 92, -57, 69, 11)" in " ".join(refused.out.split())
 
@@ -164,10 +164,10 @@ def test_sigma_is_the_targets_own_and_what_is_common_stands_once(call: Any) -> N
     calibrated(call, q, p_M)
     moves = "".join(f"  movej({one.tolist()})\n" for one in q[:2])
     Path("a.script").write_text(f"def a():\n{moves}end\n", "utf-8")
-    said = call("correct", "run", "a.script", "--out", "b.script").out
+    said = call("compensate", "run", "a.script", "--out", "b.script").out
     assert "sigma is not stated: only a discovery estimates" in " ".join(said.split())
     call("discover", "run")
-    said = call("correct", "run", "a.script", "--out", "c.script", "--json", "c.json").out
+    said = call("compensate", "run", "a.script", "--out", "c.script", "--json", "c.json").out
     assert "2 targets are left as taught" in " ".join(said.split())
     taught = Path("a.script").read_text("utf-8")
     assert taught in Path("c.script").read_text("utf-8")
@@ -176,5 +176,5 @@ def test_sigma_is_the_targets_own_and_what_is_common_stands_once(call: Any) -> N
     assert common["flange_mm"][2] > 1.0, "a single SMR does not tell how far the flange is from it"
     for target in found["targets"]:
         assert target["own_mm"] < 0.1 < 0.5 < target["uncertainty_mm"]
-    call("correct", "run", "a.script", "--out", "d.script", "--insignificant")
+    call("compensate", "run", "a.script", "--out", "d.script", "--insignificant")
     assert taught not in Path("d.script").read_text("utf-8")

@@ -23,12 +23,12 @@ import cellapp
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
+from cellapp.commands.docs.schema import json_schema
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.export.run import export
-from cellapp.commands.registry import records
+from cellapp.commands.registry import PANEL, name_of, records
 from cellapp.commands.runs.history import summarise
-from cellapp.commands.schema import json_schema
 from cellapp.commands.show.overview import run_history, run_overview
 from cellapp.commands.show.view import overview_sentences, overview_tables
 from cellapp.commands.stages import DATA_MARK, append_stage, basis_of, data_mark
@@ -65,7 +65,7 @@ def test_short_and_long_help_are_the_same(call: Any, verb: tuple[str, ...]) -> N
     ("verb", "words"),
     [
         ("collect", "carries now [kg], as"),
-        ("correct", "TCP in the flange frame [m,"),
+        ("compensate", "frame [m, rad], if it sets none"),
         ("import", "several are given by repeating both options"),
     ],
 )
@@ -84,7 +84,7 @@ def test_the_list_of_commands_is_that_of_the_whole_program_and_loads_none_of_the
     assert short == f"{whole}light\n"
 
 
-@pytest.mark.parametrize(("words", "expected"), [("cellapp calib", "calibrate"), ("cellapp plan --che", "--check")])
+@pytest.mark.parametrize(("words", "expected"), [("cellapp calib", "calibrate"), ("cellapp plan --kee", "--keep")])
 def test_the_shell_completes(call: Any, monkeypatch: pytest.MonkeyPatch, words: str, expected: str) -> None:
     monkeypatch.setenv("_CELLAPP_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", words)
@@ -120,7 +120,8 @@ def test_every_verb_answers_bad_usage_with_an_object(call: Any) -> None:
     from tests.program import app
 
     verbs = get_command(app).commands  # type: ignore[attr-defined]
-    assert {"run", "demo", "calibrate", "trials"} < set(verbs)
+    assert {"run", "job", "calibrate", "trials"} < set(verbs)
+    assert len(verbs) <= 24
     for verb in verbs:
         ended = call(verb, "--no-such-option", "--json", "-")
         assert (verb, ended.code, ended.json["schema"]) == (verb, 2, "cellapp-error")
@@ -213,6 +214,8 @@ def test_a_removed_command_says_what_to_do_instead(some_removed, command):
 def test_every_removed_command_says_something_else_that_is_there():
     for name, instead in removed.COMMANDS.items():
         assert instead.strip().rstrip(".") == instead, name
+        for verb in re.findall(r"'cellapp ([a-z][\w-]*)", instead):
+            assert verb in {name_of(word) for word in PANEL}, name
 
 
 def test_a_removed_key_of_a_users_profile_is_refused_by_name(some_removed, tmp_path):

@@ -15,12 +15,12 @@ from textual.widgets import Input, OptionList
 from cellapp.cell.run import RunFile, sqlite_file
 from cellapp.cell.targets.records import ArmVerification, MeasuredTarget, VerifyResult
 from cellapp.commands.calibrate.run import calibrate_run
-from cellapp.commands.correct import VERB as CORRECT
-from cellapp.commands.correct import CorrectRequest
+from cellapp.commands.compensate.request import VERB as COMPENSATE
+from cellapp.commands.compensate.request import CompensateRequest
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.record import Request
 from cellapp.commands.run.request import VERB as WHOLE_DAY
-from cellapp.commands.run.run import WholeRunResult
+from cellapp.commands.run.result import WholeRunResult
 from cellapp.commands.run_results import read_results
 from cellapp.ground.results import ErrorSummary, Result
 from cellapp.interfaces.tui import work
@@ -35,7 +35,7 @@ from cellapp.interfaces.tui.screens.calibrate import ExportArms
 from tests.handbook.screen_pictures import settle
 from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shown_text, until
 
-GIVEN = {"folder": Path("day"), "program": Path("old.script")}
+GIVEN = {"folder": Path("day"), "targets": Path("old.script")}
 
 
 async def test_enter_in_a_field_sends_what_moves_nothing_and_the_first_empty_field_has_the_focus() -> None:
@@ -43,7 +43,7 @@ async def test_enter_in_a_field_sends_what_moves_nothing_and_the_first_empty_fie
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
         proposed, choices = {"out": Path("new.script")}, {"arm": ("left", "right")}
-        app.push_screen(VerbQuestion(CORRECT, "", WRITE, GIVEN, proposed=proposed, choices=choices), answers.append)
+        app.push_screen(VerbQuestion(COMPENSATE, "", WRITE, GIVEN, proposed=proposed, choices=choices), answers.append)
         await until(pilot, lambda: isinstance(app.focused, Input), "the focus")
         assert app.focused is app.screen.query_one("#arm")
         assert app.screen.query_one("#arm", Input).placeholder == "left or right"
@@ -53,7 +53,7 @@ async def test_enter_in_a_field_sends_what_moves_nothing_and_the_first_empty_fie
         await pilot.press(*"left", "enter")
         await until(pilot, lambda: bool(answers), "the answer")
     assert answers == [
-        CorrectRequest(folder=Path("day"), program=Path("old.script"), out=Path("new.script"), arm="left")
+        CompensateRequest(folder=Path("day"), targets=Path("old.script"), out=Path("new.script"), arm="left")
     ]
 
 

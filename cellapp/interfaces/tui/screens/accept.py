@@ -17,6 +17,7 @@ from textual.widgets import Static, TabbedContent, TabPane
 from textual.worker import get_current_worker
 
 from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
+from cellapp.commands.check.request import STOPS
 from cellapp.commands.check.request import VERB as CHECK_VERB
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.iso9283.request import VERB as ISO9283_VERB
@@ -111,7 +112,8 @@ class AcceptScreen(DayScreen):
             "Drive to a few stops that tell most, and measure: does the calibration still hold? It ends as soon as it"
             " is sure; no model is changed;"
         )
-        if ask_of_calibrated(self, CHECK_VERB, words):
+        given = {"tracker_pose": None, "simulated_pose": None}
+        if ask_of_calibrated(self, CHECK_VERB, words, given, {"stops": STOPS}):
             self.show_tab(CHECK)
 
     def action_iso9283(self) -> None:

@@ -65,13 +65,13 @@ class PlanEdits(DayScreen):
         """Exclude the marked stops from later designs; without marks, none."""
         if folder := self.planned_folder():
             marked = ",".join(map(str, sorted(self.query_one(StopsTable).marked)))
-            self.start(verbs.job_of(PLAN, folder=folder, freeze=marked or "none"))
+            self.start(verbs.job_of(PLAN, folder=folder, edit=True, freeze=marked or "none"))
 
     def action_add(self) -> None:
         """Ask how many stops to append."""
         if folder := self.planned_folder():
             text = "They tell most beside those that are planned or measured already. Nothing moves."
-            self.ask_verb(VerbQuestion(PLAN, text, _TAKE, {"folder": folder}, proposed={"add": _FURTHER}))
+            self.ask_verb(VerbQuestion(PLAN, text, _TAKE, {"folder": folder, "edit": True}, proposed={"add": _FURTHER}))
 
     def action_replan(self) -> None:
         """Ask, then design the unmeasured stops again."""
@@ -83,7 +83,7 @@ class PlanEdits(DayScreen):
             " of this run are replaced. Nothing moves."
         )
         answers = (Answer("no", "Leave the plan", "l"), Answer("replan", "Design again", "d", "warning"))
-        job = verbs.job_of(PLAN, folder=folder, replan=True)
+        job = verbs.job_of(PLAN, folder=folder, edit=True, replan=True)
         self.ask(Choice("Design the rest again?", text, answers), lambda: self.start(job))
 
     def action_write(self) -> None:
@@ -107,7 +107,7 @@ class PlanEdits(DayScreen):
 
         def begin(path: Path | None) -> None:
             if path is not None:
-                self.start(verbs.job_of(PLAN, profile=profile, check=path))
+                self.start(verbs.job_of(PLAN, profile=profile, source=path))
 
         start = self.workspace.folder or Path()
         self.app.push_screen(FilePicker("A plan as CSV", start, lambda path: path.suffix == ".csv"), begin)
@@ -121,8 +121,7 @@ class PlanEdits(DayScreen):
         def into(around: bool) -> None:
             def begin(folder: Path | None) -> None:
                 if folder is not None:
-                    how_used = {"keep" if around else "source": file}
-                    self.start(verbs.job_of(PLAN, profile=path, folder=folder, **how_used))
+                    self.start(verbs.job_of(PLAN, profile=path, folder=folder, source=file, keep=around))
 
             how = "with other stops designed around these" if around else "exactly as it is written"
             self.app.push_screen(

@@ -24,7 +24,12 @@ from textual.worker import get_current_worker
 from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.targets.target_text import new_texts, targets_text, typed_texts
 from cellapp.cell.targets.targets import Target, list_problems, load_targets
+from cellapp.commands.check.location import LocateResult
+from cellapp.commands.check.request import STOPS_TO_LOCATE
+from cellapp.commands.check.request import VERB as CHECK
 from cellapp.commands.compensate.charts import target_charts
+from cellapp.commands.compensate.program import correct_table
+from cellapp.commands.compensate.request import PROGRAMS
 from cellapp.commands.compensate.request import VERB as COMPENSATE
 from cellapp.commands.compensate.tables import all_measured_tables, stored_tables
 from cellapp.commands.compensate.target_list import (
@@ -36,11 +41,7 @@ from cellapp.commands.compensate.target_list import (
 )
 from cellapp.commands.compensate.view import target_parts
 from cellapp.commands.compensate.words import compensate_summary, unknown_lines, verify_summary
-from cellapp.commands.correct import ENDINGS, correct_table
-from cellapp.commands.correct import VERB as CORRECT
 from cellapp.commands.docs.keys import SHOWN
-from cellapp.commands.locate.request import VERB as LOCATE
-from cellapp.commands.locate.result import LocateResult
 from cellapp.commands.push.request import VERB as PUSH
 from cellapp.commands.run_results import RunResults
 from cellapp.commands.view.parts import Part
@@ -404,7 +405,9 @@ class TargetsScreen(DayScreen):
 
     def action_locate(self) -> None:
         """Ask, then measure the pose of the tracker after it was moved."""
-        ask_of_calibrated(self, LOCATE, LOCATE.summary)
+        words = "After the tracker was moved: measure a few points, so that the calibration holds from where it stands;"
+        given = {"tracker_moved": True, "simulated_plant": None}
+        ask_of_calibrated(self, CHECK, words, given, {"stops": STOPS_TO_LOCATE})
 
     def action_correct(self) -> None:
         """Ask for a program and the file of its corrected copy."""
@@ -417,16 +420,16 @@ class TargetsScreen(DayScreen):
             if program is not None:
                 out = program.with_stem(f"{program.stem}-corrected")
                 proposed = {"out": out, "arm": arms[0] if len(arms) == 1 else None}
-                given, text = {"folder": folder, "program": program}, f"{program.name}; nothing moves."
-                self.ask_verb(VerbQuestion(CORRECT, text, WRITE, given, proposed=proposed, choices={"arm": arms}))
+                given, text = {"folder": folder, "targets": program}, f"{program.name}; nothing moves."
+                self.ask_verb(VerbQuestion(COMPENSATE, text, WRITE, given, proposed=proposed, choices={"arm": arms}))
 
-        title = f"A program of a UR controller ({', '.join(ENDINGS)})"
-        self.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in ENDINGS), ask)
+        title = f"A program of a UR controller ({', '.join(PROGRAMS)})"
+        self.app.push_screen(FilePicker(title, Path.cwd(), lambda path: path.suffix in PROGRAMS), ask)
 
     def show_result(self, result: Result) -> None:
         """Show the tracker's pose, or the targets of a corrected program, and why some were not corrected."""
         if isinstance(result, LocateResult) and self.app.screen is self:
-            from cellapp.commands.locate.view import location_sentences, location_tables
+            from cellapp.commands.check.view import location_sentences, location_tables
             from cellapp.commands.view.table import markdown
 
             said = "\n".join(f"- {line}" for line in location_sentences(result))

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.locate.result import LocateResult
+from cellapp.commands.check.location import LocateResult
 from cellapp.commands.stages import RunStages, read_history, read_stages, tracker_moved
 from cellapp.commands.stored_model import read_calibration
 from cellapp.estimation.readings.readings import stated_uncertainty
@@ -32,7 +32,7 @@ def profile_at_station(run: RunFile, stages: RunStages, simulated_pose: Pose | N
     simulated = profile.plant is not None and profile.tracker.driver.needs_plant
     if simulated_pose is not None and not simulated:
         raise InputError(
-            "locate: --simulated-pose moves the tracker of a simulated cell; the profile's tracker is not simulated"
+            "check: --simulated-pose moves the tracker of a simulated cell; the profile's tracker is not simulated"
         )
     last = last_location(run, stages)
     if simulated_pose is None and last is not None and last.simulated_pose is not None:

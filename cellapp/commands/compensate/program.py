@@ -1,10 +1,9 @@
-"""The verb ``correct``: correct the targets of a controller's program so that the real arm reaches them."""
+"""Of the verb ``compensate``: correct the targets of a controller's program so that the real arm reaches them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 
@@ -26,73 +25,17 @@ from cellapp.cell.programs.solving import (
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.run.samples import known_readings
-from cellapp.commands.record import Asked, Request, RunFolder, Verb, View, Work
+from cellapp.commands.compensate.request import CompensateRequest
+from cellapp.commands.record import View
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
 from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import CORRECTED, NEW_ONLY, Outputs, Writes, require_suffix
+from cellapp.ground.outputs import CORRECTED, NEW_ONLY, Outputs, require_suffix
 from cellapp.ground.profile import Arm
 from cellapp.ground.shell import shell_word
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import controller_rows, nominal_arm, published_rows
-
-ENDINGS = (".script", ".urp")
-
-
-class CorrectRequest(Request):
-    """Correct the targets of a UR program by the calibrated model, so that a plain controller truly reaches them.
-
-    Every other line stays byte for byte. Nothing is written while a target cannot be corrected, unless with --partly.
-    """
-
-    folder: RunFolder
-    program: Annotated[
-        Path, Asked("Program of a UR controller: .script or .urp.", "PROGRAM", argument=True, suffixes=ENDINGS)
-    ]
-    out: Annotated[
-        Path,
-        Asked(
-            "The corrected copy, of the same kind.",
-            "FILE",
-            label="corrected copy",
-            suffixes=ENDINGS,
-            writes=Writes.FILES,
-        ),
-    ]
-    arm: Annotated[str | None, Asked("Whose program it is; needed with several arms.", "NAME", label="arm")] = None
-    tcp: Annotated[
-        str | None,
-        Asked(
-            "TCP in the flange frame [m, rad], if the program sets none.",
-            "X,Y,Z,RX,RY,RZ",
-            label="TCP",
-            unit="m, rad",
-            hint="x,y,z,rx,ry,rz; empty: the program's set_tcp",
-        ),
-    ] = None
-    partly: Annotated[
-        bool,
-        Asked(
-            "Write although some targets cannot be corrected; they stay as they are.",
-            label="write although some targets cannot be corrected",
-        ),
-    ] = False
-    extrapolate: Annotated[
-        bool,
-        Asked(
-            "Correct targets outside the joint ranges of the readings too.",
-            label="correct outside the joint ranges of the readings too",
-        ),
-    ] = False
-    insignificant: Annotated[
-        bool,
-        Asked("Correct targets whose correction is not significant too.", label="correct what is not significant too"),
-    ] = False
-
-
-VERB = Verb("correct", CorrectRequest, chapter="programs", question="Correct a program")
-
 
 _JOINTS = 6
 _MARKS = {".script": f"# {CORRECTED}", ".urp": f"<!-- {CORRECTED} -->"}
@@ -101,13 +44,7 @@ _LARGEST = 32 * 1024 * 1024
 """Most bytes of a program that are read."""
 
 
-def run(request: CorrectRequest, work: Work) -> CorrectResult:
-    """Write the corrected copy."""
-    with RunFile.open(request.folder) as opened:
-        return correct(opened, request, work.outputs)
-
-
-def correct(run: RunFile, request: CorrectRequest, outputs: Outputs = NEW_ONLY) -> CorrectResult:
+def correct(run: RunFile, request: CompensateRequest, outputs: Outputs = NEW_ONLY) -> CorrectResult:
     """Write a copy of a program with targets that a plain controller truly reaches.
 
     Nothing is written if a target cannot be corrected: the result lists such targets, and its ``out`` is None.
@@ -118,8 +55,10 @@ def correct(run: RunFile, request: CorrectRequest, outputs: Outputs = NEW_ONLY) 
         If the program cannot be read, the run is not calibrated or has no such arm, or the copy cannot be written.
     """
     program, out = request.program, request.out
+    assert program is not None, "the caller says so"
+    assert out is not None, "the request says so"
     stages = read_stages(run)
-    require_own_factory(run, "correct")
+    require_own_factory(run, "compensate")
     model = model_of(run, stage_in_force(run, stages))
     name = _arm(run, list(model.arms), request.arm)
     model_arm = model.arms[name]
@@ -189,13 +128,13 @@ def _no_sigma(run: RunFile) -> str:
 def _arm(run: RunFile, arms: Sequence[str], asked: str | None) -> str:
     if asked is None and len(arms) > 1:
         choice = " or ".join(f"--arm {name}" for name in arms)
-        raise InputError(f"correct: {run.path} has several arms; say whose program it is: {choice}")
+        raise InputError(f"compensate: {run.path} has several arms; say whose program it is: {choice}")
     name = arms[0] if asked is None else asked
     if name not in arms:
-        raise InputError(f"correct: {run.path} has no calibrated arm '{name}'; arms are {', '.join(arms)}")
+        raise InputError(f"compensate: {run.path} has no calibrated arm '{name}'; arms are {', '.join(arms)}")
     joints = len(run.profile.arms[name].type.joints)
     if joints != _JOINTS:
-        raise InputError(f"correct: arm '{name}' has {joints} joints; programs of UR controllers have {_JOINTS}")
+        raise InputError(f"compensate: arm '{name}' has {joints} joints; programs of UR controllers have {_JOINTS}")
     return name
 
 
@@ -203,10 +142,12 @@ def _require_its_calibration(run: RunFile, name: str, model: ArmModel) -> None:
     """Raise ``InputError`` unless the run's controller uses the nominal D-H rows of the profile."""
     settings, controller = run.profile.arms[name], recorded_controllers(run).get(name)
     if not np.allclose(model.nominal.rows, nominal_arm(settings).rows, rtol=0.0, atol=1e-9):
-        raise InputError(f"correct: arm '{name}': arms.{name}.factory is not that of the calibration; calibrate again")
+        raise InputError(
+            f"compensate: arm '{name}': arms.{name}.factory is not that of the calibration; calibrate again"
+        )
     if controller is not None and not same_calibration(settings, controller):
         raise InputError(
-            f"correct: arm '{name}': the controller of this run computes with another calibration"
+            f"compensate: arm '{name}': the controller of this run computes with another calibration"
             f" ({controller.dh_checksum or 'none'}) than the profile; nothing was written. Write it with 'cellapp"
             f" doctor PROFILE --controllers FOLDER', give it as arms.{name}.factory, and calibrate the readings anew"
         )
@@ -214,9 +155,7 @@ def _require_its_calibration(run: RunFile, name: str, model: ArmModel) -> None:
 
 def _read(program: Path, out: Path, settings: Arm, tcp: Six | None) -> ReadProgram:
     kind = program.suffix.lower()
-    if kind not in ENDINGS:
-        raise InputError(f"{program}: expected a program of a UR controller, .script or .urp")
-    require_suffix(out, (kind,), f"correct: a copy of {program}")
+    require_suffix(out, (kind,), f"compensate: a copy of {program}")
     try:
         with program.open("rb") as file:
             data = file.read(_LARGEST + 1)
@@ -229,7 +168,7 @@ def _read(program: Path, out: Path, settings: Arm, tcp: Six | None) -> ReadProgr
     return read_urp(data, str(program), controller_rows(settings), published_rows(settings))
 
 
-def view(result: CorrectResult, request: Request | None = None) -> View:
+def program_view(result: CorrectResult) -> View:
     """Show every target, the assumptions, and what could not be corrected."""
     return View((correct_table(result), *correct_lines(result)), refused=refusal(result))
 

@@ -11,8 +11,6 @@ from cellapp.cell.profile import profile_to_json
 from cellapp.cell.profile.messages import KeyPath, dotted
 from cellapp.cell.run.arm_identity import arm_identities
 from cellapp.cell.run.file import RunFile
-from cellapp.commands.compare.request import CompareRequest
-from cellapp.commands.record import Request, View, Work
 from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import comparable_arms
@@ -65,7 +63,7 @@ GEOMETRY, HELD_OUT, TARGETS, TRANSFORM = "geometry", "held-out errors", "verifie
 
 
 class RunComparison(Result, schema="cellapp-comparison", version=2):
-    """``compare``: where two runs differ; ``notes`` say what cannot be compared, and what is out of date."""
+    """``show --against``: where two runs differ; ``notes`` say what cannot be compared, and what is out of date."""
 
     a: str
     b: str
@@ -82,12 +80,6 @@ _NOT_STORED: Mapping[str, str] = {
 }
 
 
-def run(request: CompareRequest, work: Work) -> RunComparison:
-    """Compare the two runs."""
-    with RunFile.open(request.first) as a, RunFile.open(request.second) as b:
-        return compare_runs(a, b)
-
-
 def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
     """Compare two runs; notes name what only one of them has and what cannot be compared.
 
@@ -97,7 +89,7 @@ def compare_runs(a: RunFile, b: RunFile) -> RunComparison:
         If both are the same run, or stored data of one are damaged.
     """
     if a.folder.resolve() == b.folder.resolve():
-        raise InputError(f"compare: {a.folder} and {b.folder} are the same run; give two different runs")
+        raise InputError(f"show: --against: {a.folder} and {b.folder} are the same run; give two different runs")
     stages = read_stages(a), read_stages(b)
     first, second = read_results(a, stages[0]), read_results(b, stages[1])
     models = comparable_arms(a, stages[0]), comparable_arms(b, stages[1])
@@ -255,11 +247,6 @@ def _values(of: str, a: Mapping[str, Estimate], b: Mapping[str, Estimate]) -> It
         unit = " or ".join(dict.fromkeys(estimate.unit for estimate in (one, other) if estimate is not None))
         before, after = (None if estimate is None else estimate.value for estimate in (one, other))
         yield _compared(of, name, unit, before, after, difference, combined)
-
-
-def view(result: RunComparison, request: Request | None = None) -> View:
-    """Show the differences of two runs."""
-    return View((*comparison_tables(result), *comparison_sentences(result)))
 
 
 def comparison_tables(result: RunComparison) -> list[Table]:

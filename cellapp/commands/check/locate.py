@@ -1,4 +1,4 @@
-"""The verb ``locate``: after a move of the tracker, restore the calibration of a run from a few measured points."""
+"""Of the verb ``check``: after a move of the tracker, restore the calibration of a run from a few measured points."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.samples import known_readings
+from cellapp.commands.check.location import LocatedPoint, LocateResult, StationPose
+from cellapp.commands.check.request import CheckRequest
+from cellapp.commands.check.station import excess_of_readings, last_location, profile_at_station
 from cellapp.commands.confirm import confirmation
-from cellapp.commands.locate.request import LocateRequest
-from cellapp.commands.locate.result import LocatedPoint, LocateResult, StationPose
-from cellapp.commands.locate.station import excess_of_readings, last_location, profile_at_station
 from cellapp.commands.record import Work
 from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import arms_stage, model_of
@@ -25,6 +25,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
 from cellapp.ground.progress import with_eta
 from cellapp.ground.results import LOCATE
+from cellapp.ground.shell import shell_word
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.effects.law import DriverVariable
 from cellapp.robot.kinematics.transforms import Array, invert, rotation_vectors, rows_of, rpy_of, twist_columns, xyz_of
@@ -33,19 +34,9 @@ from cellapp.robot.model.model import relocated
 from cellapp.robot.model.nominal import pose_matrix
 
 
-def run(request: LocateRequest, work: Work) -> LocateResult:
-    """Measure where the tracker stands now."""
-    tracker, simulated = (
-        None if text is None else typed_pose(text, request.option_of(name))
-        for name, text in (("tracker_pose", request.tracker_pose), ("simulated_pose", request.simulated_pose))
-    )
-    with RunFile.open(request.folder, write=True) as opened:
-        return locate_run(opened, request, work, tracker_pose=tracker, simulated_pose=simulated)
-
-
 def locate_run(
     run: RunFile,
-    request: LocateRequest,
+    request: CheckRequest,
     work: Work,
     *,
     tracker_pose: Pose | None = None,
@@ -77,7 +68,7 @@ def locate_run(
         rough_T=_rough_station(run, stages, tracker_pose),
         candidates={name: known_readings(run, name).q for name in run.profile.arms},
         excess_m=excess_of_readings(run, model_of(run, used)),
-        points=request.points,
+        points=request.most_stops,
     )
     notes: list[str] = []
     opened = noting_controllers(run, notes)
@@ -109,10 +100,10 @@ def typed_pose(text: str, what: str) -> Pose:
 
 def _stage_before_moving(run: RunFile, stages: RunStages) -> StoredStage:
     """Return the stage whose model is in the tracker frame of the readings; refuse one that is out of date."""
-    used = arms_stage(run, stages, "locate")
+    used = arms_stage(run, stages, "check --tracker-moved")
     stale = "; ".join(f"'{n}' is out of date ({r})" for n, r in stages.out_of_date.items() if n == used.name)
     if stale:
-        raise InputError(f"locate: {stale}; nothing was moved. Run 'cellapp {used.name} DIR' first")
+        raise InputError(f"check: {stale}; nothing was moved. Run 'cellapp {used.name} {shell_word(run.folder)}' first")
     return used
 
 

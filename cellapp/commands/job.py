@@ -1,4 +1,4 @@
-"""The verb ``at-rest``: record that a person saw an arm at rest which counted as moving."""
+"""The verb ``job confirm-rest``: record that a person saw an arm at rest which counted as moving."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class AtRestRequest(Request):
     arm: Annotated[str, Asked("The arm, as the profile names it.", "ARM", argument=True)]
 
 
-VERB = Verb("at-rest", AtRestRequest, chapter="faults")
+VERB = Verb("job confirm-rest", AtRestRequest, chapter="faults")
 
 
 class AtRestResult(Result, schema="cellapp-at-rest"):
-    """``at-rest``: the arm that a person has seen at rest, and whether it counted as moving."""
+    """``job confirm-rest``: the arm that a person has seen at rest, and whether it counted as moving."""
 
     run: str
     arm: str

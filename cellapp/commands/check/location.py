@@ -1,4 +1,4 @@
-"""Result of ``locate``."""
+"""Result of ``check --tracker-moved``."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class LocatedPoint(Record):
 
 
 class LocateResult(Result, schema="cellapp-locate"):
-    """``locate``: where the tracker stands now, from a few points of the arms.
+    """``check --tracker-moved``: where the tracker stands now, from a few points of the arms.
 
     Attributes
     ----------

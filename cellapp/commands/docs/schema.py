@@ -1,40 +1,20 @@
-"""The verb ``schema``: the JSON schemas of the results."""
+"""JSON schemas of the results."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from typing import Annotated, Any
+from typing import Any
 
 from cellapp.cell.driving.records import CollectionResult, RequestResult
 from cellapp.cell.planning.records import PlanDesignResult, PlanForecastResult
 from cellapp.commands.plan.result import StopsResult
-from cellapp.commands.record import Asked, Request, Verb, View, Work
+from cellapp.commands.record import Verb
 from cellapp.commands.registry import records
+from cellapp.commands.show.comparison import RunComparison
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorResult, Result
-
-
-class SchemaRequest(Request):
-    """Print the JSON schemas of the results, by the name that their JSON carries under "schema"."""
-
-    name: Annotated[str | None, Asked("One result, as cellapp-calibrate.", "NAME", argument=True)] = None
-
-
-VERB = Verb("schema", SchemaRequest, chapter="commands")
-
-
-class SchemaResult(Result, schema="cellapp-schema"):
-    """``schema``: JSON schemas as a text, which is its JSON, too."""
-
-    has_own_schema = False
-    text: str
-
-    def to_json(self, *, indent: int | None = None) -> str:
-        """Return the schemas themselves."""
-        return self.text
-
 
 WITHOUT_VERB: tuple[type[Result], ...] = (
     PlanForecastResult,
@@ -43,6 +23,7 @@ WITHOUT_VERB: tuple[type[Result], ...] = (
     OverviewResult,
     HistoryResult,
     LogResult,
+    RunComparison,
     StopsResult,
     RequestResult,
     ErrorResult,
@@ -78,16 +59,17 @@ def _nullable_numbers(schema: Any) -> Any:
     return changed
 
 
-def run(request: SchemaRequest, work: Work) -> SchemaResult:
-    """Return the schemas of all results, or of one."""
+def schemas_text(name: str | None) -> str:
+    """Return the schemas of all results as JSON, or that of the one with this name.
+
+    Raises
+    ------
+    InputError
+        If there is no such result.
+    """
     results = results_by_name(written_results(records()))
-    if request.name is None:
-        return SchemaResult(text=json.dumps({name: json_schema(result) for name, result in results.items()}, indent=1))
-    if request.name not in results:
-        raise InputError(f"schema: '{request.name}' is not a result; results are {', '.join(results)}")
-    return SchemaResult(text=json.dumps(json_schema(results[request.name]), indent=1))
-
-
-def view(result: SchemaResult, request: Request | None = None) -> View:
-    """Show the schemas."""
-    return View((result.text,), is_json=True)
+    if name is None:
+        return json.dumps({name: json_schema(result) for name, result in results.items()}, indent=1)
+    if name not in results:
+        raise InputError(f"docs: --schema: '{name}' is not a result; results are {', '.join(results)}")
+    return json.dumps(json_schema(results[name]), indent=1)
