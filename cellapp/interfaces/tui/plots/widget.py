@@ -24,13 +24,6 @@ blindness; on light backgrounds darkened to a contrast of 3 to 1."""
 class ChartPlot(Widget):
     """A chart with its title, key and message. Set ``chart`` to draw another one; None is blank."""
 
-    DEFAULT_CSS = """
-    ChartPlot {
-        width: 1fr;
-        height: 1fr;
-    }
-    """
-
     class PointClicked(Message):
         """The point nearest to a click, in the units of the axes."""
 

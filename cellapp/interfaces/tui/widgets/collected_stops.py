@@ -36,10 +36,6 @@ class CollectedStops(Vertical, Copied):
         bind("copy", "copy", "Copy", "copy the stops that are shown as Markdown", show=False),
         bind("save", "save", "Save", "save the stops that are shown as a Markdown file", show=False),
     ]
-    DEFAULT_CSS = """
-    CollectedStops Static { height: auto; padding: 0 1; }
-    CollectedStops TextTable { height: 1fr; }
-    """
 
     class Chosen(Message):
         """The cursor moved to another stop."""

@@ -51,12 +51,6 @@ class PartsView(VerticalScroll, Copied):
         bind("copy", "copy", "Copy tables", "copy the tables as Markdown"),
         bind("save", "save", "Save tables", "save the tables as a Markdown file"),
     ]
-    DEFAULT_CSS = """
-    PartsView { height: 1fr; }
-    PartsView .table { height: auto; padding-top: 1; }
-    PartsView ItemGrid { height: auto; grid-rows: auto; grid-gutter: 0 2; }
-    PartsView ChartPlot { height: auto; }
-    """
 
     def __init__(self, empty: str = "", *, id: str | None = None) -> None:
         super().__init__(Static(empty, classes="muted", markup=False), id=id)

@@ -78,10 +78,6 @@ class RunsList(Vertical):
         bind("sort", "sort", "Sort", "sort by the next column"),
         bind("again", "read", "Read again", "read the folder of runs again", show=False),
     ]
-    DEFAULT_CSS = """
-    RunsList #runs { height: 1fr; }
-    RunsList #about-run { height: auto; max-height: 8; }
-    """
 
     def __init__(self) -> None:
         super().__init__()
