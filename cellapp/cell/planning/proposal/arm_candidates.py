@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.planning.plan import draw_stops
-from cellapp.cell.planning.planned_stops import StopConditions
 from cellapp.cell.planning.proposal.hypotheses import (
     CandidateDesign,
     Hypothesis,
@@ -284,10 +283,6 @@ class ArmCandidates:
         """Return where the last step to a candidate begins (N,) [rad]; None if it has none."""
         step = self.approaches.steps[pose, approach]
         return poses.q[self.name][pose] - step if step.any() else None
-
-    def stop_conditions(self, poses: CandidatePoses, pose: int, approach: int) -> StopConditions:
-        """Return approach and dwell that the collection has to realise at a candidate."""
-        return StopConditions(self.start_of_last_step(poses, pose, approach), float(self.approaches.dwells[approach]))
 
 
 def _decidable(comparison: list[Discrimination], needed: float, count: int) -> list[Discrimination]:

@@ -11,12 +11,9 @@ from numpy.typing import NDArray
 
 from cellapp.cell.planning.planned_stops import (
     PlannedStops,
-    StopConditions,
     can_go,
     joined,
-    proposed_stops,
     read_planned_stops,
-    read_stop_conditions,
     straight_stops,
     write_planned_stops,
 )
@@ -151,25 +148,18 @@ _PROPOSAL_SEED = 0x9409
 
 
 @dataclass(frozen=True)
-class ProposedStop:
-    """Joint positions of the arms, arm -> (N,) [rad], and how they are approached."""
-
-    q: Mapping[str, Array]
-    conditions: Mapping[str, StopConditions]
-
-
-@dataclass(frozen=True)
 class Proposal:
     """Proposed stops in the order of measuring, and the discrimination that they are predicted to give.
 
     Attributes
     ----------
-    stops : tuple of ProposedStop
+    stops : PlannedStops
+        With straight motions; one at least.
     predictions : tuple of PredictedDiscrimination
     notes, advice : tuple of str
     """
 
-    stops: tuple[ProposedStop, ...]
+    stops: PlannedStops
     predictions: tuple[PredictedDiscrimination, ...]
     notes: tuple[str, ...]
     advice: tuple[str, ...]
@@ -216,13 +206,19 @@ def propose_stops(
         notes.append(f"only {len(chosen)} of {counted(count, 'stop')}: the gate refused the other candidates")
     predictions: list[PredictedDiscrimination] = []
     advice: list[str] = []
+    taken = {arm.name: np.array([one.poses[k] for one in chosen], dtype=np.intp) for k, arm in enumerate(arms)}
+    stops = straight_stops({name: poses.q[name][pose] for name, pose in taken.items()})
+    stops.proposed[:] = True
     for number, arm in enumerate(arms):
-        pose = np.array([one.poses[number] for one in chosen], dtype=np.intp)
+        pose = taken[arm.name]
         approach = np.array([one.approaches[number] for one in chosen], dtype=np.intp)
         of_arm, advice_of_arm = predict_arm(arm, poses, pose, approach, rng)
         predictions += of_arm
         advice += advice_of_arm
-    stops = tuple(ProposedStop(selection.target(one), selection.conditions(one)) for one in chosen)
+        step = arm.approaches.steps[pose, approach]
+        moved = step.any(axis=1)
+        stops.approach_from[arm.name][moved] = (stops.q[arm.name] - step)[moved]
+        stops.dwell_s[arm.name][:] = arm.approaches.dwells[approach]
     listener(Progress("propose", count, count, "done"))
     return Proposal(stops, tuple(predictions), tuple(notes), tuple(dict.fromkeys(advice)))
 
@@ -289,11 +285,6 @@ class StopSelection:
     def target(self, stop: ChosenStop) -> dict[str, Array]:
         """Return the joint positions of the arms at a stop."""
         return {arm.name: self.poses.q[arm.name][pose] for arm, pose in zip(self.arms, stop.poses, strict=True)}
-
-    def conditions(self, stop: ChosenStop) -> dict[str, StopConditions]:
-        """Return approach and dwell that the collection has to realise at a stop."""
-        chosen = zip(self.arms, stop.poses, stop.approaches, strict=True)
-        return {arm.name: arm.stop_conditions(self.poses, pose, approach) for arm, pose, approach in chosen}
 
     def _next(self, used: list[NDArray[np.intp]], stops_left: int) -> ChosenStop | None:
         """Choose the best stop whose last steps the gate accepts; None if there is none."""
@@ -372,18 +363,16 @@ def _least_loss(gains: Sequence[Array], stop: ChosenStop) -> int:
 # -- Stops that discovery proposed, appended to the plan of a run that this program drives ----------------------------
 
 
-def append_proposed_stops(run: RunFile, stops: Sequence[ProposedStop]) -> int:
+def append_proposed_stops(run: RunFile, stops: PlannedStops) -> int:
     """Append stops to the plan in place of earlier proposals that were not measured; return the first one's number."""
-    plan, done, proposed = read_planned_stops(run), run.stops_done(), proposed_stops(read_stop_conditions(run))
+    plan, done = read_planned_stops(run), run.stops_done()
     first = len(plan)
-    while first - 1 in proposed and first - 1 not in done:
+    while first and plan.proposed[first - 1] and first - 1 not in done:
         first -= 1
-    further = range(first, first + len(stops))
-    whole = joined(plan.take(range(first)), _planned(stops))
+    whole = joined(plan.take(range(first)), stops)
     block = np.where(np.arange(len(whole)) < first, whole.block, whole.block[:first].max(initial=-1) + 1)
     load = np.where(np.arange(len(whole)) < first, whole.load, whole.load[:first].max(initial=0))  # the last load
-    earlier = {stop for stop in proposed if stop < first}
-    write_planned_stops(run, replace(whole, block=block, load=load), proposed={*earlier, *further})
+    write_planned_stops(run, replace(whole, block=block, load=load))
     return first
 
 
@@ -394,15 +383,3 @@ def why_not_driven(run: RunFile) -> str:
     if missing:
         return f"the driver of {missing[0]} is 'none'"
     return "" if run.read_plan() else "the run has no plan (it was imported)"
-
-
-def _planned(stops: Sequence[ProposedStop]) -> PlannedStops:
-    """Convert the proposed stops to planned ones with straight motions."""
-    planned = straight_stops({name: np.array([stop.q[name] for stop in stops]) for name in stops[0].q})
-    for k, stop in enumerate(stops):
-        for name in planned.q:
-            one = stop.conditions.get(name, StopConditions())
-            planned.dwell_s[name][k] = one.dwell_s
-            if one.via is not None:
-                planned.approach_from[name][k] = one.via
-    return planned
