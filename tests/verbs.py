@@ -33,8 +33,8 @@ from cellapp.commands.push import request as push
 from cellapp.commands.push.run import push_targets
 from cellapp.commands.record import Work
 from cellapp.commands.report.request import ReportRequest
-from cellapp.commands.report.result import ReportResult
 from cellapp.commands.report.run import run as report
+from cellapp.commands.run_results import ReportResult
 from cellapp.estimation.monitoring.check.records import CheckResult
 from cellapp.ground.control import JobControl
 from cellapp.ground.outputs import NEW_ONLY, Outputs

@@ -24,8 +24,8 @@ from cellapp.cell.programs.solving import (
     solve_targets,
 )
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import recorded_controllers
-from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.recordings import known_readings
+from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.commands.record import Asked, Request, RunFolder, Verb, View, Work
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.run import RunFile, SessionEnd
-from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, ArmIdentity, ControllerIdentity, arm_identities
+from cellapp.cell.run.run_arms import CONTROLLERS_RESULT, ArmIdentity, ControllerIdentity, arm_identities
 from cellapp.commands.compare.run import (
     GEOMETRY,
     HELD_OUT,
@@ -33,9 +33,8 @@ from cellapp.commands.compare.run import (
     comparison_tables,
 )
 from cellapp.commands.run_results import read_results
-from cellapp.commands.runs.history import list_runs, summarise
 from cellapp.commands.runs.result import ArmHistory, RunsResult, RunSummary
-from cellapp.commands.runs.run import arm_history
+from cellapp.commands.runs.run import arm_history, list_runs, summarise
 from cellapp.commands.runs.view import history_sentences, history_table, runs_sentences, runs_tables
 from cellapp.commands.stages import append_stage, basis_of, read_stages
 from cellapp.commands.stored_model import comparable_arms

@@ -8,15 +8,16 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from cellapp.cell.planning.candidates import joint_ranges
-from cellapp.cell.planning.duration import planned_time, stop_times_of
 from cellapp.cell.planning.planned_stops import (
     Configuration,
     PlannedStops,
     last_motions,
     orders,
+    planned_time,
     read_planned_stops,
     refused_route,
     routes,
+    stop_times_of,
 )
 from cellapp.cell.planning.records import ArmForecast, JointCoverage, PlanCheckResult, PlanForecastResult, PlanRefusal
 from cellapp.cell.run import RunFile

@@ -6,17 +6,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from cellapp.cell.planning.planned_stops import PlannedStops
-from cellapp.cell.planning.proposal.arm_candidates import Effort
-from cellapp.cell.planning.proposal.propose import (
+from cellapp.cell.planning.propose import (
+    Effort,
     PredictedDiscrimination,
     append_proposed_stops,
     propose_stops,
     why_not_driven,
 )
-from cellapp.cell.planning.proposal.propose import Proposal as ProposedStops
+from cellapp.cell.planning.propose import Proposal as ProposedStops
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.recordings import read_recordings_of
-from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.recordings import known_readings, read_recordings_of
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_of_calibration
 from cellapp.commands.calibrate.result import pair_result
 from cellapp.commands.discover.request import DiscoverRequest

@@ -6,8 +6,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from cellapp.cell.driving.controller_tables import controller_files, factory_findings, factory_tables
-from cellapp.cell.driving.examination import examine
+from cellapp.cell.driving.examination import controller_files, examine, factory_findings, factory_tables
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import write_new

@@ -12,7 +12,7 @@ from cellapp.cell.driving.locate import LocatedStation, LocateTask, locate_stati
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.recordings import known_readings
 from cellapp.commands.confirm import confirmation
 from cellapp.commands.locate.request import LocateRequest
 from cellapp.commands.locate.result import LocatedPoint, LocateResult, StationPose

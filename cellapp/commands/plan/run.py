@@ -15,11 +15,11 @@ import numpy as np
 
 from cellapp.cell.driving.records import PlannedLoad, PlanResult, SweepCount
 from cellapp.cell.driving.requests import running_job
-from cellapp.cell.planning.duration import planned_time
 from cellapp.cell.planning.plan import make_stops, plan_run
 from cellapp.cell.planning.plan_csv import PlanFile, read_plan_csv, write_plan_csv
 from cellapp.cell.planning.planned_stops import (
     PlannedStops,
+    planned_time,
     read_plan_design,
     read_planned_stops,
     write_planned_stops,

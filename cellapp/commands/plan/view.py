@@ -6,8 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from cellapp.cell.driving.records import PlanResult
-from cellapp.cell.planning.duration import planned_time
-from cellapp.cell.planning.planned_stops import PlannedStops, read_plan_design, read_planned_stops
+from cellapp.cell.planning.planned_stops import PlannedStops, planned_time, read_plan_design, read_planned_stops
 from cellapp.cell.planning.records import PlanCheckResult, PlanDesignResult, PlanForecastResult, PlannedTime
 from cellapp.cell.run import RunFile
 from cellapp.commands.plan.charts import coverage_charts, design_charts

@@ -11,8 +11,8 @@ from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.rungs import RUNGS, RungName
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.run.file import note_profile
+from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.commands.confirm import Ask, first_path_words, require_permission
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.record import Work

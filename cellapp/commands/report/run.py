@@ -6,8 +6,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.commands.record import Work
 from cellapp.commands.report.request import ReportRequest
-from cellapp.commands.report.result import ReportResult, shown_by
-from cellapp.commands.run_results import read_results
+from cellapp.commands.run_results import ReportResult, read_results, shown_by
 from cellapp.ground.outputs import RENEWED
 
 

@@ -10,8 +10,7 @@ from cellapp.commands.discover.tables import discovery_tables
 from cellapp.commands.locate.view import location_tables
 from cellapp.commands.record import Request, View
 from cellapp.commands.report.request import ReportRequest
-from cellapp.commands.report.result import ReportResult
-from cellapp.commands.run_results import RunResults
+from cellapp.commands.run_results import ReportResult, RunResults
 from cellapp.commands.stages import complaints_in
 from cellapp.commands.view.table import Table
 

@@ -23,9 +23,8 @@ from cellapp.commands.plan.run import default_folder, new_planned_run
 from cellapp.commands.push.request import PushRequest
 from cellapp.commands.push.run import push_targets
 from cellapp.commands.record import Request, View, Work
-from cellapp.commands.report.result import shown_by
 from cellapp.commands.run.request import RunRequest
-from cellapp.commands.run_results import RunResults, read_results
+from cellapp.commands.run_results import RunResults, read_results, shown_by
 from cellapp.commands.view.parts import Part
 from cellapp.estimation.calibration.calibrate import planned_splits
 from cellapp.ground.threads import give_back

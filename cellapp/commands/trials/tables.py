@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
 
-from cellapp.commands.trials.judge_records import (
+from cellapp.commands.trials.scoring import (
     OUTCOMES,
     VERDICTS,
     CleanCounts,

@@ -125,8 +125,7 @@ def power(
     json_file: JsonOption = None,
 ) -> None:
     """Before measuring: which effects of which size a cell, its plan and its tracker would have named."""
-    from cellapp.commands.trials.power.result import power_sentence, power_table
-    from cellapp.commands.trials.power.rounds import power_at
+    from cellapp.commands.trials.power import power_at, power_sentence, power_table
 
     with Job(json_file) as job:
         work = _work(job, jobs, scheduler, results)

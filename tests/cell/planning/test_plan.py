@@ -22,7 +22,7 @@ from cellapp.cell.planning.planned_stops import (
     straight_stops,
     write_planned_stops,
 )
-from cellapp.cell.planning.proposal.propose import append_proposed_stops
+from cellapp.cell.planning.propose import append_proposed_stops
 from cellapp.cell.planning.view import check_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.bodies import place

@@ -11,15 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cellapp.cell.planning.proposal import propose as proposing
 from typer.testing import CliRunner
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.planning.planned_stops import STOP_CONDITIONS_RESULT, read_planned_stops
-from cellapp.cell.planning.proposal import propose as proposing
-from cellapp.cell.planning.proposal.arm_candidates import DWELLS_S, STEPS_RAD, Effort
-from cellapp.cell.planning.proposal.propose import Proposal, append_proposed_stops
+from cellapp.cell.planning.propose import DWELLS_S, STEPS_RAD, Effort, Proposal, append_proposed_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_motion

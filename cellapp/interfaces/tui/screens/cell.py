@@ -220,7 +220,7 @@ class CellScreen(DayScreen):
     def show_result(self, result: Result) -> None:
         """Draw the doctor's findings, or open the report of a run."""
         from cellapp.commands.doctor.result import DoctorResult
-        from cellapp.commands.report.result import ReportResult
+        from cellapp.commands.run_results import ReportResult
 
         if isinstance(result, ReportResult) and self._runs is not None:
             self._runs.open_page(Path(result.page))

@@ -19,7 +19,7 @@ from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.view.table import Cell, markdown
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.widgets.copied import Copied, Copy
+from cellapp.interfaces.tui.widgets.parts_view import Copied, Copy
 from cellapp.interfaces.tui.widgets.tables import TextTable
 
 _NAMES = ("stop", "arm")

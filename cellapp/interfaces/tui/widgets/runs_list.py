@@ -130,7 +130,7 @@ class RunsList(Vertical):
 
     @work(thread=True, exclusive=True, group="list of runs")
     def _list_runs(self, folder: Path) -> None:
-        from cellapp.commands.runs.history import list_runs
+        from cellapp.commands.runs.run import list_runs
 
         found: RunsResult | str
         try:
