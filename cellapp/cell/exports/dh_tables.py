@@ -11,8 +11,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 import yaml
 
-from cellapp.cell.exports.arm_commands import ExportFormat, smr_in_plain_flange
 from cellapp.cell.exports.arm_export import ArmExport, hashed
+from cellapp.cell.exports.export_format import ExportFormat, smr_in_plain_flange
 from cellapp.robot.kinematics.chain import ROW_NAMES, Geometry, frame_poses, parameter_unit
 from cellapp.robot.kinematics.plain_dh import plain_geometry
 from cellapp.robot.kinematics.transforms import Array, transform

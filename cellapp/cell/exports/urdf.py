@@ -25,8 +25,8 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import yaml
 
-from cellapp.cell.exports.arm_commands import CellFormat, ExportFormat, smr_in_plain_flange
 from cellapp.cell.exports.arm_export import ArmExport, hashed, millimetres
+from cellapp.cell.exports.export_format import CellFormat, ExportFormat, smr_in_plain_flange
 from cellapp.cell.profile.files import controller_file_text
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import Geometry

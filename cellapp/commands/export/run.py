@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from cellapp.cell.exports.arm_commands import (
+from cellapp.cell.exports.arm_export import ArmExport, Workspace, conversion_mm, lost_by, lost_parts, workspace
+from cellapp.cell.exports.export_format import (
     ArmCommands,
     CellFormat,
     CommandFormat,
@@ -14,7 +15,6 @@ from cellapp.cell.exports.arm_commands import (
     final_commands,
     first_rates,
 )
-from cellapp.cell.exports.arm_export import ArmExport, Workspace, conversion_mm, lost_by, lost_parts, workspace
 from cellapp.cell.exports.formats import (
     all_formats,
     check_out,

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.cell.exports.arm_commands import ExportFormat
+from cellapp.cell.exports.export_format import ExportFormat
 from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile

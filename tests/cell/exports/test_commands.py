@@ -14,8 +14,8 @@ import pytest
 from numpy.typing import NDArray
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.exports.arm_commands import ArmCommands, CommandFormat, ExportedCommand
 from cellapp.cell.exports.command_table import urscript
+from cellapp.cell.exports.export_format import ArmCommands, CommandFormat, ExportedCommand
 from cellapp.cell.exports.formats import export_lines, formats_of
 from cellapp.cell.exports.records import ExportResult
 from cellapp.cell.profile import load_profile

@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from cellapp.cell.exports.arm_commands import ExportFormat
 from cellapp.cell.exports.arm_export import ArmExport, conversion_mm
+from cellapp.cell.exports.export_format import ExportFormat
 from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.exports.urdf import kinematics_hash, murmur
 from cellapp.cell.profile import load_profile

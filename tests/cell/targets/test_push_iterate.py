@@ -21,7 +21,7 @@ from cellapp.cell.driving.target_visit import (
     explained_by_noise,
     push,
 )
-from cellapp.cell.exports.arm_commands import first_rates
+from cellapp.cell.exports.export_format import first_rates
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.path import PathPlan, PathResult, PathSpec, plan_path

@@ -49,7 +49,7 @@ class Unresolved(Whole):
     port: "Port"
 """
 FORMATS = """
-from cellapp.cell.exports.arm_commands import CellFormat
+from cellapp.cell.exports.export_format import CellFormat
 NOTE = CellFormat("note", "a note", ".txt", lambda arms, lines: "")
 """
 EFFECTS_TEXT = """

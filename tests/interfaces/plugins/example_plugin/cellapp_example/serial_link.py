@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from cellapp.cell.exports.arm_commands import ExportFormat, smr_in_plain_flange
 from cellapp.cell.exports.arm_export import ArmExport
+from cellapp.cell.exports.export_format import ExportFormat, smr_in_plain_flange
 from cellapp.robot.kinematics.plain_dh import plain_geometry
 
 
