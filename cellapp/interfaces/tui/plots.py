@@ -246,7 +246,7 @@ def _draw_series(one: Series, cells: Cells, x: Scale, y: Scale, *, several: bool
     if one.kind == "line":
         set_line(dots, column, row)
     elif one.kind == "steps":
-        set_line(dots, *as_steps(column, row))
+        set_line(dots, *(np.repeat(column, 2)[1:], np.repeat(row, 2)[:-1]))
     elif one.kind == "bars":
         set_bars(dots, column, row, y.end - float(y.place(np.zeros(1))[0]))
     else:
@@ -402,11 +402,6 @@ def set_bars(dots: Dots, column: Array, row: Array, zero: float) -> None:
     rows = np.arange(dots.shape[0])[:, np.newaxis]
     low, high = np.minimum(row, zero)[nearest], np.maximum(row, zero)[nearest]
     dots |= in_bar & (rows >= np.rint(low)) & (rows <= np.rint(high))
-
-
-def as_steps(x: Array, y: Array) -> tuple[Array, Array]:
-    """Return a line that holds each value up to the next x."""
-    return np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]
 
 
 ON_DARK = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#d55e00")
