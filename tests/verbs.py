@@ -10,7 +10,7 @@ from typing import Any
 from cellapp.cell.driving.records import CollectResult, ImportResult, PlanResult
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.supervision import Opened
-from cellapp.cell.exports.records import ExportResult
+from cellapp.cell.exports.arm_export import ExportResult
 from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import VerifyResult

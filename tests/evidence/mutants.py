@@ -50,7 +50,7 @@ GROUPS: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
         [f"{_DISCOVERY}findings.py", f"{_DISCOVERY}propose.py", _PRIOR, f"{_DISCOVERY}structure.py"],
     ),
     "decision rule": (
-        ["cellapp/estimation/uncertainty/budget.py", "cellapp/commands/certificate/iso9283_judgements.py"],
+        ["cellapp/estimation/uncertainty/budget.py", "cellapp/commands/certificate/judgements.py"],
         ["tests/estimation/uncertainty", "tests/commands/certificate", "tests/commands/test_iso9283.py"],
     ),
     "exports": (

@@ -1,4 +1,7 @@
-"""Results of the verbs up to the readings: plan, collect, import, export."""
+"""Results of the verbs up to the readings: plan, collect, import, export.
+
+Planned stops as ``show DIR plan`` gives them.
+"""
 
 from __future__ import annotations
 
@@ -188,3 +191,22 @@ class ImportResult(Result, schema="cellapp-import"):
     recordings: tuple[RecordingState, ...] = ()
     in_order: Mapping[str, ArmOrder] = Field(default_factory=dict)
     notes: tuple[str, ...]
+
+
+class PlannedStop(Record):
+    """One planned stop: joint positions of every arm [rad], whether it was measured."""
+
+    configuration: int
+    measured: bool
+    q: Mapping[str, tuple[float, ...]]
+
+
+class StopsResult(Result, schema="cellapp-stops"):
+    """``show DIR plan``: every planned stop, what is known of their design, the sweeps, and several loads."""
+
+    run: str
+    stops: tuple[PlannedStop, ...]
+    design: PlanDesignResult | None = None
+    sweeps: Mapping[str, SweepCount] | None = None
+    loads: tuple[PlannedLoad, ...] | None = None
+    omitted_when_none = frozenset({"design", "sweeps", "loads"})

@@ -13,11 +13,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from cellapp.cell.exports.arm_export import POSES
+from cellapp.cell.exports.arm_export import POSES, ExportResult, PositionLoss
 from cellapp.cell.exports.command_table import COMMAND_TABLE, URSCRIPT
 from cellapp.cell.exports.dh_tables import DH, DH_PLAIN, PARAMETERS, POE
 from cellapp.cell.exports.export_format import CellFormat, CommandFormat, ExportFormat
-from cellapp.cell.exports.records import ExportResult, PositionLoss
 from cellapp.cell.exports.urdf import CELL_URDF, UR_CALIBRATION, UR_DESCRIPTION, URDF
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError

@@ -21,21 +21,24 @@ from cellapp.cell.planning.planned_stops import (
 )
 from cellapp.cell.planning.records import ArmForecast, JointCoverage, PlanCheckResult, PlanForecastResult, PlanRefusal
 from cellapp.cell.run import RunFile
-from cellapp.cell.safety.bodies import Placed, beam_clearance, mounted_hides, place
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, refuse_motion, refuse_stop, visible
-from cellapp.cell.safety.shapes import beam_gaps
-from cellapp.cell.safety.visibility import (
+from cellapp.cell.safety.bodies import (
     AZIMUTH,
     ELEVATION,
     FACING,
     RANGE,
+    Placed,
     Sight,
     TrackerField,
+    beam_clearance,
+    mounted_hides,
+    place,
     sight_conditions,
     sight_of,
     usable_acceptance,
 )
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, refuse_motion, refuse_stop, visible
+from cellapp.cell.safety.shapes import beam_gaps
 from cellapp.estimation.calibration.parameters import EXPECTED_SCATTER_M
 from cellapp.estimation.discovery.plan_forecast import (
     ArmDesign,

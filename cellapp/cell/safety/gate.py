@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from cellapp.cell.safety.bodies import (
     ArmBodies,
     Placed,
+    TrackerField,
     beam_clearance,
     ceiling_clearance,
     floor_clearance,
@@ -32,9 +33,10 @@ from cellapp.cell.safety.bodies import (
     place,
     segment_distance,
     self_clearance,
+    sight_conditions,
+    sight_of,
 )
 from cellapp.cell.safety.shapes import Obstacle, beam_gaps, box_about
-from cellapp.cell.safety.visibility import TrackerField, sight_conditions, sight_of
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array, rows_at
 

@@ -5,7 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from cellapp.cell.exports.arm_export import ArmExport, Workspace, conversion_mm, lost_by, lost_parts, workspace
+from cellapp.cell.exports.arm_export import (
+    ArmExport,
+    ArmFile,
+    CommandFile,
+    ExportResult,
+    Workspace,
+    conversion_mm,
+    lost_by,
+    lost_parts,
+    workspace,
+)
 from cellapp.cell.exports.export_format import (
     ArmCommands,
     CellFormat,
@@ -24,7 +34,6 @@ from cellapp.cell.exports.formats import (
     format_named,
     lost_sentences,
 )
-from cellapp.cell.exports.records import ArmFile, CommandFile, ExportResult
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.cell.run.columns import Kind

@@ -19,15 +19,15 @@ from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.measurement_order import order_sentences
 from cellapp.cell.run.run_arms import recorded_controllers
-from cellapp.commands.calibrate.charts_accuracy import (
+from cellapp.commands.calibrate.charts import (
     certainty_chart,
     error_histogram_chart,
     pair_held_out,
     pair_histogram_chart,
     pair_stop_chart,
     stop_error_chart,
+    vector_charts,
 )
-from cellapp.commands.calibrate.charts_vectors import vector_charts
 from cellapp.commands.calibrate.detail_tables import (
     base_table,
     calibration_facts,

@@ -93,7 +93,7 @@ def judge(
 ) -> None:
     """Calibrate and discover on every sealed run, then open the truth and compare; continues where it was stopped."""
     from cellapp.commands.trials.judge import judge_trials
-    from cellapp.commands.trials.tables import judge_sentences, judge_tables
+    from cellapp.commands.trials.scoring import judge_sentences, judge_tables
 
     with Job(json_file) as job:
         result = judge_trials(folder, _work(job, jobs, scheduler), again=again)

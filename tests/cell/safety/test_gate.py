@@ -13,7 +13,7 @@ import pytest
 
 from cellapp.cell.planning.candidates import draw_pool
 from cellapp.cell.planning.view import why_hidden as hidden_words
-from cellapp.cell.safety.bodies import ArmBodies, place, segment_distance
+from cellapp.cell.safety.bodies import ArmBodies, TrackerField, place, segment_distance
 from cellapp.cell.safety.cell_bodies import cell_bodies, cover, home_positions
 from cellapp.cell.safety.gate import (
     CellBodies,
@@ -28,7 +28,6 @@ from cellapp.cell.safety.gate import (
     visible_stops,
 )
 from cellapp.cell.safety.shapes import Cylinder, Obstacle, RoundedBox, Shape
-from cellapp.cell.safety.visibility import TrackerField
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, CylinderObstacle, Placement, SphereObstacle

@@ -22,17 +22,19 @@ from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.cell_views import (
+from cellapp.interfaces.tui.widgets.tables import (
     CellMap,
     FindingsTable,
+    TextTable,
     age_words,
+    explain_tabs,
+    show_next_tab,
 )
-from cellapp.interfaces.tui.widgets.tables import TextTable, explain_tabs, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
+    from cellapp.cell.driving.records import StopsResult
     from cellapp.commands.doctor.result import DoctorResult
-    from cellapp.commands.plan.result import StopsResult
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
     from cellapp.interfaces.tui.widgets.runs_list import RunsList
