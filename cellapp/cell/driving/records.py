@@ -210,3 +210,13 @@ class StopsResult(Result, schema="cellapp-stops"):
     sweeps: Mapping[str, SweepCount] | None = None
     loads: tuple[PlannedLoad, ...] | None = None
     omitted_when_none = frozenset({"design", "sweeps", "loads"})
+
+
+class RehearsedMotion(Record):
+    """A motion: its stop, from 1; None on other ways; its time, and what it should take [s]; per arm the largest
+    distance of a joint from where it was commanded [mrad]."""
+
+    stop: int | None
+    seconds: float
+    expected_s: float
+    off_mrad: Mapping[str, float]
