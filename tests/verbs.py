@@ -10,7 +10,7 @@ from typing import Any
 from cellapp.cell.driving.records import CollectResult, ImportResult, PlanResult
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.supervision import Opened
-from cellapp.cell.exports.records import ExportResult
+from cellapp.cell.exports.arm_export import ExportResult
 from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import VerifyResult
@@ -34,8 +34,8 @@ from cellapp.commands.push import request as push
 from cellapp.commands.push.run import push_targets
 from cellapp.commands.record import Work
 from cellapp.commands.report.request import ReportRequest
-from cellapp.commands.report.result import ReportResult
 from cellapp.commands.report.run import run as report
+from cellapp.commands.run_results import ReportResult
 from cellapp.estimation.monitoring.check.records import CheckResult
 from cellapp.ground.control import JobControl
 from cellapp.ground.outputs import NEW_ONLY, Outputs

@@ -14,8 +14,8 @@ from cellapp.cell.run.csv_import import WhichSmr, readings_from_csv
 from cellapp.cell.run.file import note_profile
 from cellapp.cell.run.measurement_order import read_in_order
 from cellapp.cell.run.recordings import recording_states, recordings_from_csv
+from cellapp.commands.collect.view import recording_tables
 from cellapp.commands.record import Asked, NewRun, ProfilePath, Request, Verb, View, Work
-from cellapp.commands.view.recordings import recording_tables
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.unseen_arms import BY_PERSON, note_at_rest
+from cellapp.cell.run.run_arms import BY_PERSON, note_at_rest
 from cellapp.commands.record import Asked, Request, RunFolder, Verb, View, Work
 from cellapp.ground.results import Result
 

@@ -1,9 +1,12 @@
-"""The current results of a run: what its verbs measured and computed, read from its stages."""
+"""The current results of a run: what its verbs measured and computed, read from its stages.
+
+Result of ``report``, and how a verb gives all current results of a run with its own.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 
@@ -89,3 +92,17 @@ def read_results(run: RunFile, stages: RunStages | None = None) -> RunResults:
         discover = None if DISCOVER in stages.out_of_date else found.get(DISCOVER)
         found[CALIBRATE] = joined_calibration(found[CALIBRATE], discover)
     return RunResults(run=str(run.folder), out_of_date=out_of_date, **found)
+
+
+class ReportResult(RunResults, schema="cellapp-report"):
+    """``report``: the page, and the results that it shows."""
+
+    page: str
+
+
+R = TypeVar("R", bound=RunResults)
+
+
+def shown_by(kind: type[R], stored: RunResults, **more: object) -> R:
+    """Return the stored results as the result of a verb that shows them."""
+    return kind.model_validate({**{name: getattr(stored, name) for name in stored.model_fields_set}, **more})

@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cellapp.cell.exports.arm_export import POSES
+from cellapp.cell.exports.arm_export import POSES, ExportResult
 from cellapp.cell.exports.export_format import CommandFormat, ExportFormat
-from cellapp.cell.exports.formats import all_formats, export_lines, form_line, formats_of
-from cellapp.cell.exports.out_files import files_of_arms
-from cellapp.cell.exports.records import ExportResult
+from cellapp.cell.exports.formats import all_formats, export_lines, files_of_arms, form_line, formats_of
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.targets import load_targets

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.recordings import known_readings
 from cellapp.commands.calibrate.request import VERB
 from cellapp.commands.calibrate.request import VERB as CALIBRATE
 from cellapp.commands.calibrate.run import calibrate_run

@@ -18,9 +18,7 @@ from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.planning.planned_stops import (
     PlannedStops,
     joined,
-    proposed_stops,
     read_planned_stops,
-    read_stop_conditions,
     straight_stops,
     write_planned_stops,
 )
@@ -238,7 +236,8 @@ def test_a_design_of_fewer_stops_than_asked_leaves_the_last_rows_out(
         return joined(kept, straight_stops({name: q[: add - 1] + 0.01 for name, q in plan.q.items()})), None
 
     monkeypatch.setattr("cellapp.commands.plan.run.make_stops", fewer)
-    write_planned_stops(run, plan, proposed=proposed)
+    plan = replace(plan, proposed=np.isin(np.arange(len(plan)), list(proposed)))
+    write_planned_stops(run, plan)
     if says:
         with pytest.raises(InputError, match=says):
             replan(run)
@@ -265,10 +264,11 @@ def test_a_new_design_changes_what_it_may_and_nothing_else(
     monkeypatch.setattr("cellapp.commands.plan.run.make_stops", made)
     failed -= measured
     asked = set(range(9 - proposed, 9))
-    stops = replace(some_stops(9), frozen=np.isin(np.arange(9), list(frozen)))
+    fixed, wanted = (np.isin(np.arange(9), list(its)) for its in (frozen, asked))
+    stops = replace(some_stops(9), frozen=fixed, proposed=wanted)
     profile = quickly_planned(9 - proposed - reserve, plan={"reserve": reserve})
     with TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
-        write_planned_stops(run, stops, proposed=asked)
+        write_planned_stops(run, stops)
         for stop in sorted(measured | failed):
             rows = {name: Reading(q=q[stop], p_M=np.zeros(3)) for name, q in stops.q.items()}
             outcomes = [Outcome(stop, name, "left out", "a column") for name in rows]
@@ -280,8 +280,8 @@ def test_a_new_design_changes_what_it_may_and_nothing_else(
                 replan(run)
             return
         replan(run)
-        after, proposals = read_planned_stops(run), set(proposed_stops(read_stop_conditions(run)))
-        assert (len(after), run.outcomes(), proposals) == (9, [], asked & stay)
+        after = read_planned_stops(run)
+        assert (len(after), run.outcomes(), {*np.flatnonzero(after.proposed)}) == (9, [], asked & stay)
     for name, q in after.q.items():
         for stop in stay:
             np.testing.assert_array_equal(q[stop], stops.q[name][stop])

@@ -14,13 +14,18 @@ from cellapp.cell.planning.plan import make_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.report.sections import power_section
-from cellapp.commands.trials.power.result import (
+from cellapp.commands.trials.power import (
     NamingTrial,
+    PlannedCell,
     PowerResult,
+    TrialCell,
+    naming_trial,
+    power_at,
+    power_of,
     power_sentence,
     stored_power,
+    trial_cell,
 )
-from cellapp.commands.trials.power.rounds import PlannedCell, TrialCell, naming_trial, power_at, power_of, trial_cell
 from cellapp.estimation.discovery.records import SmallestSize
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
 from cellapp.ground.errors import InputError
@@ -147,7 +152,7 @@ def power_by(
         return search([*given.values()], all_may_fail)
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("cellapp.commands.trials.power.rounds.gather", gather)
+        patched.setattr("cellapp.commands.trials.power.gather", gather)
         return power_of(planned, trials, 3, Work(), limit)
 
 
@@ -238,7 +243,7 @@ def test_a_run_keeps_it_and_its_report_shows_it(
         asked.append((planned, trials, seed))
         return result
 
-    monkeypatch.setattr("cellapp.commands.trials.power.rounds.power_of", power_of_these)
+    monkeypatch.setattr("cellapp.commands.trials.power.power_of", power_of_these)
     plan_new_run(twin(stops=30), tmp_path / "run")
     CliRunner().invoke(
         app,

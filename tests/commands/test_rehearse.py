@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from cellapp.cell.driving.records import RehearsedMotion
 from cellapp.cell.driving.rungs import RUNGS
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
@@ -16,7 +17,6 @@ from cellapp.cell.run.file import note_profile, rehearsals_path
 from cellapp.commands.rehearse.request import RehearseRequest
 from cellapp.commands.rehearse.result import (
     RehearsalLog,
-    RehearsedMotionRecord,
     RehearseResult,
     arms_hash,
     keep_log,
@@ -112,7 +112,7 @@ def test_collect_says_what_is_missing_of_real_arms_only(tmp_path: Path) -> None:
 def test_a_run_keeps_what_was_rehearsed_before_it_was_collected(tmp_path: Path) -> None:
     path = wire_profile(tmp_path)
     profile = load_profile(path)
-    driven = RehearsedMotionRecord(stop=1, seconds=2.0, expected_s=1.9, off_mrad={"left": 0.25, "right": 0.5})
+    driven = RehearsedMotion(stop=1, seconds=2.0, expected_s=1.9, off_mrad={"left": 0.25, "right": 0.5})
     passed = RehearseResult(
         rung="simulation", arms=("left", "right"), when="2026-11-26T10:00:00+00:00", controllers={}, visited=(1,),
         refused={2: "a link would touch the table"}, motions=(driven,),

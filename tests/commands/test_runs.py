@@ -20,11 +20,10 @@ from typer.testing import CliRunner
 
 from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.run import RunFile, SessionEnd
-from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, ArmIdentity, ControllerIdentity, arm_identities
+from cellapp.cell.run.run_arms import CONTROLLERS_RESULT, ArmIdentity, ControllerIdentity, arm_identities
 from cellapp.commands.run_results import read_results
-from cellapp.commands.runs.history import list_runs, summarise
 from cellapp.commands.runs.result import ArmHistory, RunsResult, RunSummary
-from cellapp.commands.runs.run import arm_history
+from cellapp.commands.runs.run import arm_history, list_runs, summarise
 from cellapp.commands.runs.view import history_sentences, history_table, runs_sentences, runs_tables
 from cellapp.commands.show.comparison import (
     GEOMETRY,

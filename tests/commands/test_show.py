@@ -37,8 +37,8 @@ from cellapp.ground.results import ErrorSummary
 from cellapp.interfaces.cli.command_outputs import Commands
 from cellapp.interfaces.cli.derived import add_verb, command_of, group_of
 from cellapp.interfaces.page.drawn import drawn_parts
-from cellapp.interfaces.page.notebook import html_view
 from cellapp.interfaces.page.page import template
+from cellapp.interfaces.python.printed import html_view
 from cellapp.interfaces.render.terminal import plain_text
 from cellapp.interfaces.tui import offers
 from cellapp.interfaces.tui.app import CellApp

@@ -18,9 +18,9 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
+from cellapp.commands.trials.blind import beyond_geometry, beyond_law, registered_model
 from cellapp.commands.trials.judge import TRIAL_RESULT, StoredTrial, judge_run, judge_trials, score_run, source_digest
-from cellapp.commands.trials.judge_records import ArmFindings, JudgeResult, NoiseLengths, ScoredRun
-from cellapp.commands.trials.scoring import scores
+from cellapp.commands.trials.scoring import ArmFindings, JudgeResult, NoiseLengths, ScoredRun, scores
 from cellapp.commands.trials.sealed import (
     DescribedTerm,
     GroundTruth,
@@ -38,7 +38,6 @@ from cellapp.commands.trials.sealed_setup import (
     cases,
     library_name,
 )
-from cellapp.commands.trials.visible_size import beyond_geometry, beyond_law, registered_model
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import BeforeAfter

@@ -25,7 +25,7 @@ _CALIBRATION, _DISCOVERY = "tests/estimation/calibration/test_", "tests/estimati
 _RUN, _PRIOR, _DRIVING = "tests/cell/run/test_", "tests/estimation/prior/test_update.py", "tests/cell/driving/test_"
 GROUPS: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
     "gate": (
-        ["cellapp/cell/safety/gate.py", "cellapp/cell/safety/many_motions.py"],
+        ["cellapp/cell/safety/gate.py"],
         ["tests/cell/safety", f"{_DRIVING}planned_ways.py", "tests/cell/planning/test_candidates.py"],
     ),
     "stop reaction": (
@@ -50,7 +50,7 @@ GROUPS: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
         [f"{_DISCOVERY}findings.py", f"{_DISCOVERY}propose.py", _PRIOR, f"{_DISCOVERY}structure.py"],
     ),
     "decision rule": (
-        ["cellapp/estimation/uncertainty/budget.py", "cellapp/commands/certificate/iso9283_judgements.py"],
+        ["cellapp/estimation/uncertainty/budget.py", "cellapp/commands/certificate/judgements.py"],
         ["tests/estimation/uncertainty", "tests/commands/certificate", "tests/commands/test_iso9283.py"],
     ),
     "exports": (

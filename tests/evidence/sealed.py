@@ -16,8 +16,7 @@ import numpy as np
 
 from cellapp.cell.profile import load_profile
 from cellapp.commands.trials.judge import judge_trials
-from cellapp.commands.trials.judge_records import JudgeResult, PosteriorScore, ScoredRun
-from cellapp.commands.trials.scoring import ACCEPTED, posterior_scores
+from cellapp.commands.trials.scoring import ACCEPTED, JudgeResult, PosteriorScore, ScoredRun, posterior_scores
 from cellapp.commands.trials.sealed import seal_trials
 from cellapp.commands.trials.sealed_setup import HARD, MIXED, NONE, ONE, OUT, PAIR, Setup
 from cellapp.ground.executors import Work

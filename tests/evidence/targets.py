@@ -19,9 +19,8 @@ import numpy as np
 
 from cellapp.cell.driving.cell import build_plant, open_cell
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.driving.push import push
-from cellapp.cell.planning.duration import planned_time
-from cellapp.cell.planning.planned_stops import read_planned_stops
+from cellapp.cell.driving.target_visit import push
+from cellapp.cell.planning.planned_stops import planned_time, read_planned_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate

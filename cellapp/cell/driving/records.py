@@ -1,4 +1,7 @@
-"""Results of the verbs up to the readings: plan, collect, import, export."""
+"""Results of the verbs up to the readings: plan, collect, import, export.
+
+Planned stops as ``show DIR plan`` gives them.
+"""
 
 from __future__ import annotations
 
@@ -188,3 +191,32 @@ class ImportResult(Result, schema="cellapp-import"):
     recordings: tuple[RecordingState, ...] = ()
     in_order: Mapping[str, ArmOrder] = Field(default_factory=dict)
     notes: tuple[str, ...]
+
+
+class PlannedStop(Record):
+    """One planned stop: joint positions of every arm [rad], whether it was measured."""
+
+    configuration: int
+    measured: bool
+    q: Mapping[str, tuple[float, ...]]
+
+
+class StopsResult(Result, schema="cellapp-stops"):
+    """``show DIR plan``: every planned stop, what is known of their design, the sweeps, and several loads."""
+
+    run: str
+    stops: tuple[PlannedStop, ...]
+    design: PlanDesignResult | None = None
+    sweeps: Mapping[str, SweepCount] | None = None
+    loads: tuple[PlannedLoad, ...] | None = None
+    omitted_when_none = frozenset({"design", "sweeps", "loads"})
+
+
+class RehearsedMotion(Record):
+    """A motion: its stop, from 1; None on other ways; its time, and what it should take [s]; per arm the largest
+    distance of a joint from where it was commanded [mrad]."""
+
+    stop: int | None
+    seconds: float
+    expected_s: float
+    off_mrad: Mapping[str, float]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,6 +12,7 @@ from cellapp.cell.driving.cell import Cell, open_arms
 from cellapp.cell.driving.cell_checks import check_controllers
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.reaction import StopReaction
+from cellapp.cell.driving.records import RehearsedMotion
 from cellapp.cell.driving.rungs import RUNGS, Rung, RungName
 from cellapp.cell.driving.supervision import hold_while_paused, reacting
 from cellapp.cell.driving.work import Travel, Work, forbidden_stops, remaining_work
@@ -23,25 +24,14 @@ from cellapp.ground.progress import Detail, Listener, MotionBegun, MotionEnded, 
 from cellapp.robot.kinematics.transforms import Array
 
 
-@dataclass(frozen=True)
-class RehearsedMotion:
-    """Motion to a stop (None: another motion), with its actual and expected duration [s] and, for each arm, the largest
-    deviation of a joint from its commanded position [rad]."""
-
-    stop: int | None
-    seconds: float
-    expected_s: float
-    off_rad: Mapping[str, float]
-
-
 @dataclass
 class Rehearsal:
-    """Results of one rung.
+    """Results of one rung; stops count from 1, as in ``RehearseResult``.
 
     Attributes
     ----------
     visited : list of int
-        Indices of the stops that were reached.
+        The stops that were reached.
     refused : dict
         Stop -> why the gate or a controller refused it.
     notes : tuple of str
@@ -110,7 +100,7 @@ class _Driver:
             raise HardwareError(f"arm {name}: {error}") from error
         stops = [stop for stop in self.work.stops if stop not in forbidden][: self.rung.stops]
         if self.rung.stops is None:
-            self.found.refused |= forbidden
+            self.found.refused |= {stop + 1: why for stop, why in forbidden.items()}
         if stops:
             self.mover.confirm_first(self._targets(stops[0]), confirm)
         for number, stop in enumerate(stops):
@@ -119,9 +109,9 @@ class _Driver:
             self.mover.stop = stop
             try:
                 self._to_stop(stop)
-                self.found.visited.append(stop)
+                self.found.visited.append(stop + 1)
             except MotionRefused as error:
-                self.found.refused[stop] = str(error)
+                self.found.refused[stop + 1] = str(error)
             finally:
                 self.mover.stop = None
         self.mover.go_home(self.arms)
@@ -148,11 +138,14 @@ class _Driver:
             self._begun = detail, now_s
         elif isinstance(detail, MotionEnded) and self._begun is not None:
             begun, since_s = self._begun
-            off = {
-                name: float(np.abs(np.array(q) - detail.q[name]).max(initial=0.0))
+            off_mrad = {
+                name: 1e3 * float(np.abs(np.array(q) - detail.q[name]).max(initial=0.0))
                 for name, q in begun.q_target.items()
                 if name in detail.q
             }
             expected_s = begun.expected_s if math.isfinite(begun.expected_s) else 0.0
-            self.found.motions.append(RehearsedMotion(begun.stop, now_s - since_s, expected_s, off))
+            stop = None if begun.stop is None else begun.stop + 1
+            self.found.motions.append(
+                RehearsedMotion(stop=stop, seconds=now_s - since_s, expected_s=expected_s, off_mrad=off_mrad)
+            )
             self._begun = None

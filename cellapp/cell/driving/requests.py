@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.unseen_arms import note_halt
+from cellapp.cell.run.run_arms import note_halt
 from cellapp.ground.asking import (
     DONE,
     JOB_FILE,

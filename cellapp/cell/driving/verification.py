@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from cellapp.cell.driving.motion import Mover, PointAtRest
-from cellapp.cell.targets.command import Command
+from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.records import ArmVerification, MeasuredPair, MeasuredTarget, MeasuredTurn
 from cellapp.cell.targets.targets import target_record
 from cellapp.estimation.calibration.quantities import summarise

@@ -22,9 +22,7 @@ from cellapp.cell.driving.motion import MotionRefused, Mover, Vector
 from cellapp.cell.planning.planned_stops import (
     PlannedStops,
     Route,
-    proposed_stops,
     read_planned_stops,
-    read_stop_conditions,
     routes,
 )
 from cellapp.cell.run import RunFile
@@ -122,7 +120,7 @@ def remaining_work(run: RunFile, *, resume: bool) -> Work:
         stops=tuple(stop for stop in range(total) if stop not in done and stop not in reserves),
         reserves=tuple(stop for stop in reserves if stop not in done),
         stored=len(done),
-        proposed=proposed_stops(read_stop_conditions(run)),
+        proposed=frozenset(np.flatnonzero(route.proposed).tolist()),
         split="train" if drawn else None,
         earlier_s=max((float(arm.time_s.max()) for arm in readings), default=0.0) if done else 0.0,
     )

@@ -14,9 +14,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cellapp.cell.exports.arm_commands import ArmCommands, first_rates
 from cellapp.cell.exports.arm_export import hashed
-from cellapp.cell.exports.export_format import CommandFormat
+from cellapp.cell.exports.export_format import ArmCommands, CommandFormat, first_rates
 from cellapp.cell.run.csv_text import quoted_text
 from cellapp.cell.targets.path import PathPlan
 from cellapp.cell.targets.ranges import signs_words

@@ -1,15 +1,163 @@
-"""Declarations of formats. A new format is a module that ends with its declaration; see ``formats``."""
+"""Compensated commands of one arm, as input of every export of commands.
+
+Declarations of formats. A new format is a module that ends with its declaration; see ``formats``.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from cellapp.cell.exports.arm_commands import ArmCommands
+import numpy as np
+
 from cellapp.cell.exports.arm_export import ArmExport
+from cellapp.cell.safety.gate import CellBodies, refuse_motion
+from cellapp.cell.targets.compensate import with_approach
+from cellapp.cell.targets.ranges import signs_words
+from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.plain_dh import plain_geometry
 from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import CellModel
+
+STEP_BACK_RAD = float(np.radians(1.0))
+"""Step back of a joint that must arrive from the command's side [rad]: well beyond any backlash."""
+
+
+@dataclass(frozen=True)
+class ExportedCommand:
+    """Command for one target.
+
+    Attributes
+    ----------
+    record : TargetCommand
+        Command as computed.
+    way : sequence of array (N,)
+        Joint positions [rad] from home to the target, the command last; the joints arrive there from the command's
+        side. Empty if it must not be driven.
+    refusal : str
+        Why it must not be driven; empty if it may.
+    """
+
+    record: TargetCommand
+    way: tuple[Array, ...]
+    refusal: str
+
+
+@dataclass(frozen=True)
+class ArmCommands:
+    """Commands of one arm.
+
+    ``source`` names the run and the stage that they are from; ``speed`` [rad/s] and ``acceleration`` [rad/s^2] are
+    allowed for every joint.
+    """
+
+    name: str
+    arm: Arm
+    source: str
+    home: Array
+    speed: float
+    acceleration: float
+    commands: tuple[ExportedCommand, ...]
+
+
+def exported_commands(
+    records: Sequence[TargetCommand], name: str, model: CellModel, cell: CellBodies, homes: Mapping[str, Array]
+) -> tuple[ExportedCommand, ...]:
+    """Return the commands of one arm with ways from home that the gate has checked, with all other arms at home."""
+    found = []
+    for record in records:
+        way, refusal = _way(record, name, model, cell, homes)
+        found.append(ExportedCommand(record, () if refusal else way, refusal))
+    return tuple(found)
+
+
+def final_commands(measured: Sequence[MeasuredTarget], computed: Sequence[TargetCommand]) -> tuple[TargetCommand, ...]:
+    """Return the commands as left by verification: those sent last, with corrections if they were better.
+
+    Raises
+    ------
+    InputError
+        If a measured target has no command among ``computed``.
+    """
+    by_name = {(record.name, record.arm): record for record in computed}
+    found = []
+    for one in measured:
+        record = by_name.get((one.name, one.arm))
+        if record is None:
+            raise InputError(
+                f"export: target '{one.name}' of arm '{one.arm}' was verified, but other targets were compensated"
+                " since; nothing was written. Leave --stage out, or push these targets again"
+            )
+        found.append(_last_driven(record, one))
+    return tuple(found)
+
+
+def first_rates(profile: Profile, arm: Arm) -> tuple[float, float]:
+    """Return the limits of joint speed [rad/s] and acceleration [rad/s^2]: those of first motions on real hardware."""
+    joints = arm.type.joints
+    share = arm.speed_scale * profile.collection.slow_start.speed
+    speeds, accelerations = (np.array([getattr(joint, key) for joint in joints]) for key in ("speed", "acceleration"))
+    return float(speeds.min() * share), float(accelerations.min() * share)
+
+
+_NO_COMMAND = {"q_nominal": None, "q_compensated": None, "approach": None, "holds_for": "", "verdict": "cannot say"}
+"""Fields of a target that was not driven."""
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _last_driven(record: TargetCommand, one: MeasuredTarget) -> TargetCommand:
+    """Return the command that was sent last and measured; it is valid for the sides from which the joints then arrived.
+
+    A target that was not driven has none. Results of earlier versions do not state what was sent.
+    """
+    if record.refusal:
+        return record
+    sent = one.q_corrected or one.q_driven
+    if sent is None and one.q is None:
+        return record.model_copy(update={"refusal": f"not driven: {one.note or 'no reason is stored'}", **_NO_COMMAND})
+    if sent is None:
+        return record
+    unknown = tuple(condition for condition in record.unknown if condition.condition != "approach")
+    words = ["as driven by push", *record.holds_for.split("; ")[1:]]
+    if one.approach is not None:
+        words.insert(0, f"joints that arrive with the signs {signs_words(one.approach)}")
+    kept = {"q_compensated": sent, "approach": one.approach, "unknown": unknown, "holds_for": "; ".join(words)}
+    return record.model_copy(update=kept)
+
+
+def _way(
+    record: TargetCommand, name: str, model: CellModel, cell: CellBodies, homes: Mapping[str, Array]
+) -> tuple[tuple[Array, ...], str]:
+    """Return the way from home to a target, and why it must not be driven (empty if it may).
+
+    The joints arrive from the command's side: straight from home if that is this side, else after a step back.
+    """
+    if record.refusal or record.q_compensated is None:
+        return (), record.refusal or "it has no command"
+    if record.partner:
+        return (), f"cooperative: arm '{record.partner}' must be there too; push drives both"
+    q = np.array(record.q_compensated)
+    signs = np.zeros(len(q)) if record.approach is None else np.array(record.approach, dtype=np.float64)
+    chosen = any(one.condition == "approach" for one in record.unknown)
+    arrives = bool(np.all((signs == 0.0) | (signs == np.sign(q - homes[name]))))
+    if chosen and not record.holds_for:  # of an earlier version, for the middle of the backlash
+        way: tuple[Array, ...] = (with_approach(model.arms[name], q, homes[name]),)
+    elif not signs.any() or (chosen and arrives):
+        way = (q,)
+    else:
+        way = (q - STEP_BACK_RAD * signs, q)
+    here = dict(homes)
+    for there in (*way, homes[name]):
+        refusal = refuse_motion(cell, here, {**here, name: there})
+        if refusal:
+            return (), f"refused on the way from home and back: {refusal}"
+        here[name] = there
+    return way, ""
+
 
 Text = Callable[[ArmExport, Sequence[str]], str]
 """Function that writes an arm in one format, with sentences as a comment; raises ``InputError`` if it cannot."""

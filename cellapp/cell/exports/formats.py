@@ -3,18 +3,20 @@
 A new format is a module and one entry here, or a plug-in.
 
 Text about an export for people, in the file and on the terminal.
+
+Paths of exported files: one file per arm.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Protocol, TypeVar
 
-from cellapp.cell.exports.arm_export import POSES
+from cellapp.cell.exports.arm_export import POSES, ExportResult, PositionLoss
 from cellapp.cell.exports.command_table import COMMAND_TABLE, URSCRIPT
 from cellapp.cell.exports.dh_tables import DH, DH_PLAIN, PARAMETERS, POE
 from cellapp.cell.exports.export_format import CellFormat, CommandFormat, ExportFormat
-from cellapp.cell.exports.records import ExportResult, PositionLoss
 from cellapp.cell.exports.urdf import CELL_URDF, UR_CALIBRATION, UR_DESCRIPTION, URDF
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -135,3 +137,23 @@ def export_lines(result: ExportResult) -> list[str]:
 
 def _within(conversion_mm: float) -> str:
     return "unconverted" if conversion_mm == 0.0 else f"converted within {conversion_mm:.1g} mm"
+
+
+def check_out(out: Path) -> None:
+    """Raise ``InputError`` if ``out`` is not the path of a file."""
+    if not out.name or out.is_dir():
+        raise InputError(f"export: --out {out} is a folder; give the path of a file")
+
+
+def files_of_arms(out: Path, arms: Sequence[str]) -> dict[str, Path]:
+    """Return the file of each arm: ``out``, or, if there are several arms, with the arm's name before the suffix.
+
+    Raise ``InputError`` if ``out`` is a folder, or an arm's name cannot be part of a file name.
+    """
+    check_out(out)
+    if len(arms) == 1:
+        return {arms[0]: out}
+    for name in arms:
+        if Path(name).name != name:
+            raise InputError(f"export: '{name}' cannot be part of a file's name; write this arm alone with --arm")
+    return {name: out.with_stem(f"{out.stem}-{name}") for name in arms}

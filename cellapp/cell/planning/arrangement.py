@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.planning.balance import Columns, fair_blocks, posture_functions
-from cellapp.cell.planning.duration import motion_s
+from cellapp.cell.planning.planned_stops import motion_s
 from cellapp.cell.planning.transit_paths import Order, TourTask, best_order
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.gate import CellBodies, clear_alone, clear_pairs, with_margin_for_ways

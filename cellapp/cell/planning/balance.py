@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.duration import home_s, stop_times_of
-from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.planned_stops import PlannedStops, home_s, stop_times_of
 from cellapp.cell.planning.records import FactorCorrelation, TravelTime
 from cellapp.cell.planning.transit_paths import TransitPath, TransitPlanner
 from cellapp.cell.safety.gate import CellBodies

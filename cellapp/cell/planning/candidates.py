@@ -12,27 +12,25 @@ from numpy.typing import NDArray
 
 from cellapp.cell.planning.records import ConstraintShare
 from cellapp.cell.safety.bodies import (
+    AZIMUTH,
+    ELEVATION,
+    FACING,
+    RANGE,
     Placed,
+    Sight,
+    TrackerField,
     beam_clearance,
     ceiling_clearance,
     floor_clearance,
     mounted_hides,
     place,
     self_clearance,
-)
-from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone, visible
-from cellapp.cell.safety.shapes import Obstacle, beam_gaps
-from cellapp.cell.safety.visibility import (
-    AZIMUTH,
-    ELEVATION,
-    FACING,
-    RANGE,
-    Sight,
-    TrackerField,
     sight_conditions,
     sight_of,
     usable_acceptance,
 )
+from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone, visible
+from cellapp.cell.safety.shapes import Obstacle, beam_gaps
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken

@@ -192,7 +192,7 @@ def require_plannable(profile: Profile) -> None:
         return
     rng = np.random.default_rng(profile.seed)
     limits = {name: np.array(arm.joint_limits) for name, arm in profile.arms.items()}
-    drawn = {name: rng.uniform(*ends.T, (_SHOWN, len(ends))) for name, ends in limits.items()}
+    drawn = {name: rng.uniform(ends[:, 0], ends[:, 1], (_SHOWN, len(ends))) for name, ends in limits.items()}
     for name, q in drawn.items():
         others = {other: its for other, its in drawn.items() if other != name}
         information_model(profile, name, q, even_conditions(profile, name, q, others, rng), potential=False)

@@ -274,6 +274,7 @@ class _Points:
             repeat_of=np.array([-1 if one is None else place[one] for one in repeats], dtype=np.intp),
             frozen=np.array([bool(self._agreed(number, "frozen")) for number in numbers], dtype=np.bool_),
             load=np.array([self._agreed(number, "load") or 0 for number in numbers], dtype=np.intp),
+            proposed=np.zeros(len(numbers), dtype=np.bool_),
         )
 
     def _check_stop(self, number: int) -> None:

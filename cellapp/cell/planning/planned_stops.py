@@ -1,9 +1,12 @@
-"""A complete plan: stops of all arms in their order, how each is reached, what it is for; in memory and in a run."""
+"""A complete plan: stops of all arms in their order, how each is reached, what it is for; in memory and in a run.
+
+Estimated time of collecting a plan: motions, rests, measurements, references, warm-up.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import permutations
 from typing import Any
@@ -12,12 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
-from cellapp.cell.planning.records import PlanDesignResult
+from cellapp.cell.planning.records import PlanDesignResult, PlannedTime
 from cellapp.cell.run import RunFile
+from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.results import Record
 from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model.nominal import joint_rates
 
 Configuration = Mapping[str, Array]
 """Arm -> joint positions (N,) [rad]; on a leg, only the arms that move."""
@@ -48,6 +54,8 @@ class PlannedStops:
         Stops that a person chose; a new design leaves them as they are.
     load : array, shape (n,), int
         What the arms carry: 0 for ``payload`` of the profile, from 1 on ``payloads``.
+    proposed : array, shape (n,), bool
+        Stops that discovery proposed.
     """
 
     q: Mapping[str, Array]
@@ -58,6 +66,7 @@ class PlannedStops:
     repeat_of: NDArray[np.intp]
     frozen: NDArray[np.bool_]
     load: NDArray[np.intp]
+    proposed: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.block)
@@ -109,6 +118,7 @@ def straight_stops(q: Mapping[str, Array]) -> PlannedStops:
         repeat_of=np.full(n, -1, dtype=np.intp),
         frozen=np.zeros(n, dtype=np.bool_),
         load=np.zeros(n, dtype=np.intp),
+        proposed=np.zeros(n, dtype=np.bool_),
     )
 
 
@@ -178,96 +188,6 @@ def can_go(cell: CellBodies, here: Configuration, there: Configuration) -> bool:
     return any(not refused_route(cell, here, route) for route in ((there,), *orders(there)))
 
 
-# -- Conditions of a planned stop besides its joint positions: direction of approach and dwell time -------------------
-#
-# A run stores them as the document ``factors``: ``{stop: {arm: {"via": [q1, ...], "dwell_s": s, "proposed": false}}}``.
-# Stops count from 0; all keys are optional. A stop that is listed was proposed by discovery unless it says otherwise.
-
-
-STOP_CONDITIONS_RESULT = "factors"
-"""Name of the document; it is part of the file format."""
-LONGEST_DWELL_S = 600.0
-"""Longest dwell time that is accepted: ten minutes, some time constants of an arm that settles."""
-
-
-@dataclass(frozen=True, eq=False)
-class StopConditions:
-    """Approach of one arm to a stop, and its dwell time there.
-
-    Attributes
-    ----------
-    via : array, shape (N,), or None
-        Joint positions before the last motion [rad], which determine its direction and length. None: straight from the
-        stop before.
-    dwell_s : float
-        Least time from standstill to the measurement [s].
-    proposed : bool
-        Whether discovery proposed the stop.
-    """
-
-    via: Array | None = None
-    dwell_s: float = 0.0
-    proposed: bool = True
-
-
-def read_stop_conditions(run: RunFile) -> dict[int, dict[str, StopConditions]]:
-    """Read the conditions of stops that have some, or were proposed: stop -> arm -> conditions.
-
-    Raises
-    ------
-    InputError
-        If the document is not one that ``write_stop_conditions`` writes.
-    """
-    text = run.read_result(STOP_CONDITIONS_RESULT)
-    if text is None:
-        return {}
-    try:
-        stored = _DOCUMENT.validate_json(text)
-        return {stop: {arm: _checked(run, arm, one) for arm, one in arms.items()} for stop, arms in stored.items()}
-    except (ValueError, KeyError) as error:
-        raise InputError(
-            f"{run.path}: the document '{STOP_CONDITIONS_RESULT}' with approach and dwell of its stops is damaged"
-            f" ({reason_of(error)}); restore the run from a copy, or plan a new one"
-        ) from None
-
-
-def proposed_stops(conditions: Mapping[int, Mapping[str, StopConditions]]) -> frozenset[int]:
-    """Return the numbers of the stops that discovery proposed."""
-    return frozenset(stop for stop, arms in conditions.items() if any(one.proposed for one in arms.values()))
-
-
-def stop_conditions_json(conditions: Mapping[int, Mapping[str, StopConditions]]) -> str:
-    """Convert conditions to the text of the document."""
-    stored = {stop: {arm: _stored(one) for arm, one in arms.items()} for stop, arms in conditions.items()}
-    return _DOCUMENT.dump_json(stored, exclude_defaults=True).decode()
-
-
-class _Stored(Record):
-    """Conditions of one arm at one stop as they are stored."""
-
-    via: tuple[float, ...] | None = None
-    dwell_s: float = 0.0
-    proposed: bool = True
-
-
-_DOCUMENT = TypeAdapter(dict[int, dict[str, _Stored]])
-
-
-def _stored(conditions: StopConditions) -> _Stored:
-    via = None if conditions.via is None else tuple(conditions.via.tolist())
-    return _Stored(via=via, dwell_s=conditions.dwell_s, proposed=conditions.proposed)
-
-
-def _checked(run: RunFile, arm: str, stored: _Stored) -> StopConditions:
-    joints = len(run.profile.arms[arm].type.joints)
-    via = None if stored.via is None else np.array(stored.via, dtype=np.float64)
-    if via is not None and (via.shape != (joints,) or not np.isfinite(via).all()):
-        raise ValueError(f"arm {arm}: 'via' must be {joints} finite joint positions")
-    if not (math.isfinite(stored.dwell_s) and 0.0 <= stored.dwell_s <= LONGEST_DWELL_S):
-        raise ValueError(f"arm {arm}: 'dwell_s' must lie between 0 and {LONGEST_DWELL_S:g} s")
-    return StopConditions(via, stored.dwell_s, stored.proposed)
-
-
 def reason_of(error: Exception) -> str:
     """Say briefly what is wrong with a document."""
     if isinstance(error, ValidationError):
@@ -278,16 +198,31 @@ def reason_of(error: Exception) -> str:
 
 # -- Storage of a plan in its run, as ``PlannedStops``, and of its design ---------------------------------------------
 #
-# The table ``plan`` holds the joint positions, the document ``factors`` approach and dwell. The document
-# ``planned_stops`` holds the rest: ``{"legs": {stop: [{arm: [q1, ...]}, ...]}, "block": [...], "repeat_of": {stop:
-# stop}, "frozen": [stop, ...], "load": [...]}``, stops from 0, ``block`` and ``load`` for each stop; without loads, the
-# profile's payload. In runs without this document all motions are straight and all stops in one block. All three are
-# written in one transaction.
+# The table ``plan`` holds the joint positions, the document ``factors`` approach and dwell: ``{stop: {arm: {"via": [q1,
+# ...], "dwell_s": s, "proposed": false}}}``. Stops count from 0; all keys are optional. A stop that is listed was
+# proposed by discovery unless it says otherwise. The document ``planned_stops`` holds the rest: ``{"legs": {stop:
+# [{arm: [q1, ...]}, ...]}, "block": [...], "repeat_of": {stop: stop}, "frozen": [stop, ...], "load": [...]}``,
+# ``block`` and ``load`` for each stop; without loads, the profile's payload. In runs without this document all motions
+# are straight and all stops in one block. All three are written in one transaction.
 
 
+STOP_CONDITIONS_RESULT = "factors"
 PLANNED_STOPS_RESULT = "planned_stops"
 PLAN_DESIGN_RESULT = "plan_design"
 """Names of the documents; they are part of the file format."""
+LONGEST_DWELL_S = 600.0
+"""Longest dwell time that is accepted: ten minutes, some time constants of an arm that settles."""
+
+
+class _StoredConditions(Record):
+    """Approach and dwell of one arm at one stop as they are stored."""
+
+    via: tuple[float, ...] | None = None
+    dwell_s: float = 0.0
+    proposed: bool = True
+
+
+_DOCUMENT = TypeAdapter(dict[int, dict[str, _StoredConditions]])
 
 
 class _StoredPlan(Record):
@@ -309,12 +244,13 @@ def read_planned_stops(run: RunFile) -> PlannedStops:
         If one of its documents is damaged.
     """
     stops = straight_stops(run.read_plan())
-    for stop, arms in read_stop_conditions(run).items():
-        for name, one in arms.items():
-            if stop < len(stops) and name in stops.q:
-                stops.dwell_s[name][stop] = one.dwell_s
-                if one.via is not None:
-                    stops.approach_from[name][stop] = one.via
+    try:
+        _add_conditions(run, stops)
+    except (ValueError, KeyError) as error:
+        raise InputError(
+            f"{run.path}: the document '{STOP_CONDITIONS_RESULT}' with approach and dwell of its stops is damaged"
+            f" ({reason_of(error)}); restore the run from a copy, or plan a new one"
+        ) from None
     text = run.read_result(PLANNED_STOPS_RESULT)
     if text is None:
         return stops
@@ -327,13 +263,8 @@ def read_planned_stops(run: RunFile) -> PlannedStops:
         ) from None
 
 
-def write_planned_stops(
-    run: RunFile, stops: PlannedStops, *, proposed: Collection[int] = (), design: PlanDesignResult | None = None
-) -> None:
-    """Store a plan in place of the one before.
-
-    ``proposed`` are the numbers of stops that discovery proposed. ``design`` describes the design of the plan; None
-    keeps the stored one.
+def write_planned_stops(run: RunFile, stops: PlannedStops, *, design: PlanDesignResult | None = None) -> None:
+    """Store a plan in place of the one before; ``design`` describes its design, None keeps the stored one.
 
     Raises
     ------
@@ -341,7 +272,7 @@ def write_planned_stops(
         If a stop that is already measured would change.
     """
     documents = {
-        STOP_CONDITIONS_RESULT: stop_conditions_json(conditions_of(stops, proposed)),
+        STOP_CONDITIONS_RESULT: _DOCUMENT.dump_json(_conditions_of(stops), exclude_defaults=True).decode(),
         PLANNED_STOPS_RESULT: _StoredPlan(
             legs={
                 stop: tuple({name: tuple(q.tolist()) for name, q in leg.items()} for leg in legs)
@@ -365,18 +296,34 @@ def read_plan_design(run: RunFile) -> PlanDesignResult | None:
     return None if text is None else PlanDesignResult.from_json(text, f"{run.path}: {PLAN_DESIGN_RESULT}")
 
 
-def conditions_of(stops: PlannedStops, proposed: Collection[int] = ()) -> dict[int, dict[str, StopConditions]]:
-    """Collect approach and dwell of each arm at each stop that has some, or that discovery ``proposed``."""
-    found: dict[int, dict[str, StopConditions]] = {}
-    for stop in range(len(stops)):
-        starts = stops.approach_starts(stop)
-        of_stop = {
-            name: StopConditions(starts.get(name), float(rest[stop]), stop in proposed)
-            for name, rest in stops.dwell_s.items()
-        }
-        if stop in proposed or starts or any(one.dwell_s > 0.0 for one in of_stop.values()):
-            found[stop] = of_stop
+def _conditions_of(stops: PlannedStops) -> dict[int, dict[str, _StoredConditions]]:
+    """Collect approach and dwell of each arm at each stop that has some, or that discovery proposed."""
+    found: dict[int, dict[str, _StoredConditions]] = {}
+    for stop, proposed in enumerate(stops.proposed.tolist()):
+        via = {name: tuple(q.tolist()) for name, q in stops.approach_starts(stop).items()}
+        dwell_s = {name: float(rest[stop]) for name, rest in stops.dwell_s.items()}
+        if proposed or via or any(rest > 0.0 for rest in dwell_s.values()):
+            found[stop] = {
+                name: _StoredConditions(via=via.get(name), dwell_s=rest, proposed=proposed)
+                for name, rest in dwell_s.items()
+            }
     return found
+
+
+def _add_conditions(run: RunFile, stops: PlannedStops) -> None:
+    """Enter stored approaches and dwells. Raise ``ValueError`` or ``KeyError`` if the document does not fit the run."""
+    for stop, arms in _DOCUMENT.validate_json(run.read_result(STOP_CONDITIONS_RESULT) or "{}").items():
+        for arm, stored in arms.items():
+            joints = len(run.profile.arms[arm].type.joints)
+            if stored.via is not None and not (len(stored.via) == joints and all(map(math.isfinite, stored.via))):
+                raise ValueError(f"arm {arm}: 'via' must be {joints} finite joint positions")
+            if not (math.isfinite(stored.dwell_s) and 0.0 <= stored.dwell_s <= LONGEST_DWELL_S):
+                raise ValueError(f"arm {arm}: 'dwell_s' must lie between 0 and {LONGEST_DWELL_S:g} s")
+            if 0 <= stop < len(stops) and arm in stops.q:
+                stops.proposed[stop] |= stored.proposed
+                stops.dwell_s[arm][stop] = stored.dwell_s
+                if stored.via is not None:
+                    stops.approach_from[arm][stop] = stored.via
 
 
 def _with_stored(stops: PlannedStops, stored: _StoredPlan, loads: int) -> PlannedStops:
@@ -417,3 +364,117 @@ def _checked_leg(plan: Mapping[str, Array], leg: Mapping[str, tuple[float, ...]]
         if len(q) != joints or not all(map(math.isfinite, q)):
             raise ValueError(f"stop {stop}: a leg of arm {name} must have {joints} finite joint positions")
     return {name: np.array(q, dtype=np.float64) for name, q in leg.items()}
+
+
+_SETTLE_S = 0.2
+"""Rest after a motion before an arm counts as settled: the default of UR controllers and of simulated arms."""
+_POINTING_S = 1.0
+"""Time for the tracker to turn to the next SMR and to lock it; its head turns a quarter in half a second."""
+
+
+@dataclass(frozen=True, eq=False)
+class StopTimes:
+    """Expected times of n stops.
+
+    Attributes
+    ----------
+    moving_s, resting_s : arrays, shape (n,)
+        Of the motion to each stop, and of the rest before its measurement [s].
+    measuring_s : float
+        Of all arms at one stop [s].
+    """
+
+    moving_s: Array
+    resting_s: Array
+    measuring_s: float
+
+    @property
+    def measured_s(self) -> Array:
+        """When each stop is measured, in seconds since the first motion, shape (n,)."""
+        return np.cumsum(self.moving_s + self.resting_s + self.measuring_s) - 0.5 * self.measuring_s
+
+
+def motion_s(arm: Arm, way: Array) -> Array:
+    """Compute the time of joint motions ``way`` (n, N) [rad] from rest to rest, shape (n,) [s].
+
+    All joints start and end together, with a trapezoidal speed profile inside the arm's speeds and accelerations.
+    """
+    speed, acceleration = joint_rates(arm)
+    at_speed = np.abs(way / speed).max(axis=1)
+    at_acceleration = np.abs(way / acceleration).max(axis=1)
+    # with ramps of a / v each: distance 1 = v * (T - a / v), or a triangle where full speed is never reached
+    triangle = at_speed**2 < at_acceleration
+    ramp = np.divide(at_acceleration, at_speed, out=np.zeros_like(at_speed), where=at_speed > 0.0)
+    return np.asarray(np.where(triangle, 2.0 * np.sqrt(at_acceleration), at_speed + ramp))
+
+
+def stop_times_of(profile: Profile, stops: PlannedStops) -> StopTimes:
+    """Estimate the times of planned stops with their approaches and detours, from home."""
+    here = home_positions(profile)
+    begin = {
+        name: np.where(np.isfinite(stops.approach_from[name]), stops.approach_from[name], q)
+        for name, q in stops.q.items()
+    }
+    moving_s = np.max(
+        [_straight_s(profile.arms[name], here.get(name), q, begin[name]) for name, q in stops.q.items()], axis=0
+    )
+    motions = np.ones(len(stops))
+    last_s = np.max([motion_s(profile.arms[name], q - begin[name]) for name, q in stops.q.items()], axis=0)
+    for stop, legs in enumerate(stops.legs):
+        if legs:
+            before = stops.targets(stop - 1) if stop else here
+            moving_s[stop] = route_s(profile, before, (*legs, {name: q[stop] for name, q in begin.items()}))
+            motions[stop] += len(legs)
+    slow = profile.collection.slow_start
+    moving_s += last_s
+    if profile.moves_hardware:
+        moving_s[: slow.stops] /= slow.speed
+    dwell_s = np.max([stops.dwell_s[name] for name in stops.q], axis=0)
+    resting_s = np.maximum(_SETTLE_S, dwell_s) + _SETTLE_S * (motions - 1.0 + (last_s > 0.0))
+    return StopTimes(moving_s, resting_s, _measuring_s(profile) * len(stops.q))
+
+
+def home_s(profile: Profile, stops: PlannedStops) -> float:
+    """Compute the time of the motion home from the last stop [s]; 0 for arms without a home position."""
+    homes = home_positions(profile)
+    ways = [motion_s(profile.arms[name], (homes[name] - q[-1])[None]) for name, q in stops.q.items() if name in homes]
+    return float(np.max(ways)) if ways else 0.0
+
+
+def route_s(profile: Profile, start: Configuration, route: Route) -> float:
+    """Compute the time of consecutive motions from ``start`` (all arms) [s]; each takes as long as its slowest arm."""
+    here, total = dict(start), 0.0
+    for targets in route:
+        total += max(float(motion_s(profile.arms[name], (q - here[name])[None])[0]) for name, q in targets.items())
+        here.update(targets)
+    return total
+
+
+def _straight_s(arm: Arm, start: Array | None, q: Array, begin: Array) -> Array:
+    """Compute the time from each stop to where the next last motion begins, (n,) [s]; 0 from unknown ``start``."""
+    first = begin[:1] if start is None else start[None]
+    return motion_s(arm, begin - np.concatenate([first, q])[: len(q)])
+
+
+def planned_time(profile: Profile, stops: PlannedStops) -> PlannedTime:
+    """Estimate the time of collecting planned stops and going home."""
+    times = stop_times_of(profile, stops)
+    reference = profile.collection.reference
+    references_s = 0.0
+    if reference.every > 0:
+        count = 2 + (len(times.moving_s) - 1) // reference.every
+        points = len(stops.q) + len(reference.nests)
+        references_s = count * (2.0 * float(np.mean(times.moving_s)) + points * _measuring_s(profile))
+    parts = {
+        "moving_s": float(times.moving_s.sum()) + home_s(profile, stops),
+        "resting_s": float(times.resting_s.sum()),
+        "measuring_s": times.measuring_s * len(times.moving_s),
+        "references_s": references_s,
+        "warm_up_s": profile.collection.warm_up,
+    }
+    return PlannedTime(total_s=sum(parts.values()), **parts)
+
+
+def _measuring_s(profile: Profile) -> float:
+    """Return the time of pointing at one SMR and measuring it, twice if repeats are required."""
+    return _POINTING_S + (2 if profile.collection.repeat.precision is not None else 1) * profile.tracker.averaging

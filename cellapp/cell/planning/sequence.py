@@ -15,8 +15,7 @@ from cellapp.cell.planning.candidates import joint_ranges
 from cellapp.cell.planning.planned_stops import Configuration, PlannedStops, Route, can_go, joined_after, straight_stops
 from cellapp.cell.planning.transit_paths import TransitPlanner
 from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion
-from cellapp.cell.safety.many_motions import FreeMotions
+from cellapp.cell.safety.gate import CellBodies, FreeMotions, clear_stops, refuse_motion
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, ignore

@@ -28,11 +28,9 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.duration import motion_s, route_s
-from cellapp.cell.planning.planned_stops import Configuration, Route
+from cellapp.cell.planning.planned_stops import Configuration, Route, motion_s, route_s
 from cellapp.cell.safety.bodies import place
-from cellapp.cell.safety.gate import CellBodies, clear_alone, refuse_motion, with_margin_for_ways
-from cellapp.cell.safety.many_motions import FreeMotions
+from cellapp.cell.safety.gate import CellBodies, FreeMotions, clear_alone, refuse_motion, with_margin_for_ways
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.kinematics.transforms import Array

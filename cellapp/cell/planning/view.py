@@ -8,33 +8,37 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from cellapp.cell.planning.candidates import joint_ranges
-from cellapp.cell.planning.duration import planned_time, stop_times_of
 from cellapp.cell.planning.planned_stops import (
     Configuration,
     PlannedStops,
     last_motions,
     orders,
+    planned_time,
     read_planned_stops,
     refused_route,
     routes,
+    stop_times_of,
 )
 from cellapp.cell.planning.records import ArmForecast, JointCoverage, PlanCheckResult, PlanForecastResult, PlanRefusal
 from cellapp.cell.run import RunFile
-from cellapp.cell.safety.bodies import Placed, beam_clearance, mounted_hides, place
-from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
-from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, refuse_motion, refuse_stop, visible
-from cellapp.cell.safety.shapes import beam_gaps
-from cellapp.cell.safety.visibility import (
+from cellapp.cell.safety.bodies import (
     AZIMUTH,
     ELEVATION,
     FACING,
     RANGE,
+    Placed,
     Sight,
     TrackerField,
+    beam_clearance,
+    mounted_hides,
+    place,
     sight_conditions,
     sight_of,
     usable_acceptance,
 )
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, refuse_motion, refuse_stop, visible
+from cellapp.cell.safety.shapes import beam_gaps
 from cellapp.estimation.calibration.parameters import EXPECTED_SCATTER_M
 from cellapp.estimation.discovery.plan_forecast import (
     ArmDesign,

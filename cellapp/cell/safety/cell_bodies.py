@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.cell.safety.bodies import ArmBodies, place
+from cellapp.cell.safety.bodies import ArmBodies, TrackerField, place
 from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies
 from cellapp.cell.safety.shapes import Cylinder, Obstacle, RoundedBox, Shape, load_mesh
-from cellapp.cell.safety.visibility import TrackerField
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.profile.sections import (

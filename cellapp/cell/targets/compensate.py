@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_stop, visible
-from cellapp.cell.targets.command import Command, command_record, refused
 from cellapp.cell.targets.goals import ArmGoals, goals_of_arm
 from cellapp.cell.targets.invert import (
     LARGEST_CORRECTION,
@@ -31,7 +30,14 @@ from cellapp.cell.targets.invert import (
     with_approach,
     without_effects,
 )
-from cellapp.cell.targets.prediction import outside_notes, predicted_turns, predictions
+from cellapp.cell.targets.prediction import (
+    Command,
+    command_record,
+    outside_notes,
+    predicted_turns,
+    predictions,
+    refused,
+)
 from cellapp.cell.targets.ranges import ConditionRanges, beside, conditions_payload, sided_commands, stated_conditions
 from cellapp.cell.targets.records import CompensateResult
 from cellapp.cell.targets.targets import Target

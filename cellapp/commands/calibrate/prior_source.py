@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import ControllerIdentity, recorded_controllers
+from cellapp.cell.run.run_arms import ControllerIdentity, recorded_controllers
 from cellapp.commands.stages import PriorBasis, StoredStage, earlier_digest, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.records import ArmPriorResult, CalibrateResult

@@ -7,8 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from cellapp.cell.run.file import RunFile
-from cellapp.cell.run.recordings import read_recordings_of, recording_states
-from cellapp.cell.run.samples import keep_samples
+from cellapp.cell.run.recordings import keep_samples, read_recordings_of, recording_states
 from cellapp.cell.run.stations import STATIONS_RESULT, stored_tie_sentences
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_arms, recorded_priors
 from cellapp.commands.calibrate.request import CalibrateRequest

@@ -11,10 +11,9 @@ from pathlib import Path
 
 from cellapp.cell.profile.loader import with_sections
 from cellapp.cell.run import RunFile, write_readings_csv
-from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.run.csv_export import write_recordings_csv
-from cellapp.cell.run.recordings import recording_states
-from cellapp.cell.run.samples import all_known_readings
+from cellapp.cell.run.recordings import all_known_readings, recording_states
+from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.commands.certificate.request import CertificateRequest
 from cellapp.commands.certificate.statement import CertificateInput, certificate_of
 from cellapp.commands.certificate_result import CertificateResult

@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 
-from cellapp.cell.run.arm_identity import ControllerIdentity
+from cellapp.cell.run.run_arms import ControllerIdentity
 from cellapp.cell.targets.records import ArmVerification, VerifyResult
-from cellapp.commands.certificate.iso9283_judgements import found_in
-from cellapp.commands.certificate.judgements import held_verification, judge_run, orientation_budget
+from cellapp.commands.certificate.judgements import found_in, held_verification, judge_run, orientation_budget
 from cellapp.commands.certificate_result import (
     SIMULATED,
     CertificateResult,

@@ -12,7 +12,7 @@ from cellapp.cell.driving.locate import LocatedStation, LocateTask, locate_stati
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.recordings import known_readings
 from cellapp.commands.check.location import LocatedPoint, LocateResult, StationPose
 from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.check.station import excess_of_readings, last_location, profile_at_station

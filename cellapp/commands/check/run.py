@@ -16,7 +16,7 @@ from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.driving.verification import measured_turn
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.recordings import known_readings
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.check.locate import locate_run, typed_pose
 from cellapp.commands.check.location import LocateResult

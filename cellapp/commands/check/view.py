@@ -42,7 +42,7 @@ def view(result: CheckResult | LocateResult, request: CheckRequest | None = None
 
 def location_view(result: LocateResult) -> View:
     """Show every point, the tracker's station, and why it could not be located."""
-    parts = (*location_tables(result), *location_sentences(result))
+    parts: tuple[Part, ...] = (*location_tables(result), *location_sentences(result))
     return View(parts, result.complaints(), "location", held="the tracker was located")
 
 

@@ -23,8 +23,8 @@ from cellapp.cell.programs.solving import (
     solve_targets,
 )
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import recorded_controllers
-from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.recordings import known_readings
+from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.commands.compensate.request import CompensateRequest
 from cellapp.commands.record import View
 from cellapp.commands.stages import read_stages

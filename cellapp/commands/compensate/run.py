@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from cellapp.cell.exports.command_table import path_csv, path_script
-from cellapp.cell.exports.out_files import files_of_arms
+from cellapp.cell.exports.formats import files_of_arms
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.recordings import known_readings
 from cellapp.cell.targets.compensate import Command, compensate, compensate_result
 from cellapp.cell.targets.goals import UNPLACED, commanded_profile, is_unplaced
 from cellapp.cell.targets.path import PathPlan, PathResult, PathSpec, holds_paths, load_paths, path_record, plan_path

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from cellapp.cell.planning.planned_stops import StopConditions
-from cellapp.cell.planning.proposal.arm_candidates import Effort
-from cellapp.cell.planning.proposal.propose import (
+from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.propose import (
+    Effort,
     PredictedDiscrimination,
-    ProposedStop,
     append_proposed_stops,
     propose_stops,
     why_not_driven,
 )
-from cellapp.cell.planning.proposal.propose import Proposal as ProposedStops
+from cellapp.cell.planning.propose import Proposal as ProposedStops
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.recordings import read_recordings_of
-from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.recordings import known_readings, read_recordings_of
 from cellapp.commands.calibrate.prior_source import basis_of_priors, earlier_of_calibration
 from cellapp.commands.calibrate.result import pair_result
 from cellapp.commands.discover.request import DiscoverRequest
@@ -32,8 +30,8 @@ from cellapp.estimation.discovery.records import (
     Discrimination,
     Proposal,
     ProposalQuestion,
+    ProposedStop,
 )
-from cellapp.estimation.discovery.records import ProposedStop as ProposedStopRow
 from cellapp.estimation.motion.discovery import SearchWithRecordings
 from cellapp.estimation.prior.discovery import SearchWithPriors
 from cellapp.estimation.readings import Readings
@@ -187,9 +185,7 @@ def proposal_result(proposed: ProposedStops, first: int | None, notes: Sequence[
         written=first is not None,
         first_configuration=first,
         arms={name: tuple(questions) for name, questions in arms.items()},
-        stops=tuple(
-            row for number, stop in enumerate(proposed.stops, start=first or 0) for row in _stop_rows(number, stop)
-        ),
+        stops=tuple(_stop_rows(proposed.stops, first or 0)),
         notes=tuple(notes),
         advice=proposed.advice,
     )
@@ -201,11 +197,15 @@ def _question(predicted: PredictedDiscrimination) -> ProposalQuestion:
     )
 
 
-def _stop_rows(number: int, stop: ProposedStop) -> list[ProposedStopRow]:
-    rows = []
-    for name, q in stop.q.items():
-        conditions = stop.conditions.get(name, StopConditions())
-        via = None if conditions.via is None else tuple(conditions.via.tolist())
-        dwell_s = conditions.dwell_s if conditions.dwell_s > 0.0 else None
-        rows.append(ProposedStopRow(configuration=number, arm=name, q=tuple(q.tolist()), via=via, dwell_s=dwell_s))
-    return rows
+def _stop_rows(stops: PlannedStops, first: int) -> Iterator[ProposedStop]:
+    for stop in range(len(stops)):
+        starts = stops.approach_starts(stop)
+        for name, q in stops.targets(stop).items():
+            via, dwell_s = starts.get(name), float(stops.dwell_s[name][stop])
+            yield ProposedStop(
+                configuration=first + stop,
+                arm=name,
+                q=tuple(q.tolist()),
+                via=None if via is None else tuple(via.tolist()),
+                dwell_s=dwell_s if dwell_s > 0.0 else None,
+            )

@@ -5,17 +5,40 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from cellapp.cell.exports.arm_commands import ArmCommands, exported_commands, final_commands, first_rates
-from cellapp.cell.exports.arm_export import ArmExport, Workspace, conversion_mm, lost_by, lost_parts, workspace
-from cellapp.cell.exports.export_format import CellFormat, CommandFormat, ExportFormat
-from cellapp.cell.exports.formats import all_formats, export_lines, form_line, format_named, lost_sentences
-from cellapp.cell.exports.out_files import check_out, files_of_arms
-from cellapp.cell.exports.records import ArmFile, CommandFile, ExportResult
+from cellapp.cell.exports.arm_export import (
+    ArmExport,
+    ArmFile,
+    CommandFile,
+    ExportResult,
+    Workspace,
+    conversion_mm,
+    lost_by,
+    lost_parts,
+    workspace,
+)
+from cellapp.cell.exports.export_format import (
+    ArmCommands,
+    CellFormat,
+    CommandFormat,
+    ExportFormat,
+    exported_commands,
+    final_commands,
+    first_rates,
+)
+from cellapp.cell.exports.formats import (
+    all_formats,
+    check_out,
+    export_lines,
+    files_of_arms,
+    form_line,
+    format_named,
+    lost_sentences,
+)
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.cell.run.columns import Kind
 from cellapp.cell.run.csv_export import write_recordings_csv
-from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.recordings import known_readings
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.targets.goals import commanded_profile, is_unplaced
 from cellapp.cell.targets.records import CompensateResult, TargetCommand, VerifyResult

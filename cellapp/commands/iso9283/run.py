@@ -25,7 +25,7 @@ from cellapp.cell.driving.requests import running_job
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.csv_text import table_text
-from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
+from cellapp.commands.certificate.judgements import judge_characteristics
 from cellapp.commands.check.station import profile_at_station
 from cellapp.commands.confirm import confirmation
 from cellapp.commands.iso9283.request import Iso9283Request

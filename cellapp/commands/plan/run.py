@@ -13,17 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.driving.records import PlannedLoad, PlanResult, SweepCount
+from cellapp.cell.driving.records import PlannedLoad, PlannedStop, PlanResult, StopsResult, SweepCount
 from cellapp.cell.driving.requests import running_job
-from cellapp.cell.planning.duration import planned_time
 from cellapp.cell.planning.plan import make_stops, plan_run
 from cellapp.cell.planning.plan_csv import PlanFile, read_plan_csv, write_plan_csv
 from cellapp.cell.planning.planned_stops import (
     PlannedStops,
-    proposed_stops,
+    planned_time,
     read_plan_design,
     read_planned_stops,
-    read_stop_conditions,
     write_planned_stops,
 )
 from cellapp.cell.planning.records import PlanCheckResult, PlanRefusal
@@ -34,7 +32,6 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import note_profile
 from cellapp.commands.plan.check_view import file_refusal_sentence
 from cellapp.commands.plan.request import PlanRequest
-from cellapp.commands.plan.result import PlannedStop, StopsResult
 from cellapp.commands.record import Work
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted, listed_numbers
@@ -291,9 +288,9 @@ def extend_plan(run: RunFile, count: int, listener: Listener = ignore, control: 
     control = control or JobControl()
     with running_job(run, control, "plan", listener) as listener:
         required_plan(run)
-        kept, proposed = read_planned_stops(run), proposed_stops(read_stop_conditions(run))
+        kept = read_planned_stops(run)
         stops, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=count)
-        write_planned_stops(run, stops, proposed=proposed, design=design)
+        write_planned_stops(run, stops, design=design)
         note = f"{counted(len(stops) - len(kept), 'stop was', 'stops were')} added after stop {len(kept)}"
         run.log("info", _CHANGED + note)
         return plan_result(run, [note])
@@ -316,8 +313,8 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
     control = control or JobControl()
     with running_job(run, control, "plan", listener) as listener:
         required_plan(run)
-        stops, proposed = read_planned_stops(run), proposed_stops(read_stop_conditions(run))
-        parts = _parts(run, stops, proposed)
+        stops = read_planned_stops(run)
+        parts = _parts(run, stops)
         needed = len(parts.open) + parts.more - len(parts.frozen)
         if needed <= 0:
             raise InputError(
@@ -326,7 +323,7 @@ def replan(run: RunFile, listener: Listener = ignore, control: JobControl | None
             )
         kept = stops.take([*parts.fixed, *parts.frozen])
         made, design = make_stops(_other_seed(run), with_eta(listener), control, kept=kept, add=needed)
-        write_planned_stops(run, made.take(parts.places(len(made))), proposed=proposed & {*parts.fixed}, design=design)
+        write_planned_stops(run, made.take(parts.places(len(made))), design=design)
         note = f"{counted(len(made) - len(kept), 'stop was', 'stops were')} designed again around {len(kept)}"
         if parts.unreached:
             listed = ", ".join(str(stop + 1) for stop in parts.unreached)
@@ -345,11 +342,11 @@ def freeze_stops(run: RunFile, chosen: Collection[int], control: JobControl | No
     """
     with running_job(run, control or JobControl(), "plan"):
         required_plan(run)
-        stops, proposed = read_planned_stops(run), proposed_stops(read_stop_conditions(run))
+        stops = read_planned_stops(run)
         if unknown := [stop for stop in chosen if not 0 <= stop < len(stops)]:
             raise InputError(f"{run.path}: there is no configuration {unknown[0]}; there are 0 to {len(stops) - 1}")
         frozen = np.isin(np.arange(len(stops)), list(chosen))
-        write_planned_stops(run, replace(stops, frozen=frozen), proposed=proposed)
+        write_planned_stops(run, replace(stops, frozen=frozen))
         return plan_result(run, [f"{int(frozen.sum())} of {counted(len(stops), 'stop is', 'stops are')} frozen"])
 
 
@@ -382,10 +379,10 @@ class _Parts:
         return sorted(range(total), key=rows.__getitem__)
 
 
-def _parts(run: RunFile, stops: PlannedStops, proposed: Collection[int]) -> _Parts:
+def _parts(run: RunFile, stops: PlannedStops) -> _Parts:
     done, outcomes = run.stops_done(), run.outcomes()
     unreached = {one.stop for one in outcomes} - done
-    fixed = done | {stop for stop in proposed if stop not in unreached}
+    fixed = done | {*np.flatnonzero(stops.proposed).tolist()} - unreached
     if run.references():  # measured at the first stop that was not left out: keep that in place
         left_out = {one.stop for one in outcomes if one.kind == "left out"}
         first = next((stop for stop in range(len(stops)) if stop not in left_out), 0)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from cellapp.cell.driving.records import PlanResult
-from cellapp.cell.planning.duration import planned_time
-from cellapp.cell.planning.planned_stops import PlannedStops, read_plan_design, read_planned_stops
+from cellapp.cell.driving.records import PlannedStop, PlanResult, StopsResult
+from cellapp.cell.planning.planned_stops import PlannedStops, planned_time, read_plan_design, read_planned_stops
 from cellapp.cell.planning.records import PlanCheckResult, PlanDesignResult, PlanForecastResult, PlannedTime
 from cellapp.cell.run import RunFile
-from cellapp.commands.plan.charts import coverage_charts, design_charts
-from cellapp.commands.plan.charts_obstacles import cell_map_chart
+from cellapp.commands.plan.charts import cell_map_chart, coverage_charts, design_charts
 from cellapp.commands.plan.check_view import (
     check_sentences,
     design_sentences,
@@ -26,7 +24,6 @@ from cellapp.commands.plan.check_view import (
     quality_table,
     sweep_sentences,
 )
-from cellapp.commands.plan.result import PlannedStop, StopsResult
 from cellapp.commands.plan.run import planned_stops
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.driving.cell_checks import carrying, check_cell
-from cellapp.cell.driving.push import Visited, push
 from cellapp.cell.driving.requests import running_job
+from cellapp.cell.driving.target_visit import Visited, push
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.samples import all_known_readings
+from cellapp.cell.run.recordings import all_known_readings
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.check.station import profile_at_station
 from cellapp.commands.compensate.charts import target_charts

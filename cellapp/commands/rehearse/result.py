@@ -6,23 +6,14 @@ import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 
+from cellapp.cell.driving.records import RehearsedMotion
 from cellapp.cell.driving.rungs import RUNGS, RungName
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import noted_profile, rehearsals_path
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import Record, Result
-
-
-class RehearsedMotionRecord(Record):
-    """A motion: its stop, from 1; None on other ways; its time, and what it should take [s]; per arm the largest
-    distance of a joint from where it was commanded [mrad]."""
-
-    stop: int | None
-    seconds: float
-    expected_s: float
-    off_mrad: Mapping[str, float]
+from cellapp.ground.results import Result
 
 
 class RehearseResult(Result, schema="cellapp-rehearse"):
@@ -38,7 +29,7 @@ class RehearseResult(Result, schema="cellapp-rehearse"):
     controllers: Mapping[str, str]
     visited: tuple[int, ...]
     refused: Mapping[int, str]
-    motions: tuple[RehearsedMotionRecord, ...]
+    motions: tuple[RehearsedMotion, ...]
     notes: tuple[str, ...] = ()
     ended: str = ""
     missing: tuple[RungName, ...] = ()

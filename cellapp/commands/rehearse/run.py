@@ -11,13 +11,13 @@ from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.rungs import RUNGS, RungName
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.run.file import note_profile
+from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.commands.confirm import Ask, first_path_words, require_permission
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.record import Work
 from cellapp.commands.rehearse.request import RehearseRequest
-from cellapp.commands.rehearse.result import RehearsedMotionRecord, RehearseResult, missing_rungs, read_log, write_log
+from cellapp.commands.rehearse.result import RehearseResult, missing_rungs, read_log, write_log
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import with_eta
@@ -97,17 +97,9 @@ def _result(run: RunFile, name: RungName, arms: tuple[str, ...], found: Rehearsa
         controllers={
             arm: f"{its.model} {its.serial}, {its.software}" for arm, its in recorded_controllers(run).items()
         },
-        visited=tuple(stop + 1 for stop in found.visited),
-        refused={stop + 1: why for stop, why in sorted(found.refused.items())},
-        motions=tuple(
-            RehearsedMotionRecord(
-                stop=None if motion.stop is None else motion.stop + 1,
-                seconds=motion.seconds,
-                expected_s=motion.expected_s,
-                off_mrad={arm: 1e3 * off for arm, off in motion.off_rad.items()},
-            )
-            for motion in found.motions
-        ),
+        visited=tuple(found.visited),
+        refused=dict(sorted(found.refused.items())),
+        motions=tuple(found.motions),
         notes=found.notes,
         ended=found.ended,
     )

@@ -1,4 +1,7 @@
-"""All data of one page, read from a run once."""
+"""All data of one page, read from a run once.
+
+First words of the page: warnings, and results that are out of date.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,8 @@ from functools import cached_property
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.measurement_order import read_in_order
+from cellapp.cell.run.recordings import known_readings
 from cellapp.cell.run.records import ArmOrder
-from cellapp.cell.run.samples import known_readings
 from cellapp.cell.run.sqlite_file import Event
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.held_out import HeldOutArm
@@ -25,7 +28,7 @@ from cellapp.estimation.uncertainty.budget import measured_conditions
 from cellapp.estimation.uncertainty.records import Judgement
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import CALIBRATE, DISCOVER, StageName
+from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, StageName
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
@@ -152,3 +155,41 @@ def read_report_data(run: RunFile) -> ReportData:
 def _stored_model(run: RunFile, stages: RunStages, name: StageName) -> CellModel | None:
     text = stages.current[name].model
     return None if text is None else CellModel.from_json(text, f"{run.path}: model of '{name}'")
+
+
+STAGE_TITLES: dict[StageName, str] = {
+    "calibrate": "Calibration",
+    "discover": "Missing effects",
+    "locate": "Station of the tracker",
+    "compensate": "Compensated targets",
+    "push": "Pushed targets",
+    "verify": "Verification at new targets",
+    "path": "Compensated paths",
+    "iso9283": "Tests by ISO 9283",
+    "check": "Check of the calibration",
+    "certificate": "Certificate",
+}
+
+
+def unusable_arms(data: ReportData) -> list[tuple[str, str]]:
+    """Return the arms whose calibration must not be used, with the reason."""
+    return [
+        (f"Arm {name}", f"the calibration did not converge ({arm.message}): do not use it")
+        for name, arm in data.calibrate.arms.items()
+        if not arm.converged
+    ]
+
+
+def warnings(data: ReportData) -> list[str]:
+    """Return the calibration's notes, and why targets were not measured."""
+    targets = () if data.verify is None else data.verify.targets
+    return [*data.calibrate.notes] + [f"target {target.name}: {target.note}" for target in targets if target.note]
+
+
+def out_of_date_lines(data: ReportData) -> list[tuple[str, str]]:
+    """Return the title and reason of each result that no longer holds, and what a check found."""
+    lines = [(STAGE_TITLES[name], reason) for name, reason in data.out_of_date.items()]
+    checked = data.results.held.check
+    if checked is not None and checked.found_change:
+        lines += [(STAGE_TITLES[CHECK], complaint) for complaint in checked.complaints()]
+    return lines

@@ -1,13 +1,23 @@
-"""The verb ``report``: the page of a run."""
+"""The verb ``report``: the page of a run.
+
+The result of ``report`` as tables and sentences.
+"""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.sqlite_file import REPORT_FILE
-from cellapp.commands.record import Work
+from cellapp.commands.calibrate.view import calibration_tables
+from cellapp.commands.check.view import location_tables
+from cellapp.commands.compensate.tables import verification_tables
+from cellapp.commands.discover.tables import discovery_tables
+from cellapp.commands.record import Request, View, Work
 from cellapp.commands.report.request import ReportRequest
-from cellapp.commands.report.result import ReportResult, shown_by
-from cellapp.commands.run_results import read_results
+from cellapp.commands.run_results import ReportResult, RunResults, read_results, shown_by
+from cellapp.commands.stages import complaints_in
+from cellapp.commands.view.table import Table
 from cellapp.ground.outputs import RENEWED
 
 
@@ -16,3 +26,33 @@ def run(request: ReportRequest, work: Work) -> ReportResult:
     with RunFile.open(request.folder) as opened:
         RENEWED.check(request.folder / REPORT_FILE)
         return shown_by(ReportResult, read_results(opened), page=str(work.write_page(opened)))
+
+
+def view(result: ReportResult, request: Request | None = None) -> View:
+    """Show the results that the page shows, what is out of date, and where the page was written."""
+    parts: list[str | Table] = [*all_tables(result), *out_of_date_sentences(result), f"written: {result.page}"]
+    strict = isinstance(request, ReportRequest) and request.strict
+    return View(parts, complaints_in(Path(result.run)) if strict else ())
+
+
+# -- Results of a run for a terminal: tables, and what is out of date -------------------------------------------------
+
+
+def all_tables(results: RunResults) -> list[Table]:
+    """Show the calibration, and a discovery, location and verification that are not out of date."""
+    tables: list[Table] = []
+    if results.calibrate is not None:
+        tables += calibration_tables(results.calibrate)
+    held = results.held
+    if held.discover is not None:
+        tables += discovery_tables(held.discover)
+    if held.locate is not None:
+        tables += location_tables(held.locate)
+    if held.verify is not None:
+        tables += verification_tables(held.verify)
+    return tables
+
+
+def out_of_date_sentences(results: RunResults) -> list[str]:
+    """Return one sentence for each result that no longer holds, with the reason."""
+    return [f"out of date: {name}: {reason}" for name, reason in results.out_of_date.items()]

@@ -1,4 +1,7 @@
-"""Sections of a report: what each shows of a run, their order, and whether their results still hold."""
+"""Sections of a report: what each shows of a run, their order, and whether their results still hold.
+
+The calibrated cell of a run: maps from above and from the side.
+"""
 
 from __future__ import annotations
 
@@ -14,17 +17,17 @@ from cellapp.cell.exports.export_format import ExportFormat
 from cellapp.cell.exports.formats import formats_of
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import recorded_controllers
 from cellapp.cell.run.measurement_order import order_sentences
-from cellapp.commands.calibrate.charts_accuracy import (
+from cellapp.cell.run.run_arms import recorded_controllers
+from cellapp.commands.calibrate.charts import (
     certainty_chart,
     error_histogram_chart,
     pair_held_out,
     pair_histogram_chart,
     pair_stop_chart,
     stop_error_chart,
+    vector_charts,
 )
-from cellapp.commands.calibrate.charts_vectors import vector_charts
 from cellapp.commands.calibrate.detail_tables import (
     base_table,
     calibration_facts,
@@ -52,14 +55,12 @@ from cellapp.commands.iso9283.view import iso9283_section
 from cellapp.commands.plan.view import plan_section
 from cellapp.commands.rehearse.result import kept_log
 from cellapp.commands.rehearse.view import log_section
-from cellapp.commands.report.before_after import best_method
-from cellapp.commands.report.data import ReportData
-from cellapp.commands.report.headlines import warnings
-from cellapp.commands.report.scene import cell_maps
+from cellapp.commands.report.data import ReportData, warnings
+from cellapp.commands.report.summary import best_method
 from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
 from cellapp.commands.stored_model import values_in_force
-from cellapp.commands.trials.power.result import power_parts, stored_power
-from cellapp.commands.view.charts import Chart, enumerated, mm
+from cellapp.commands.trials.power import power_parts, stored_power
+from cellapp.commands.view.charts import Axis, Chart, enumerated, evenly_spread, levelling_rotation, mm, series
 from cellapp.commands.view.parts import Facts, Section, section_of
 from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.commands.view.words import RULE_WORDS, judged_sentence, judgement_table
@@ -539,3 +540,38 @@ SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...], Maker]] = {
     "provenance": ("Provenance", (), _of(_provenance)),
 }
 """Sections in the order of the report: anchor, title, the stages whose results they show even if out of date, maker."""
+
+
+_MOST_POINTS = 400
+"""Most measured positions drawn of each arm: more add kilobytes and no shape."""
+_OTHER_STYLE = 4
+"""Style of series that belong to no arm."""
+
+
+def cell_maps(data: ReportData) -> list[Chart]:
+    """Show measured positions, bases and tracker in the tracker frame with its z axis up."""
+    level = levelling_rotation(next(iter(data.model.arms.values())).up_M)
+    bases = np.array([level @ arm.geometry.T_M_B()[:3, 3] for arm in data.model.arms.values()])
+    points = {}
+    for name in data.model.arms:
+        p_M = data.readings[name].p_M
+        points[name] = p_M[evenly_spread(len(p_M), _MOST_POINTS)] @ level.T
+    # seen from the side, the line from the tracker to the arms has its full length
+    across = int(np.argmax(np.abs(bases.mean(axis=0))[:2]))
+    return [
+        _plane_chart(points, bases, "The cell from above", 0, 1),
+        _plane_chart(points, bases, "The cell from the side", across, 2),
+    ]
+
+
+def _plane_chart(points: Mapping[str, Array], bases: Array, title: str, across: int, up: int) -> Chart:
+    """Show points (n, 3) and bases (m, 3) [m] in a plane: axis ``across`` to the right, ``up`` upwards (0, 1, 2)."""
+    drawn, words = [], []
+    for style, (name, p) in enumerate(points.items()):
+        drawn.append(series(f"arm {name}", p[:, across], p[:, up], "points", style=style))
+        width, height = np.ptp(p[:, (across, up)], axis=0)
+        words.append(f"{width:.1f} m along {'xyz'[across]} and {height:.1f} m along {'xyz'[up]} (arm {name})")
+    drawn.append(series("bases", bases[:, across], bases[:, up], "points", style=_OTHER_STYLE, mark="B"))
+    drawn.append(series("tracker", [0.0], [0.0], "points", style=_OTHER_STYLE, mark="T"))
+    axes = (Axis("xyz"[across], "m"), Axis("xyz"[up], "m"))
+    return Chart(title, *axes, tuple(drawn), f"Measured positions span {'; '.join(words)}.", equal=True)

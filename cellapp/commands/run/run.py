@@ -23,10 +23,9 @@ from cellapp.commands.plan.run import default_folder, new_planned_run
 from cellapp.commands.push.request import PushRequest
 from cellapp.commands.push.run import push_targets
 from cellapp.commands.record import Request, View, Work
-from cellapp.commands.report.result import shown_by
 from cellapp.commands.run.request import RunRequest
 from cellapp.commands.run.result import WholeRunResult
-from cellapp.commands.run_results import read_results
+from cellapp.commands.run_results import read_results, shown_by
 from cellapp.commands.view.parts import Part
 from cellapp.ground.threads import give_back
 

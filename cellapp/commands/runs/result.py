@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
-from cellapp.cell.run.arm_identity import IdentityBasis
+from cellapp.cell.run.run_arms import IdentityBasis
 from cellapp.commands.next_step import ArmState
 from cellapp.commands.stages import NextVerb
 from cellapp.estimation.discovery.records import BeforeAfter

@@ -1,22 +1,227 @@
-"""The verb ``runs``: list a folder of runs, or one arm over them. It only reads."""
+"""List the runs below a folder, quickly and read-only; a run that cannot be read gets a row with the reason.
+
+The verb ``runs``: list a folder of runs, or one arm over them. It only reads.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any, TypeVar, get_args
 
-from cellapp.cell.run.arm_identity import ArmIdentity, arm_identities
+from pydantic import ValidationError
+
+from cellapp.cell.driving.records import End
 from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.run_arms import ArmIdentity, arm_identities
+from cellapp.cell.run.sqlite_file import FILE_NAME, Session
+from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.record import Work
-from cellapp.commands.runs import history
-from cellapp.commands.runs.history import list_runs
+from cellapp.commands.run_results import UNREADABLE
 from cellapp.commands.runs.request import RunsRequest
-from cellapp.commands.runs.result import ArmFigures, ArmHistory, ArmRun, MovedParameter, RunsResult, RunSummary
-from cellapp.commands.stages import counted_basis, read_stages
+from cellapp.commands.runs.result import (
+    ArmFigures,
+    ArmHistory,
+    ArmRun,
+    LastSession,
+    MovedParameter,
+    RunsResult,
+    RunSummary,
+    StageSummary,
+)
+from cellapp.commands.stages import RunStages, counted_basis, read_stages
 from cellapp.commands.stored_model import comparable_arms
+from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.estimation.monitoring.moved import CalibratedArm, Difference, differences
+from cellapp.ground.asking import who_uses
 from cellapp.ground.errors import CellappError, InputError
+from cellapp.ground.results import CALIBRATE, DISCOVER, STAGES, VERIFY, Stage, StageName
+
+T = TypeVar("T")
+
+
+def run_figures(stages: RunStages) -> tuple[dict[str, ArmFigures], dict[StageName, str]]:
+    """Return the figures of each arm, and the unreadable stages with the reason."""
+    unreadable: dict[StageName, str] = {}
+
+    def read(name: StageName, figures: Callable[[Any], T]) -> dict[str, T]:
+        stage = stages.current.get(name)
+        try:
+            return {} if stage is None else {key: figures(arm) for key, arm in json.loads(stage.text)["arms"].items()}
+        except (ValueError, LookupError, TypeError, AttributeError):
+            unreadable[name] = UNREADABLE
+            return {}
+
+    # older versions stored the error with effects in the calibration
+    calibrated = read(CALIBRATE, lambda arm: {**_means(arm), **({} if arm.get("prior") else {"effects": None})})
+    searched = read(DISCOVER, lambda arm: (_means(arm), arm["verdict"], [one["effect"] for one in arm["accepted"]]))
+    verified = read(VERIFY, lambda arm: _before_after(arm["nominal_mm"]["mean"], arm["compensated_mm"]["mean"]))
+    figures = {}
+    for name in dict.fromkeys((*calibrated, *verified)):
+        found, verdict, effects = searched.get(name, ({}, None, []))
+        errors = {**calibrated.get(name, {}), **({} if DISCOVER in stages.out_of_date else found)}
+        best = next((stage for stage in reversed(STAGES) if errors.get(stage) is not None), None)
+        figures[name] = ArmFigures(
+            heldout_mm=None if best is None else _before_after(errors.get("geometry"), errors[best]),
+            best_stage=best,
+            verdict=verdict,
+            effects=tuple(dict.fromkeys(effects)),
+            verified_mm=verified.get(name),
+        )
+    return figures, unreadable
+
+
+def _means(arm: Any) -> dict[Stage, float | None]:
+    """Return the mean held-out error [mm] of each stage of a stored arm."""
+    return {stage: errors["position_mm"]["mean"] for stage, errors in arm.get("validate", {}).items()}
+
+
+def _before_after(before: float | None, after: float | None) -> BeforeAfter | None:
+    return None if before is None or after is None else BeforeAfter(before=before, after=after)
+
+
+DEFAULT_FOLDER = Path("logs")
+"""Default folder of new runs, in the working directory."""
+
+LEVELS = 3
+"""Most folder levels between a listed folder and a run; trials and campaigns have two."""
+_DONE: tuple[LastSession, ...] = get_args(End)
+
+
+def list_runs(folder: Path | None = None) -> RunsResult:
+    """List every run in ``folder`` and below, newest first, without following links. None is ``logs``, which may be
+    missing.
+
+    Raises
+    ------
+    InputError
+        If the folder is missing or cannot be read.
+    """
+    where = DEFAULT_FOLDER if folder is None else folder
+    if folder is not None or where.exists():
+        check_folder(where)
+    runs = [summarise(path) for path in run_folders(where, LEVELS)]
+    newest_first = sorted(runs, key=lambda run: (run.began or run.changed, run.run), reverse=True)
+    return RunsResult(folder=str(where), runs=tuple(newest_first))
+
+
+def summarise(folder: Path) -> RunSummary:
+    """Summarize the state of one run; if it cannot be read, the summary states the problem."""
+    changed, size = _on_disk(folder)
+    known = RunSummary(run=str(folder), changed=changed, size_bytes=size, in_use=who_uses(folder))
+    try:
+        with RunFile.peek(folder) as run:
+            return _summary(run, known)
+    except CellappError as error:
+        problem = str(error)
+    except (OSError, ValueError, TypeError) as error:  # a damaged or foreign file may contain anything
+        problem = f"{folder / FILE_NAME} holds values that this cellapp cannot read ({_first_words(error)})"
+        problem += "; open it with the cellapp that wrote it, or restore it from a copy"
+    return known.model_copy(update={"problem": problem})
+
+
+def check_folder(folder: Path) -> None:
+    """Raise ``InputError`` if the folder is missing or cannot be read."""
+    try:
+        os.scandir(folder).close()
+    except FileNotFoundError:
+        raise InputError(f"{folder}: folder not found; give a folder that holds runs, such as logs") from None
+    except NotADirectoryError:
+        raise InputError(f"{folder} is not a folder; give a folder that holds runs, such as logs") from None
+    except OSError as error:
+        raise InputError(f"{folder} cannot be read ({error.strerror}); check its permissions") from None
+
+
+def run_folders(folder: Path, levels: int = LEVELS) -> Iterator[Path]:
+    """Yield folders of runs in ``folder`` and below; do not follow links, skip what cannot be read."""
+    if os.path.lexists(folder / FILE_NAME):
+        yield folder
+        return
+    if levels == 0:
+        return
+    try:
+        with os.scandir(folder) as entries:
+            below = sorted(
+                entry.name
+                for entry in entries
+                if not entry.name.startswith(".") and entry.is_dir(follow_symlinks=False)
+            )
+    except OSError:
+        return
+    for name in below:
+        yield from run_folders(folder / name, levels - 1)
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _on_disk(folder: Path) -> tuple[str, int]:
+    """Return when the run file last changed (ISO 8601, UTC), and the total size of the folder's files."""
+    changed_s, size = 0.0, 0
+    try:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.is_file(follow_symlinks=False):
+                    stat = entry.stat(follow_symlinks=False)
+                    size += stat.st_size
+                    if entry.name in (FILE_NAME, f"{FILE_NAME}-wal"):
+                        changed_s = max(changed_s, stat.st_mtime)
+    except OSError:  # removed meanwhile, or not readable: opening it reports that
+        pass
+    changed = datetime.fromtimestamp(changed_s, UTC).isoformat(timespec="milliseconds") if changed_s else ""
+    return changed, size
+
+
+def _first_words(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False)[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+    return str(error).partition("\n")[0] or type(error).__name__
+
+
+def _summary(run: RunFile, known: RunSummary) -> RunSummary:
+    stages, arms, sessions = read_stages(run, counted_basis), arm_states(run), run.sessions()
+    after = next_step(run, stages, arms)
+    done, total = run.stops_done(), max(run.planned_counts().values(), default=0)
+    reserves = run.profile.plan.reserves(total)
+    left = sum(stop not in done and stop not in reserves for stop in range(total))
+    last = _last_session(sessions)
+    figures, unreadable = run_figures(stages)
+    out_of_date = {**stages.out_of_date, **unreadable}
+    return RunSummary(
+        run=known.run,
+        profile=run.profile.name,
+        cell=run.profile.cell_kind,
+        began=run.created,
+        changed=known.changed,
+        arms=arms,
+        stops_planned=total - len(reserves),
+        stops_measured=len(done),
+        stops_left=left,
+        sessions=len(sessions),
+        last_session=last,
+        stages=tuple(
+            StageSummary(name=name, written=stage.written, out_of_date=out_of_date.get(name))
+            for name, stage in stages.current.items()
+        ),
+        figures=figures,
+        next_verb=after.verb,
+        next_step=after.short,
+        interrupted=last is not None and last not in _DONE and left > 0,
+        in_use=known.in_use,
+        size_bytes=known.size_bytes,
+    )
+
+
+def _last_session(sessions: list[Session]) -> LastSession | None:
+    """Return how the last session that collected unmeasured stops ended; None if there is none."""
+    last = next((one for one in reversed(sessions) if not one.again), None)
+    return None if last is None else last.outcome or "no end"
+
 
 FALSE_ALARM = 0.01
 """Largest chance that anything at all is said to have moved in a history where nothing has."""
@@ -127,4 +332,4 @@ def run(request: RunsRequest, work: Work) -> RunsResult | ArmHistory:
     """List the runs, or those of one arm."""
     if request.history is not None:
         return arm_history(request.history, request.folder)
-    return history.list_runs(request.folder)
+    return list_runs(request.folder)

@@ -9,8 +9,8 @@ from itertools import zip_longest
 
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.profile.messages import KeyPath, dotted
-from cellapp.cell.run.arm_identity import arm_identities
 from cellapp.cell.run.file import RunFile
+from cellapp.cell.run.run_arms import arm_identities
 from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import comparable_arms

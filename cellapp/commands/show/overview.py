@@ -6,8 +6,8 @@ import json
 
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.measurement_order import read_in_order
+from cellapp.cell.run.run_arms import unseen_arms
 from cellapp.cell.run.sqlite_file import Event
-from cellapp.cell.run.unseen_arms import unseen_arms
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.show.result import HistoryResult, LogResult, OverviewResult, StageState, UnseenArmState
 from cellapp.commands.stages import RunStages, StoredStage, complaints_of, read_history, read_stages

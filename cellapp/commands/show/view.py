@@ -7,7 +7,7 @@ import json
 from cellapp.cell.driving.records import CollectionResult
 from cellapp.cell.profile import profile_to_json
 from cellapp.cell.run.measurement_order import order_sentences
-from cellapp.commands.collect.view import stored_view
+from cellapp.commands.collect.view import recording_tables, stored_view
 from cellapp.commands.compensate.target_list import stored_state
 from cellapp.commands.compensate.view import target_parts
 from cellapp.commands.plan.request import VERB as PLAN
@@ -24,7 +24,6 @@ from cellapp.commands.show.result import (
     StageState,
     UnseenArmState,
 )
-from cellapp.commands.view.recordings import recording_tables
 from cellapp.commands.view.table import Table, table_of, with_rows
 from cellapp.ground.profile import Profile
 from cellapp.ground.removed import VERSION

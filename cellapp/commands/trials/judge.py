@@ -20,11 +20,10 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.recordings import read_recordings_of
-from cellapp.cell.run.samples import known_readings
+from cellapp.cell.run.recordings import known_readings, read_recordings_of
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.stages import read_stages
-from cellapp.commands.trials.judge_records import (
+from cellapp.commands.trials.scoring import (
     ArmFindings,
     HiddenEffect,
     JudgeResult,
@@ -33,8 +32,8 @@ from cellapp.commands.trials.judge_records import (
     Outcome,
     ScoredRun,
     SecondName,
+    scores,
 )
-from cellapp.commands.trials.scoring import scores
 from cellapp.commands.trials.sealed import DescribedTerm, GroundTruth, check_readings, check_seal, open_truth
 from cellapp.commands.trials.sealed_setup import FLIP, HARD, POSITION
 from cellapp.estimation.calibration.quantities import conditions_of_arms

@@ -1,33 +1,27 @@
-"""Scores of blind trials: findings beside what was hidden, counts, targets, misses."""
+"""Scores of blind trials: findings beside what was hidden, counts, targets, misses.
+
+Records of judged trials: findings in an arm, score of a run, counts, targets, misses.
+
+Tables of blind trials for terminal and handbook.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from operator import itemgetter
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from cellapp.commands.trials.judge_records import (
-    OUTCOMES,
-    VERDICTS,
-    ArmFindings,
-    CleanCounts,
-    EffectCounts,
-    EndState,
-    HiddenEffect,
-    Miss,
-    OutcomeCounts,
-    OutsideCounts,
-    PosteriorScore,
-    ReliabilityBin,
-    ScoredRun,
-    Scores,
-    Spread,
-    TargetScore,
-)
-from cellapp.commands.trials.sealed_setup import FLIP
+from cellapp.commands.trials.sealed import DescribedTerm, SealHeader
+from cellapp.commands.trials.sealed_setup import FLIP, Setup
+from cellapp.commands.view.table import Field, Number, Table, table_of
+from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.estimation.discovery.terms import UNKNOWN
+from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
+from cellapp.ground.results import Record, Result
+from cellapp.ground.times import day_of
 from cellapp.robot.effects import EFFECTS
 
 EVERY, STATED, ACCEPTED = "every effect that the plan can show", "effects with a stated probability", "accepted names"
@@ -365,3 +359,451 @@ def _hidden_words(effect: HiddenEffect) -> str:
     law = f"/{effect.law}" if effect.law else ""
     beyond = "" if effect.beyond_law_um is None else f", beyond its law {effect.beyond_law_um:.0f}"
     return f"{effect.plant}{law} ({effect.visible_um:.0f}{beyond})"
+
+
+THRESHOLD = "visible rms above the rms length of the stated noise (noise per coordinate times root 3)"
+NOTHING, NOT_KNOWN = "nothing missing", "unknown effect"
+VERDICTS = ("explained", "ambiguous", NOT_KNOWN, NOTHING)
+
+Outcome = Literal["named", "extra", "part", "wrong", "unknown", "none"]
+OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
+Likeness = Literal["", "part", "right"]
+"""How far a description matches a law outside the library."""
+
+
+class Spread(Record):
+    """Median and range of some values."""
+
+    median: float
+    min: float
+    max: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Spread | None:
+        """Return the median and range of the finite values; None of none."""
+        known = [value for value in values if np.isfinite(value)]
+        if not known:
+            return None
+        return cls(median=float(np.median(known)), min=float(min(known)), max=float(max(known)))
+
+
+class NoiseLengths(Record):
+    """Rms length of the noise that the search assumed, and of the noise really drawn at the held-out stops [µm].
+
+    ``stated`` is None where the search had no number for it.
+    """
+
+    stated: float | None
+    drawn: float
+
+
+class HiddenEffect(Record):
+    """One hidden effect in short, as in ``truth.json``; ``law`` is empty for the plant's default one.
+
+    ``visible`` is whether its visible size is above the noise.
+    """
+
+    effect: str
+    plant: str
+    law: str = ""
+    raw_um: float
+    visible_um: float
+    beyond_law_um: float | None = None
+    visible: bool = True
+
+
+class ArmFindings(Record):
+    """What discovery found in one arm.
+
+    ``posteriors`` are the stated probabilities of the effects (slug -> probability), empty where none were stated;
+    ``invisible`` the effects that this plan cannot show; ``sentence`` the verdict in words. ``seconds`` are of wall
+    clock, ``cpu_seconds`` of processor time.
+    """
+
+    accepted: tuple[str, ...]
+    answer_sets: tuple[tuple[str, ...], ...]
+    described: tuple[DescribedTerm, ...]
+    posteriors: Mapping[str, float] = {}
+    invisible: tuple[str, ...] = ()
+    verdict: str
+    sentence: str = ""
+    heldout_um: BeforeAfter
+    noise_um: NoiseLengths
+    seconds: float
+    cpu_seconds: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Accepted effects of the library."""
+        return tuple(slug for slug in self.accepted if slug != UNKNOWN)
+
+    @property
+    def unknown(self) -> bool:
+        """Whether discovery reported that the library lacks something."""
+        return self.verdict == NOT_KNOWN or UNKNOWN in self.accepted
+
+    @property
+    def to_drawn(self) -> float:
+        """Held-out rms over that of the noise really drawn at those stops."""
+        return self.heldout_um.after / self.noise_um.drawn
+
+    @property
+    def to_stated(self) -> float | None:
+        """Held-out rms over that of the assumed noise; None where the search had none."""
+        return self.heldout_um.after / self.noise_um.stated if self.noise_um.stated else None
+
+
+class SecondName(Record):
+    """Something accepted beyond as many effects as were hidden.
+
+    ``same_cause`` says whether it depends on a quantity that a hidden effect depends on too: it then stands in for what
+    that effect's law left. Otherwise it is a false alarm beside a hidden effect.
+    """
+
+    name: str
+    same_cause: bool
+
+
+class ScoredRun(Record):
+    """One run: what was hidden in which arm, what was found, and how that scores.
+
+    ``visible``, ``outcome`` and ``in_answer_set`` are None where nothing is hidden. ``outcome`` is ``named`` (exactly
+    the names), ``extra`` (those and more), ``part`` (some of them and nothing else), ``unknown`` (data-driven terms
+    only), ``none`` or ``wrong``. ``description`` is ``right`` where a term has the channel and the variables of a law
+    outside the library, ``part`` with the channel and some of them, else empty. ``says_convention`` is whether the
+    words say that a sign is opposite; None unless approach signs were flipped.
+    """
+
+    run: str
+    kind: str
+    look_alikes: bool
+    arm: str
+    hidden: tuple[HiddenEffect, ...]
+    expected: DescribedTerm | None
+    visible: bool | None
+    outcome: Outcome | None
+    in_answer_set: bool | None
+    description: Likeness
+    second_names: tuple[SecondName, ...] = ()
+    says_convention: bool | None = None
+    arms: Mapping[str, ArmFindings]
+
+    @property
+    def findings(self) -> ArmFindings:
+        """What was found in the arm with the hidden effects."""
+        return self.arms[self.arm]
+
+    @property
+    def hidden_names(self) -> str:
+        """The hidden effects as the plant names them; a single one with its law, and whether signs were flipped."""
+        names = " + ".join(effect.plant for effect in self.hidden)
+        law = self.hidden[0].law if len(self.hidden) == 1 else ""
+        return names + (f"/{law}" if law else "") + (", signs flipped" if self.says_convention is not None else "")
+
+
+class EndState(Record):
+    """Held-out error against drawn and assumed noise, and number of each verdict."""
+
+    heldout_to_drawn: Spread | None
+    verdicts: Mapping[str, int]
+
+
+class OutcomeCounts(EndState):
+    """Number of each outcome in runs that hide the same."""
+
+    n: int
+    visible_um: Spread | None
+    beyond_law_um: Spread | None
+    named: int
+    extra: int
+    part: int
+    wrong: int
+    unknown: int
+    none: int
+    in_answer_set: int
+
+    def count(self, outcome: Outcome) -> int:
+        """Return the number of one outcome."""
+        found: int = getattr(self, outcome)
+        return found
+
+
+class EffectCounts(Record):
+    """Runs that hide the same, apart for visible and for smaller effects; ``look_alikes`` for pairs only."""
+
+    visible: OutcomeCounts
+    below: OutcomeCounts
+    look_alikes: bool | None = None
+    omitted_when_none = frozenset({"look_alikes"})
+
+
+class CleanCounts(EndState):
+    """False alarms in arms without hidden effects."""
+
+    n: int
+    false_names: int
+    false_unknown: int
+
+
+class OutsideCounts(EndState):
+    """Runs with a law that the library lacks."""
+
+    n: int
+    visible_um: Spread | None
+    unknown: int
+    right: int
+    part: int
+    false_names: int
+
+
+class TargetScore(Record):
+    """One target: the share that is wanted and that was reached.
+
+    ``met`` is None where there were too few trials. ``bar`` is whether a miss with enough trials is an error of the
+    whole command. ``reached`` is None where ``share`` is a score, not a share of ``n``.
+    """
+
+    kind: str
+    target: str
+    wanted: float
+    at_most: bool
+    trials_wanted: int
+    reached: int | None
+    n: int
+    share: float
+    met: bool | None
+    bar: bool = False
+
+    @property
+    def missed(self) -> bool:
+        """Whether a bar was missed in enough trials to say so."""
+        return self.bar and self.met is False and self.n >= self.trials_wanted
+
+
+class ReliabilityBin(Record):
+    """Statements with a probability from ``low`` to ``high``: number, mean stated probability, share that is true."""
+
+    low: float
+    high: float
+    n: int
+    stated: float | None
+    true: float | None
+
+
+class PosteriorScore(Record):
+    """Stated probabilities against the truth: mean squared difference (Brier 1950), and a reliability table."""
+
+    about: str
+    n: int
+    brier: float
+    bins: tuple[ReliabilityBin, ...]
+
+
+class Miss(Record):
+    """An arm in which not exactly the hidden effects were found."""
+
+    run: str
+    arm: str
+    hidden: str
+    found: str
+    said: str
+    verdict: str
+    to_drawn: float
+
+
+class Scores(Record):
+    """Targets, counts by effect, law and pair, arms without effects, posteriors, speed, misses, and every run."""
+
+    threshold: str = THRESHOLD
+    targets: tuple[TargetScore, ...]
+    one: Mapping[str, EffectCounts]
+    none: Mapping[str, CleanCounts]
+    outside: Mapping[str, OutsideCounts]
+    pair: Mapping[str, EffectCounts]
+    posteriors: tuple[PosteriorScore, ...] = ()
+    seconds_an_arm: Spread | None
+    cpu_seconds_an_arm: Spread | None
+    misses: tuple[Miss, ...]
+    trials: tuple[ScoredRun, ...]
+
+    @property
+    def missed(self) -> tuple[TargetScore, ...]:
+        """Bars that were missed in enough trials to say so."""
+        return tuple(target for target in self.targets if target.missed)
+
+
+class JudgeResult(Scores, Result, schema="cellapp-trials-judge"):
+    """``trials judge``: scores, how the trials were sealed, and runs that could not be scored with the reason."""
+
+    date: str
+    program: str
+    source: str
+    judged_by_other_source: int
+    sealed: SealHeader
+    failed: tuple[str, ...]
+
+
+def judge_tables(result: Scores) -> list[Table]:
+    """Show the targets, then one table for each kind of trial; the last one lists the misses."""
+    effects = {"One hidden effect": result.one, "Several hidden effects": result.pair}
+    return [
+        _target_table(result.targets),
+        *(_count_table(title, groups) for title, groups in effects.items() if groups),
+        *([_clean_table(result.none)] if result.none else []),
+        *([_outside_table(result.outside)] if result.outside else []),
+        *map(_posterior_table, result.posteriors),
+        *([_miss_table(result.misses)] if result.misses else []),
+    ]
+
+
+def judge_sentences(result: JudgeResult) -> list[str]:
+    """State the conditions of the tables: threshold, abbreviations, speed, date, seed, program."""
+    sealed = result.sealed
+    wall, cpu = result.seconds_an_arm, result.cpu_seconds_an_arm
+    said = [
+        f"Visible: {result.threshold}, each hidden effect alone; below: not so, which counts for the targets of"
+        " pairs and of the held-out error only. Held out: rms over that of the noise drawn at those stops, median and"
+        f" worst. Verdicts: {', '.join(f'{word[0].upper()} {word}' for word in VERDICTS)}."
+    ]
+    if wall is not None and cpu is not None:
+        said.append(
+            f"Discovery of one arm: median {wall.median:.1f} s, longest {wall.max:.1f} s (processor"
+            f" {cpu.median:.1f} and {cpu.max:.1f} s)."
+        )
+    if result.judged_by_other_source:
+        said.append(
+            f"{counted(result.judged_by_other_source, 'run was', 'runs were')} judged by another state of the"
+            " program than the present one; --again judges them again."
+        )
+    said += [f"Not judged: {failure}." for failure in result.failed]
+    said.append(
+        f"{result.date}; {result.program}, source {result.source}; {counted(sealed.runs, 'run')} of"
+        f" {counted(sealed.stops, 'stop')} an arm, profile {sealed.profile}, {setup_words(sealed.setup)},"
+        f" seed {sealed.seed}, sealed {day_of(sealed.written)} by {sealed.program}."
+    )
+    return said
+
+
+def setup_words(setup: Setup) -> str:
+    """Describe the conditions of a set of trials."""
+    said = [f"kind {setup.hides}", f"noise {setup.noise}", f"laws {setup.laws}", f"ranges {setup.ranges}"]
+    said.append(f"masses {100 * setup.mass_error:.0f} % off")
+    return ", ".join([*said, *([] if setup.stated else ["no stated uncertainty"])])
+
+
+# -- inside -----------------------------------------------------------------------------------------------------------
+
+
+def _target_table(targets: Sequence[TargetScore]) -> Table:
+    return table_of(
+        "Sealed trials: targets",
+        targets,
+        ("kind", "kind"),
+        ("target", "target"),
+        ("wanted", _wanted),
+        ("reached", lambda one: f"{one.n} statements" if one.reached is None else f"{one.reached} of {one.n}"),
+        ("share", lambda one: Number(one.share, 3) if one.reached is None else Number(100 * one.share, 1, "%")),
+        ("", lambda one: "bar" if one.bar else ""),
+        ("met", lambda one: {True: "yes", False: "MISSED" if one.missed else "no", None: "too few"}[one.met]),
+    )
+
+
+def _wanted(target: TargetScore) -> str:
+    sign = "at most" if target.at_most else "at least"
+    wanted = f"{sign} {100 * target.wanted:.0f} %" if target.reached is not None else f"{sign} {target.wanted:g}"
+    return wanted + (f" of {target.trials_wanted}" if target.n < target.trials_wanted else "")
+
+
+def _posterior_table(score: PosteriorScore) -> Table:
+    return table_of(
+        f"Stated probabilities, {score.about}: Brier score {score.brier:.3f}",
+        score.bins,
+        ("stated", lambda one: f"{one.low:.1f} to {one.high:.1f}"),
+        ("n", "n", "d"),
+        ("mean stated", "stated", ".3f"),
+        ("true", "true", ".3f"),
+    )
+
+
+def _count_table(title: str, groups: Mapping[str, EffectCounts]) -> Table:
+    """Show outcomes of runs that hide the same, separately for effects above and below the noise."""
+    rows = [
+        (f"{name} (look-alikes){which}" if group.look_alikes else name + which, counts)
+        for name, group in groups.items()
+        for which, counts in (("", group.visible), (", below", group.below))
+        if counts.n
+    ]
+    return table_of(
+        title,
+        rows,
+        ("effect", itemgetter(0)),
+        ("visible µm", lambda row: _range(row[1].visible_um)),
+        ("beyond law µm", lambda row: _range(row[1].beyond_law_um)),
+        ("n", lambda row: row[1].n, "d"),
+        ("named", lambda row: row[1].named, "d"),
+        ("otherwise", lambda row: _otherwise(row[1])),
+        ("in answer set", lambda row: row[1].in_answer_set, "d"),
+        *_END,
+    )
+
+
+def _otherwise(counts: OutcomeCounts) -> str:
+    return ", ".join(f"{word} {counts.count(word)}" for word in OUTCOMES[1:] if counts.count(word)) or "-"
+
+
+def _clean_table(arms: Mapping[str, CleanCounts]) -> Table:
+    return table_of(
+        "Nothing hidden",
+        arms.items(),
+        ("arms", itemgetter(0)),
+        ("n", lambda row: row[1].n, "d"),
+        ("false names", lambda row: row[1].false_names, "d"),
+        ("false unknown", lambda row: row[1].false_unknown, "d"),
+        *_END,
+    )
+
+
+def _outside_table(laws: Mapping[str, OutsideCounts]) -> Table:
+    return table_of(
+        "Outside the library",
+        laws.items(),
+        ("law", itemgetter(0)),
+        ("visible µm", lambda row: _range(row[1].visible_um)),
+        ("n", lambda row: row[1].n, "d"),
+        ("called unknown", lambda row: row[1].unknown, "d"),
+        ("described", lambda row: row[1].right, "d"),
+        ("in part", lambda row: row[1].part, "d"),
+        ("false names", lambda row: row[1].false_names, "d"),
+        *_END,
+    )
+
+
+def _miss_table(misses: Sequence[Miss]) -> Table:
+    return table_of(
+        "Misses",
+        misses,
+        ("run", lambda miss: f"{miss.run} {miss.arm}"),
+        ("hidden (visible µm)", lambda miss: miss.hidden or "nothing"),
+        ("found", lambda miss: miss.found or "nothing"),
+        ("or / described", "said"),
+        ("verdict", "verdict"),
+        ("held out", "to_drawn", ".3f"),
+    )
+
+
+def _held_out(state: EndState) -> str:
+    ratio = state.heldout_to_drawn
+    return "" if ratio is None else f"{ratio.median:.3f}, {ratio.max:.3f}"
+
+
+_END: tuple[Field, ...] = (
+    ("held out", lambda row: _held_out(row[1])),
+    ("verdicts", lambda row: " ".join(f"{word[0].upper()}{count}" for word, count in row[1].verdicts.items())),
+)
+
+
+def _range(spread: Spread | None) -> str:
+    if spread is None:
+        return ""
+    low, high = f"{spread.min:.0f}", f"{spread.max:.0f}"
+    return low if low == high else f"{low}-{high}"

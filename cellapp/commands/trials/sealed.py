@@ -30,7 +30,15 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.columns import KINDS
 from cellapp.cell.run.recordings import read_stream, recording_states, store_recording
 from cellapp.cell.run.recordings_csv import RecordedStreams
-from cellapp.commands.trials.blind import Noise, Session, blind_readings, with_hidden
+from cellapp.commands.trials.blind import (
+    Noise,
+    Session,
+    beyond_geometry,
+    beyond_law,
+    blind_readings,
+    registered_model,
+    with_hidden,
+)
 from cellapp.commands.trials.sealed_setup import (
     EXPECTED,
     HARD,
@@ -42,7 +50,6 @@ from cellapp.commands.trials.sealed_setup import (
     cases,
     library_name,
 )
-from cellapp.commands.trials.visible_size import beyond_geometry, beyond_law, registered_model
 from cellapp.estimation.calibration.calibrate import rms_length_mm
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.readings import Readings, stated_uncertainty

@@ -93,7 +93,7 @@ def judge(
 ) -> None:
     """Calibrate and discover on every sealed run, then open the truth and compare; continues where it was stopped."""
     from cellapp.commands.trials.judge import judge_trials
-    from cellapp.commands.trials.tables import judge_sentences, judge_tables
+    from cellapp.commands.trials.scoring import judge_sentences, judge_tables
 
     with Job(json_file) as job:
         result = judge_trials(folder, _work(job, jobs, scheduler), again=again)
@@ -125,8 +125,7 @@ def power(
     json_file: JsonOption = None,
 ) -> None:
     """Before measuring: which effects of which size a cell, its plan and its tracker would have named."""
-    from cellapp.commands.trials.power.result import power_sentence, power_table
-    from cellapp.commands.trials.power.rounds import power_at
+    from cellapp.commands.trials.power import power_at, power_sentence, power_table
 
     with Job(json_file) as job:
         work = _work(job, jobs, scheduler, results)

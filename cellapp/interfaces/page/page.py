@@ -17,8 +17,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.sqlite_file import REPORT_FILE
 from cellapp.commands.certificate.view import certificate_marks, certificate_sections, certificate_verdict
 from cellapp.commands.certificate_result import CertificateResult
-from cellapp.commands.report.data import ReportData, read_report_data
-from cellapp.commands.report.headlines import out_of_date_lines, unusable_arms
+from cellapp.commands.report.data import ReportData, out_of_date_lines, read_report_data, unusable_arms
 from cellapp.commands.report.sections import report_sections
 from cellapp.commands.report.summary import header_facts, nothing_found, summary
 from cellapp.commands.stages import data_mark

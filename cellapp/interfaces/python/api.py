@@ -18,7 +18,7 @@ from pathlib import Path
 from numpy.typing import ArrayLike
 
 from cellapp.cell.run import RunFile
-from cellapp.commands.report.view import all_tables, out_of_date_sentences
+from cellapp.commands.report.run import all_tables, out_of_date_sentences
 from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of

@@ -26,7 +26,7 @@ from cellapp.cell.run.stations import require_ties
 from cellapp.cell.targets.ranges import beside
 from cellapp.cell.targets.records import CompensateResult, TargetCommand
 from cellapp.cell.targets.targets import Target, load_targets, targets_in_memory
-from cellapp.commands.calibrate.charts_accuracy import (
+from cellapp.commands.calibrate.charts import (
     error_histogram_chart,
     pair_histogram_chart,
     stage_chart,
@@ -39,8 +39,8 @@ from cellapp.commands.calibrate.view import view as calibration_view
 from cellapp.commands.compensate.run import compensate_targets
 from cellapp.commands.compensate.view import view as compensation_view
 from cellapp.commands.compensate.words import compensate_summary
-from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.discover.run import discover_effects
+from cellapp.commands.discover.view import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.discover.view import view as discovery_view
 from cellapp.commands.doctor.view import profile_tables
 from cellapp.commands.view.charts import Chart

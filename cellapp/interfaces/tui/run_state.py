@@ -21,7 +21,7 @@ from cellapp.interfaces.tui.keys import step_of, with_keys
 from cellapp.interfaces.tui.workspace import STEPS, Step, Workspace
 
 if TYPE_CHECKING:
-    from cellapp.commands.conclusions import Conclusion
+    from cellapp.commands.next_step import Conclusion
 
 
 Kind = Literal["open", "next", "running", "done", "conforms", "cannot say", "part", "does not conform", "out of date"]
@@ -112,7 +112,7 @@ def _concluded(workspace: Workspace) -> dict[Step, Mark]:
             found.setdefault(step, []).append(conclusion)
     if not found and not workspace.overview:
         return {}
-    from cellapp.commands.conclusions import Conclusion, worst  # late: only needed once a run was read
+    from cellapp.commands.next_step import Conclusion, worst  # late: only needed once a run was read
 
     accept = found.setdefault("accept", [])
     if workspace.overview is not None and workspace.overview.complaints:  # that screen lists them all

@@ -148,7 +148,7 @@ def report_data(folder: Path | None) -> ReportData | None:
 
 def words_of_run(folder: Path) -> str:
     """Return a run and what was left of it, in words. Call it in a separate thread."""
-    from cellapp.commands.runs.history import summarise
+    from cellapp.commands.runs.run import summarise
     from cellapp.ground.counting import counted
 
     run = summarise(folder)

@@ -13,11 +13,10 @@ from cellapp.ground.asking import JOB_FILE, who_uses
 from cellapp.ground.errors import CellappError, InputError
 
 if TYPE_CHECKING:
-    from cellapp.cell.driving.records import CollectionResult
+    from cellapp.cell.driving.records import CollectionResult, StopsResult
     from cellapp.cell.planning.planned_stops import PlannedStops
     from cellapp.cell.planning.records import PlanDesignResult
-    from cellapp.commands.conclusions import Conclusion
-    from cellapp.commands.plan.result import StopsResult
+    from cellapp.commands.next_step import Conclusion
     from cellapp.commands.run_results import RunResults
     from cellapp.commands.show.result import OverviewResult
     from cellapp.estimation.uncertainty.records import Conformity
@@ -143,7 +142,7 @@ def _with_run(profile_path: Path | None, profile: Profile | None, folder: Path) 
     from cellapp.cell.run import RunFile
     from cellapp.cell.run.sqlite_file import FILE_NAME, REPORT_FILE
     from cellapp.commands.collect.state import collection_state
-    from cellapp.commands.conclusions import conformity, stage_conclusions
+    from cellapp.commands.next_step import conformity, stage_conclusions
     from cellapp.commands.plan.run import planned_stops
     from cellapp.commands.run_results import read_results
     from cellapp.commands.show.overview import run_overview

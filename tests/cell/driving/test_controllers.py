@@ -16,7 +16,7 @@ from cellapp.cell.driving.cell import Cell, arm_context, open_cell
 from cellapp.cell.driving.cell_checks import check_controllers
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT, recorded_controllers
+from cellapp.cell.run.run_arms import CONTROLLERS_RESULT, recorded_controllers
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.gate import predicted_smr
 from cellapp.ground.errors import HardwareError, InputError

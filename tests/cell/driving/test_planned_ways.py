@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -19,8 +20,6 @@ from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.planning.planned_stops import (
     STOP_CONDITIONS_RESULT,
     PlannedStops,
-    StopConditions,
-    stop_conditions_json,
     write_planned_stops,
 )
 from cellapp.cell.planning.view import check_plan_run
@@ -227,8 +226,8 @@ def test_nothing_moves_that_the_gate_refuses(
     beyond = few["right"][2] + 20.0
     with RunFile.create(tmp_path / "run", small_twin(3)) as run:
         run.write_plan(few)
-        conditions = {1: {"left": StopConditions(into_the_floor)}, 2: {"right": StopConditions(beyond, 1.0)}}
-        run.write_result(STOP_CONDITIONS_RESULT, stop_conditions_json(conditions))
+        conditions = {1: {"left": {"via": into_the_floor.tolist()}}, 2: {"right": {"via": beyond.tolist()}}}
+        run.write_result(STOP_CONDITIONS_RESULT, json.dumps(conditions))
         notes = collect_run(run).notes
         assert run.stops_done() == {0}
         assert [note[:34] for note in notes[:2]] == [

@@ -14,11 +14,10 @@ import pytest
 from numpy.typing import NDArray
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.exports.arm_commands import ArmCommands, ExportedCommand
+from cellapp.cell.exports.arm_export import ExportResult
 from cellapp.cell.exports.command_table import urscript
-from cellapp.cell.exports.export_format import CommandFormat
+from cellapp.cell.exports.export_format import ArmCommands, CommandFormat, ExportedCommand
 from cellapp.cell.exports.formats import export_lines, formats_of
-from cellapp.cell.exports.records import ExportResult
 from cellapp.cell.profile import load_profile
 from cellapp.cell.programs.script_targets import read_script
 from cellapp.cell.run import RunFile

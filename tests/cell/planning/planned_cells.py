@@ -39,6 +39,7 @@ def some_stops(count: int, seed: int = 3, *, loads: bool = False) -> PlannedStop
         repeat_of=np.where(np.arange(count) == 3, 0, -1).astype(np.intp),
         frozen=np.arange(count) == 2,
         load=np.arange(count, dtype=np.intp) // 4 if loads else np.zeros(count, dtype=np.intp),
+        proposed=np.zeros(count, dtype=np.bool_),
     )
 
 
@@ -56,7 +57,7 @@ def same_stops(first: PlannedStops, second: PlannedStops) -> None:
         for one, other in zip(ours, theirs, strict=True):
             for name in one:
                 np.testing.assert_array_equal(one[name], other[name])
-    for kind in ("block", "repeat_of", "frozen", "load"):
+    for kind in ("block", "repeat_of", "frozen", "load", "proposed"):
         np.testing.assert_array_equal(getattr(first, kind), getattr(second, kind))
 
 

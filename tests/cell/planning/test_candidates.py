@@ -17,10 +17,9 @@ from cellapp.cell.planning.candidates import (
 )
 from cellapp.cell.planning.transit_paths import ArmRoadmap
 from cellapp.cell.profile import load_profile
-from cellapp.cell.safety.bodies import ArmBodies, place
+from cellapp.cell.safety.bodies import ArmBodies, TrackerField, place, sight_of
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, clear_alone, refuse_motion, visible
-from cellapp.cell.safety.visibility import TrackerField, sight_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, Placement

@@ -14,13 +14,12 @@ import pytest
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.candidates import CandidatePool, draw_pool
 from cellapp.cell.planning.designed import select_stops
-from cellapp.cell.planning.duration import planned_time
 from cellapp.cell.planning.information import (
     InformationModel,
     drawn_conditions,
     information_model,
 )
-from cellapp.cell.planning.planned_stops import read_planned_stops
+from cellapp.cell.planning.planned_stops import planned_time, read_planned_stops
 from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 from cellapp.cell.planning.sweeps import SweepDesign
 from cellapp.cell.planning.view import check_plan_run, forecast_run

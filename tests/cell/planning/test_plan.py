@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import replace
 from itertools import pairwise
@@ -17,15 +18,11 @@ from cellapp.cell.planning.planned_stops import (
     PLANNED_STOPS_RESULT,
     STOP_CONDITIONS_RESULT,
     PlannedStops,
-    StopConditions,
-    proposed_stops,
     read_planned_stops,
-    read_stop_conditions,
-    stop_conditions_json,
     straight_stops,
     write_planned_stops,
 )
-from cellapp.cell.planning.proposal.propose import ProposedStop, append_proposed_stops
+from cellapp.cell.planning.propose import append_proposed_stops
 from cellapp.cell.planning.view import check_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.bodies import place
@@ -244,10 +241,10 @@ def test_an_old_run_has_straight_ways_and_its_listed_stops_are_proposed(tmp_path
     with RunFile.create(tmp_path / "run", small_twin(4)) as run:
         run.write_plan(q)
         same_stops(read_planned_stops(run), straight_stops(q))
-        conditions = {3: {"left": StopConditions(q["left"][3] - 0.1, 2.0)}}
-        run.write_result(STOP_CONDITIONS_RESULT, stop_conditions_json(conditions))
+        conditions = {"3": {"left": {"via": (q["left"][3] - 0.1).tolist(), "dwell_s": 2.0}}}
+        run.write_result(STOP_CONDITIONS_RESULT, json.dumps(conditions))
         stops = read_planned_stops(run)
-        assert proposed_stops(read_stop_conditions(run)) == {3}
+    assert stops.proposed.tolist() == [False, False, False, True]
     np.testing.assert_array_equal(stops.approach_starts(3)["left"], q["left"][3] - 0.1)
     assert set(stops.approach_starts(3)) == {"left"}
     assert stops.approach_starts(2) == {}
@@ -293,13 +290,12 @@ def test_proposed_stops_follow_designed_ones_and_replace_earlier_proposals(tmp_p
     with RunFile.create(tmp_path / "run", small_twin(4)) as run:
         write_planned_stops(run, designed)
         for count in (3, 2):
-            proposed = [
-                ProposedStop(further.targets(k), {"left": StopConditions(further.q["left"][k] - 0.02, 1.0)})
-                for k in range(4, 4 + count)
-            ]
+            proposed = straight_stops({name: q[4 : 4 + count] for name, q in further.q.items()})
+            proposed.approach_from["left"][:] = proposed.q["left"] - 0.02
+            proposed.proposed[:] = True
             assert append_proposed_stops(run, proposed) == 4
         stops = read_planned_stops(run)
-        assert proposed_stops(read_stop_conditions(run)) == {4, 5}
+    assert stops.proposed.tolist() == [False] * 4 + [True] * 2
     same_stops(stops.take(range(4)), designed)
     assert stops.block.tolist() == [0, 0, 1, 1, 2, 2]
     assert stops.legs[4:] == ((), ())

@@ -15,9 +15,8 @@ from hypothesis.extra import numpy as hnp
 from scipy.optimize import lsq_linear
 
 from cellapp.cell.planning.balance import correlations, travel_time
-from cellapp.cell.planning.duration import route_s
 from cellapp.cell.planning.plan import draw_stops
-from cellapp.cell.planning.planned_stops import PlannedStops
+from cellapp.cell.planning.planned_stops import PlannedStops, route_s
 from cellapp.cell.planning.sequence import Sequenced, nearest_turns, sequenced
 from cellapp.cell.planning.transit_paths import (
     TransitPath,

@@ -30,7 +30,7 @@ from cellapp.cell.programs.solving import (
 )
 from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import recorded_controllers
+from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.report.data import read_report_data

@@ -24,8 +24,8 @@ from hypothesis.extra import numpy as hnp
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from cellapp.cell.run import Outcome, RunFile
+from cellapp.cell.run.run_arms import BY_PERSON, note_at_rest, note_halt, unseen_arms
 from cellapp.cell.run.sqlite_file import ReferenceRow
-from cellapp.cell.run.unseen_arms import BY_PERSON, note_at_rest, note_halt, unseen_arms
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.view import overview_sentences
 from cellapp.estimation.readings import Reading, Readings

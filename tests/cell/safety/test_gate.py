@@ -13,11 +13,13 @@ import pytest
 
 from cellapp.cell.planning.candidates import draw_pool
 from cellapp.cell.planning.view import why_hidden as hidden_words
-from cellapp.cell.safety.bodies import ArmBodies, place, segment_distance
+from cellapp.cell.safety.bodies import ArmBodies, TrackerField, place, segment_distance
 from cellapp.cell.safety.cell_bodies import cell_bodies, cover, home_positions
 from cellapp.cell.safety.gate import (
     CellBodies,
+    FreeMotions,
     clear_stops,
+    free_motions,
     on_rows,
     predicted_smr,
     refuse_motion,
@@ -25,9 +27,7 @@ from cellapp.cell.safety.gate import (
     visible,
     visible_stops,
 )
-from cellapp.cell.safety.many_motions import FreeMotions, free_motions
 from cellapp.cell.safety.shapes import Cylinder, Obstacle, RoundedBox, Shape
-from cellapp.cell.safety.visibility import TrackerField
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, CylinderObstacle, Placement, SphereObstacle
@@ -672,7 +672,7 @@ def test_many_motions_are_judged_as_one_by_one(profile, apart, monkeypatch) -> N
     np.testing.assert_array_equal(free_motions(cell, start, end), expected)
     known = FreeMotions(cell)
     known.ask(of[:100])
-    monkeypatch.setattr("cellapp.cell.safety.many_motions.free_motions", None)  # what was asked is not asked again
+    monkeypatch.setattr("cellapp.cell.safety.gate.free_motions", None)  # what was asked is not asked again
     known.ask(of[:100])
     assert [known.free(*motion) for motion in of] == expected.tolist()
 

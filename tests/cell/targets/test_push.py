@@ -16,11 +16,11 @@ import pytest
 from cellapp.cell.driving import target_visit
 from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.motion import Mover
-from cellapp.cell.driving.push import push
+from cellapp.cell.driving.target_visit import push
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.compensate import compensate, compensate_result
+from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.records import ArmVerification, CompensateResult, VerifyResult
 from cellapp.cell.targets.targets import Target, load_targets, same_target
 from cellapp.commands.compensate.tables import predicted_tables, verification_tables

@@ -14,18 +14,18 @@ import pytest
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.motion import Mover
-from cellapp.cell.driving.push import push
 from cellapp.cell.driving.supervision import moving_cell
+from cellapp.cell.driving.sweeping import MOST_RUNS, PathDriver
 from cellapp.cell.driving.target_visit import (
     distance_explained_by_noise,
     explained_by_noise,
+    push,
 )
-from cellapp.cell.driving.tracked_path import MOST_RUNS, PathDriver
-from cellapp.cell.exports.arm_commands import first_rates
+from cellapp.cell.exports.export_format import first_rates
 from cellapp.cell.run import RunFile
-from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.path import PathPlan, PathResult, PathSpec, plan_path
+from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.compensate.request import VERB
 from cellapp.commands.compensate.run import compensate_paths

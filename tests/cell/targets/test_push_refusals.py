@@ -11,14 +11,14 @@ import pytest
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.cell_checks import require_same_arms
-from cellapp.cell.driving.push import push
+from cellapp.cell.driving.target_visit import push
 from cellapp.cell.driving.verification import Agreement
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.cell.targets.command import Command
 from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.goals import UNPLACED, is_unplaced
+from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.ranges import ConditionRanges, payload_covariance
 from cellapp.cell.targets.targets import Target, WorkingConditions, load_targets
 from cellapp.commands.calibrate.run import calibrate_run

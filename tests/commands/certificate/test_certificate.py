@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from cellapp.cell.targets.records import CompensateResult, TargetCommand, UnknownCondition
-from cellapp.commands.certificate.iso9283_judgements import judge_characteristics
-from cellapp.commands.certificate.judgements import judge_run
+from cellapp.commands.certificate.judgements import judge_characteristics, judge_run
 from cellapp.commands.certificate.statement import CertificateInput, certificate_of, used_instruments
 from cellapp.commands.certificate_result import CertificateResult
 from cellapp.commands.run_results import RunResults

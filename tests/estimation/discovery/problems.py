@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.cell.planning.proposal.arm_candidates import Effort
-from cellapp.cell.planning.proposal.propose import Proposal, propose_stops
+from cellapp.cell.planning.propose import Effort, Proposal, propose_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.stages import CALIBRATION_FILE

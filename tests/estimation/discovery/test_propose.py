@@ -15,11 +15,10 @@ from typer.testing import CliRunner
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.collect import collect_run
+from cellapp.cell.planning import propose as proposing
 from cellapp.cell.planning.plan import plan_stops
-from cellapp.cell.planning.planned_stops import STOP_CONDITIONS_RESULT, read_stop_conditions
-from cellapp.cell.planning.proposal import propose as proposing
-from cellapp.cell.planning.proposal.arm_candidates import DWELLS_S, STEPS_RAD, Effort
-from cellapp.cell.planning.proposal.propose import Proposal, append_proposed_stops
+from cellapp.cell.planning.planned_stops import STOP_CONDITIONS_RESULT, read_planned_stops
+from cellapp.cell.planning.propose import DWELLS_S, STEPS_RAD, Effort, Proposal, append_proposed_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_motion
@@ -132,20 +131,18 @@ def test_every_leg_is_inside_the_limits_and_free(tied: Tied) -> None:
     run, _, proposal = tied
     cell = cell_bodies(run.profile)
     sizes, signs = set(), set()
-    for stop in proposal.stops:
-        start = {}
-        for name, q in stop.q.items():
-            via = stop.conditions[name].via
-            assert via is not None
-            start[name] = via
+    for stop in range(len(proposal.stops)):
+        start, there = proposal.stops.approach_starts(stop), proposal.stops.targets(stop)
+        assert set(start) == set(there)
+        for name, q in there.items():
+            via = start[name]
             sizes |= set(np.round(np.abs(q - via), 9).tolist())
             signs |= set(np.sign(q - via).tolist())
-        assert refuse_motion(cell, start, stop.q) == ""
+        assert refuse_motion(cell, start, there) == ""
         assert refuse_motion(cell, start, start) == ""
     assert sizes == set(STEPS_RAD)
     assert signs == {-1.0, 1.0}
-    dwells = {one.dwell_s for stop in proposal.stops for one in stop.conditions.values()}
-    assert dwells == set(DWELLS_S)
+    assert {*np.concatenate(list(proposal.stops.dwell_s.values()))} == set(DWELLS_S)
 
 
 def test_the_proposal_in_words_and_as_json(tied: Tied) -> None:
@@ -166,17 +163,16 @@ def test_the_proposal_is_in_the_plan_until_a_new_one_replaces_it(tied: Tied, pla
     run, found, proposal = tied
     for name, q in run.read_plan().items():
         np.testing.assert_array_equal(q[:STOPS], plan[name])
-        np.testing.assert_array_equal(q[STOPS:], [stop.q[name] for stop in proposal.stops])
-    conditions = read_stop_conditions(run)
-    assert sorted(conditions) == list(range(STOPS, STOPS + PROPOSED))
-    for number, stop in enumerate(proposal.stops):
-        for name, one in stop.conditions.items():
-            np.testing.assert_array_equal(conditions[STOPS + number][name].via, one.via)
+        np.testing.assert_array_equal(q[STOPS:], proposal.stops.q[name])
+    stops = read_planned_stops(run)
+    assert np.flatnonzero(stops.proposed).tolist() == list(range(STOPS, STOPS + PROPOSED))
+    for name, start in stops.approach_from.items():
+        np.testing.assert_array_equal(start[STOPS:], proposal.stops.approach_from[name])
     try:
         again = propose_after(run, found, 5, effort=EFFORT)
         assert again.first_configuration == STOPS
         assert len(run.read_plan()["left"]) == STOPS + 5
-        assert sorted(read_stop_conditions(run)) == list(range(STOPS, STOPS + 5))
+        assert np.flatnonzero(read_planned_stops(run).proposed).tolist() == list(range(STOPS, STOPS + 5))
     finally:
         append_proposed_stops(run, proposal.stops)
 
@@ -238,14 +234,13 @@ def test_collecting_the_proposed_stops_distinguishes_the_effects(
             np.testing.assert_array_equal(readings.in_split("validate"), held_out[name])
             assert readings.step is not None
             assert readings.dwell_s is not None
-            for row, stop in enumerate(proposal.stops, start=STOPS):
-                asked = stop.conditions[name]
+            step = proposal.stops.q[name] - proposal.stops.approach_from[name]
+            for stop, row in enumerate(range(STOPS, STOPS + PROPOSED)):
                 assert readings.split is not None
                 assert readings.split[row] == "train"
-                assert asked.via is not None
-                np.testing.assert_allclose(readings.step[row], stop.q[name] - asked.via, atol=1e-9)
-                np.testing.assert_array_equal(readings.approach[row], np.sign(stop.q[name] - asked.via))
-                assert asked.dwell_s < readings.dwell_s[row] < asked.dwell_s + 10.0
+                np.testing.assert_allclose(readings.step[row], step[stop], atol=1e-9)
+                np.testing.assert_array_equal(readings.approach[row], np.sign(step[stop]))
+                assert 0.0 < readings.dwell_s[row] - proposal.stops.dwell_s[name][stop] < 10.0
         for name, discovery in calibrated_and_searched(run).arms.items():
             assert discovery.result.accepted[0].effect == "backlash", name
             assert "unsettled_measurement" not in discovery.result.accepted[0].answer_set, name
@@ -258,9 +253,8 @@ def test_the_pure_computation_is_reproducible(tied: Tied) -> None:
     run, found, _ = tied
     first, second = (proposed(run, found, 2, LITTLE) for _ in range(2))
     assert first.predictions == second.predictions
-    for one, other in zip(first.stops, second.stops, strict=True):
-        for name in one.q:
-            np.testing.assert_array_equal(one.q[name], other.q[name])
+    for name, q in first.stops.q.items():
+        np.testing.assert_array_equal(q, second.stops.q[name])
 
 
 # -- Posterior probabilities of effects from the scores of competing sets ----------------------------------------------

@@ -12,7 +12,7 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.arm_identity import CONTROLLERS_RESULT
+from cellapp.cell.run.run_arms import CONTROLLERS_RESULT
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.calibrate.view import calibration_tables, tracker_sentences
 from cellapp.commands.discover.run import discover_run

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from cellapp.cell.driving.records import RequestResult
 from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.profile import load_profile
-from cellapp.cell.run.unseen_arms import note_halt
+from cellapp.cell.run.run_arms import note_halt
 from cellapp.ground import progress
 from cellapp.ground.asking import VERBS, Verb
 from cellapp.ground.control import JobControl

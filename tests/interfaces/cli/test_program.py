@@ -28,7 +28,7 @@ from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.export.run import export
 from cellapp.commands.registry import PANEL, name_of, records
-from cellapp.commands.runs.history import summarise
+from cellapp.commands.runs.run import summarise
 from cellapp.commands.show.overview import run_history, run_overview
 from cellapp.commands.show.view import overview_sentences, overview_tables
 from cellapp.commands.stages import DATA_MARK, append_stage, basis_of, data_mark
@@ -141,7 +141,7 @@ def test_an_unexpected_error_is_an_object(
         raise RuntimeError("out of order")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("cellapp.commands.runs.history.list_runs", broken)
+    monkeypatch.setattr("cellapp.commands.runs.run.list_runs", broken)
     assert exit_code(monkeypatch, "runs", "--json", "-") == 1
     answer = json.loads(capsys.readouterr().out)
     assert answer["exit_code"] == 1

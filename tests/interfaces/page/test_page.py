@@ -19,7 +19,7 @@ from cellapp.cell.run import ReferenceRow, RunFile
 from cellapp.cell.run.measurement_order import write_in_order
 from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.targets.records import VerifyResult
-from cellapp.commands.calibrate.charts_accuracy import pair_stop_chart, stop_error_chart
+from cellapp.commands.calibrate.charts import pair_stop_chart, stop_error_chart
 from cellapp.commands.calibrate.view import (
     distance_mm,
 )

@@ -42,8 +42,7 @@ from cellapp.commands.discover.view import discovery_section
 from cellapp.commands.plan.check_view import design_sentences, design_tables
 from cellapp.commands.plan.run import new_planned_run, stored_plan
 from cellapp.commands.plan.view import plan_section
-from cellapp.commands.report.data import read_report_data
-from cellapp.commands.report.headlines import out_of_date_lines
+from cellapp.commands.report.data import out_of_date_lines, read_report_data
 from cellapp.commands.report.sections import report_sections
 from cellapp.commands.run_results import RunResults, read_results
 from cellapp.commands.show.overview import run_overview

@@ -14,9 +14,9 @@ import pandas as pd
 import pytest
 
 import cellapp
+from cellapp import dataframes
 from cellapp.cell.run import RunFile, write_readings_csv
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.python import dataframes
 from cellapp.interfaces.python.api import Run, open_run
 from cellapp.robot.kinematics.chain import parameter_names
 from tests.approved import assert_approved
@@ -71,10 +71,10 @@ def test_targets_show_what_was_measured(run: Run) -> None:
 
 def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
-    for module in ("dataframes", "frames"):
-        monkeypatch.delitem(sys.modules, f"cellapp.interfaces.python.{module}", raising=False)
+    for module in ("dataframes", "interfaces.python.frames"):
+        monkeypatch.delitem(sys.modules, f"cellapp.{module}", raising=False)
     with pytest.raises(ImportError, match=r"need pandas; install it with: pip install 'cellapp\[pandas\]'"):
-        importlib.import_module("cellapp.interfaces.python.dataframes")
+        importlib.import_module("cellapp.dataframes")
 
 
 # -- What a caller mistook is one sentence: where, what was expected, what to do ---------------------------------------

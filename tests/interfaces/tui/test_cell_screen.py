@@ -27,7 +27,7 @@ from cellapp.interfaces.tui.dialogs.program import MotionQuestion
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.jobs import MotionAsked
 from cellapp.interfaces.tui.screens.cell import CellScreen
-from cellapp.interfaces.tui.widgets.cell_views import FindingsTable
+from cellapp.interfaces.tui.widgets.tables import FindingsTable
 from cellapp.interfaces.tui.workspace import Workspace, load_workspace
 from drivers.findings import DeviceReport, Finding
 from tests.interfaces.tui.pilot import (

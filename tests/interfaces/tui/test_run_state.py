@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cellapp.commands.conclusions import stage_conclusions
 from cellapp.commands.docs.handbook import chapter_text
+from cellapp.commands.next_step import stage_conclusions
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.job_record import MOST_LINES, JobRecord
 from cellapp.interfaces.tui.keys import with_keys

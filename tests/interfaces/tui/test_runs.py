@@ -14,7 +14,7 @@ from textual.widgets import DataTable, Static
 from cellapp.cell.run import RunFile
 from cellapp.commands.record import Work
 from cellapp.commands.report.request import ReportRequest
-from cellapp.commands.report.result import ReportResult
+from cellapp.commands.run_results import ReportResult
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.widgets import runs_list
 from tests.cell.run.small_runs import collected_run, set_began

@@ -20,7 +20,7 @@ from textual.color import Color
 from textual.pilot import Pilot
 
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.unseen_arms import note_halt, unseen_arms
+from cellapp.cell.run.run_arms import note_halt, unseen_arms
 from cellapp.commands.view.charts import Axis, Chart, Limit, series
 from cellapp.ground.control import JobControl
 from cellapp.ground.progress import (
@@ -37,10 +37,11 @@ from cellapp.interfaces.tui import app
 from cellapp.interfaces.tui.app import CellApp, SlowCollections
 from cellapp.interfaces.tui.job_record import LEVELS, JobRecord, LogRow, Pace, banner_of, strip_of
 from cellapp.interfaces.tui.jobs import Ask, Job
-from cellapp.interfaces.tui.plots.drawing import (
+from cellapp.interfaces.tui.plots import (
+    ON_DARK,
+    ON_LIGHT,
     draw,
 )
-from cellapp.interfaces.tui.plots.widget import ON_DARK, ON_LIGHT
 from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.terminal import notice_sequence, title_sequence, title_words
 from cellapp.interfaces.tui.widgets.log_pane import LogPane

@@ -37,8 +37,8 @@ from cellapp.cell.driving.iso9283.programme import (
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover, Vector
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
+from cellapp.cell.driving.sweeping import INTERVAL_S, PathDriver
 from cellapp.cell.driving.target_visit import Driver
-from cellapp.cell.driving.tracked_path import INTERVAL_S, PathDriver
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, remembered
 from cellapp.cell.targets.path import RUN_UP_RAD, PathPlan, PathPose, PathSpec, plan_path

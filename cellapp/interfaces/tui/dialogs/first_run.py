@@ -27,8 +27,6 @@ _PATTERN = "ur10-ur5"
 class Welcome(Choice):
     """Choice of how to begin, with the long answers below one another."""
 
-    DEFAULT_CSS = "Welcome .dialog .answers { layout: vertical; }"
-
 
 def offer_first_run(app: Host) -> bool:
     """Ask how to begin if there are no profiles; return whether the question was asked."""

@@ -28,12 +28,6 @@ class Handbook(Question[None]):
         Binding(f"q,{KEYS['handbook'].keys}", "dismiss(None)", "Close"),
         bind("search", "search", "Search"),
     ]
-    DEFAULT_CSS = """
-    Handbook Horizontal { height: 1fr; }
-    Handbook .places { width: 30; height: 1fr; }
-    Handbook #contents { height: 1fr; }
-    Handbook VerticalScroll { width: 1fr; height: 1fr; padding-left: 1; }
-    """
 
     def __init__(self) -> None:
         super().__init__()

@@ -33,14 +33,6 @@ class FieldRow(Horizontal):
         Texts that the right arrow completes.
     """
 
-    DEFAULT_CSS = """
-    FieldRow { height: 1; }
-    FieldRow Label { width: 15; color: $text-muted; }
-    FieldRow Input { width: 1fr; min-width: 24; }
-    FieldRow .problem { width: auto; max-width: 45%; padding-left: 1; color: $text-error; text-wrap: nowrap; }
-    FieldRow .problem { text-overflow: ellipsis; }
-    FieldRow.wrong Label { color: $text-error; text-style: bold; }
-    """
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("up", "app.focus_previous", show=False),
         Binding("down,enter", "app.focus_next", show=False),
@@ -81,9 +73,6 @@ class TargetForm(FieldsQuestion[Target]):
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+s", "send", "Take", priority=True)]
-    DEFAULT_CSS = """
-    TargetForm .fields { height: auto; max-height: 50vh; }
-    """
 
     def __init__(
         self,

@@ -51,10 +51,6 @@ class VerbQuestion(AnswerQuestion[Request]):
         Whether the cell is simulated; otherwise fields for simulated cells are omitted.
     """
 
-    DEFAULT_CSS = """
-    VerbQuestion ItemGrid { height: auto; grid-rows: 1; }
-    """
-
     def __init__(
         self,
         verb: Verb,

@@ -18,11 +18,11 @@ from textual.widget import Widget
 from textual.widgets import Input, OptionList, TabbedContent, TabPane
 from textual.widgets.option_list import Option
 
+from cellapp.cell.exports.arm_export import ExportResult
 from cellapp.cell.exports.formats import all_formats
-from cellapp.cell.exports.records import ExportResult
 from cellapp.cell.run.sqlite_file import FILE_NAME
 from cellapp.commands.calibrate import request
-from cellapp.commands.calibrate.charts_accuracy import (
+from cellapp.commands.calibrate.charts import (
     error_histogram_chart,
     pair_histogram_chart,
     stage_chart,

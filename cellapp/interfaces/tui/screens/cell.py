@@ -22,17 +22,19 @@ from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.cell_views import (
+from cellapp.interfaces.tui.widgets.tables import (
     CellMap,
     FindingsTable,
+    TextTable,
     age_words,
+    explain_tabs,
+    show_next_tab,
 )
-from cellapp.interfaces.tui.widgets.tables import TextTable, explain_tabs, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
+    from cellapp.cell.driving.records import StopsResult
     from cellapp.commands.doctor.result import DoctorResult
-    from cellapp.commands.plan.result import StopsResult
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result
     from cellapp.interfaces.tui.widgets.runs_list import RunsList
@@ -220,7 +222,7 @@ class CellScreen(DayScreen):
     def show_result(self, result: Result) -> None:
         """Draw the doctor's findings, or open the report of a run."""
         from cellapp.commands.doctor.result import DoctorResult
-        from cellapp.commands.report.result import ReportResult
+        from cellapp.commands.run_results import ReportResult
 
         if isinstance(result, ReportResult) and self._runs is not None:
             self._runs.open_page(Path(result.page))

@@ -51,9 +51,8 @@ from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import since_words
 from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
-from cellapp.interfaces.tui.widgets.copied import Copied, Copy
 from cellapp.interfaces.tui.widgets.log_pane import LogPane, as_text
-from cellapp.interfaces.tui.widgets.parts_view import PartsView
+from cellapp.interfaces.tui.widgets.parts_view import Copied, Copy, PartsView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
 from cellapp.interfaces.tui.workspace import Step, Workspace
 

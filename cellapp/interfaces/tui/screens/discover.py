@@ -12,9 +12,8 @@ from textual.widgets import Static, TabbedContent, TabPane
 
 from cellapp.commands.collect.request import VERB as COLLECT
 from cellapp.commands.discover import request
-from cellapp.commands.discover.charts import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.discover.tables import discovery_tables
-from cellapp.commands.discover.view import explanation_text, proposal_lines
+from cellapp.commands.discover.view import candidates_chart, explanation_text, gap_chart, picture_chart, proposal_lines
 from cellapp.commands.discover.words import verdict_lines, verdict_sentence
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.estimation.discovery.records import DiscoverResult

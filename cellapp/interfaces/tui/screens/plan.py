@@ -28,15 +28,13 @@ from cellapp.interfaces.tui.dialogs.verb_question import NewRunQuestion, VerbQue
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.cell_views import CellMap
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.widgets.stops_table import StopsTable
-from cellapp.interfaces.tui.widgets.tables import explain_tabs, show_next_of, show_next_tab
+from cellapp.interfaces.tui.widgets.tables import CellMap, StopsTable, explain_tabs, show_next_of, show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
+    from cellapp.cell.driving.records import StopsResult
     from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
-    from cellapp.commands.plan.result import StopsResult
     from cellapp.commands.view.parts import Parts
     from cellapp.ground.profile import Profile
     from cellapp.ground.results import Result

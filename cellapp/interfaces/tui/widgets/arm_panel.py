@@ -54,10 +54,6 @@ _UNKNOWN = "not reported yet"
 class ArmPanel(Widget):
     """Name, activity, joint positions, joint temperatures, error of the newest stop, standard error so far."""
 
-    DEFAULT_CSS = """
-    ArmPanel { height: 4; width: 1fr; padding-right: 1; text-wrap: nowrap; text-overflow: ellipsis; }
-    """
-
     arm: reactive[ArmRecord] = reactive(ArmRecord)
 
     def __init__(self, name: str) -> None:
@@ -117,11 +113,6 @@ def _numbers(values: Sequence[float] | None, unit: str, width: int) -> str:
 class TrackerPanel(Widget):
     """The arm at which the tracker points, the newest point with its uncertainty, the air."""
 
-    DEFAULT_CSS = """
-    TrackerPanel { height: 1; text-wrap: nowrap; text-overflow: ellipsis; }
-    TrackerPanel.sweep { height: 2; text-wrap: wrap; }
-    """
-
     tracker: reactive[TrackerRecord] = reactive(TrackerRecord)
 
     def __init__(self) -> None:
@@ -171,13 +162,6 @@ _LEVEL_STYLES = {"warning": "$text-warning", "error": "bold $text-error"}
 
 class JobPanel(Vertical):
     """Panel of the live job, hidden while no job runs."""
-
-    DEFAULT_CSS = """
-    JobPanel { height: auto; background: $panel; padding: 0 1; display: none; }
-    JobPanel.shown { display: block; }
-    JobPanel .arms { height: auto; max-height: 2; }
-    JobPanel .newest { height: auto; text-wrap: nowrap; text-overflow: ellipsis; }
-    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -231,15 +215,6 @@ class LiveStrip(Vertical):
 
     The application asks it to look ten times a second, so that neither a job that hangs nor a missing event leaves it
     out of date.
-    """
-
-    DEFAULT_CSS = """
-    LiveStrip { height: auto; }
-    LiveStrip .banner { height: auto; max-height: 3; padding: 0 1; background: $warning-muted; display: none; }
-    LiveStrip .banner.alarm { background: $error; color: white; text-style: bold; }
-    LiveStrip .ages { height: 1; padding: 0 1; background: $surface; text-wrap: nowrap; text-overflow: ellipsis; }
-    LiveStrip .ages { display: none; }
-    LiveStrip .shown { display: block; }
     """
 
     def __init__(self) -> None:

@@ -19,7 +19,7 @@ from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.view.table import Cell, markdown
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.widgets.copied import Copied, Copy
+from cellapp.interfaces.tui.widgets.parts_view import Copied, Copy
 from cellapp.interfaces.tui.widgets.tables import TextTable
 
 _NAMES = ("stop", "arm")
@@ -36,10 +36,6 @@ class CollectedStops(Vertical, Copied):
         bind("copy", "copy", "Copy", "copy the stops that are shown as Markdown", show=False),
         bind("save", "save", "Save", "save the stops that are shown as a Markdown file", show=False),
     ]
-    DEFAULT_CSS = """
-    CollectedStops Static { height: auto; padding: 0 1; }
-    CollectedStops TextTable { height: 1fr; }
-    """
 
     class Chosen(Message):
         """The cursor moved to another stop."""

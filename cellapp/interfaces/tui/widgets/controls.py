@@ -62,12 +62,6 @@ class StopCorner(Container):
 class Labelled(Horizontal):
     """One line: a label and a field."""
 
-    DEFAULT_CSS = """
-    Labelled { height: 1; }
-    Labelled Static { width: 20; }
-    Labelled Input { width: 1fr; }
-    """
-
     def __init__(self, label: str, field: Widget) -> None:
         super().__init__(Static(label, markup=False), field)
 
@@ -99,14 +93,6 @@ def text_field(label: str, name: str, text: str = "", hint: str = "", *, choices
 
 class KeyLine(Static):
     """Keys and their effects, in as many lines as they need, at most two."""
-
-    DEFAULT_CSS = """
-    KeyLine {
-        dock: bottom; height: auto; max-height: 2; width: 1fr;
-        background: $footer-background; color: $footer-foreground;
-        link-style: none; text-wrap: nowrap; link-color: $footer-foreground; link-background: $footer-background;
-    }
-    """
 
     def __init__(self) -> None:
         super().__init__("", markup=False)

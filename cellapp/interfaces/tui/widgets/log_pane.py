@@ -40,15 +40,6 @@ class LogView(RichLog):
 class LogPane(Vertical):
     """A log with a heading; ``shown`` are the rows that pass the filter."""
 
-    DEFAULT_CSS = """
-    LogPane { height: 1fr; }
-    LogPane Static { height: 1; text-wrap: nowrap; text-overflow: ellipsis; background: $panel; }
-    LogPane LogView { height: 1fr; background: $surface; scrollbar-size-horizontal: 0; overflow-x: hidden; }
-    LogPane LogView:focus { background-tint: $foreground 4%; }
-    LogPane LogField { display: none; }
-    LogPane.asking LogField { display: block; }
-    """
-
     def __init__(self, *, id: str | None = None) -> None:
         super().__init__(id=id)
         self.rows: deque[LogRow] = deque(maxlen=MOST_LINES)

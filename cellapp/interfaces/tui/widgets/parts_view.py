@@ -1,8 +1,12 @@
-"""Sentences, tables and charts of a view below one another: to read, to scroll, to copy, to save."""
+"""Sentences, tables and charts of a view below one another: to read, to scroll, to copy, to save.
+
+What can be copied and saved as text: tables, stops, lines of a log.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -17,9 +21,43 @@ from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Facts, Part, Parts, Section, printed
 from cellapp.commands.view.table import Table, markdown
 from cellapp.ground.counting import counted
+from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
 from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.plots import ChartPlot
-from cellapp.interfaces.tui.widgets.copied import Copied, Copy
+
+
+@dataclass(frozen=True)
+class Copy:
+    """A text, what it is in words as "3 tables", and the file that is proposed for it."""
+
+    what: str
+    text: str
+    proposed: Path
+
+
+class Copied(Widget):
+    """A widget with a text to copy to the clipboard and to save in a file. Not the first base, whose styles it has."""
+
+    def as_copy(self) -> Copy:
+        """Return what is shown now."""
+        raise NotImplementedError
+
+    def action_copy(self) -> None:
+        """Copy it to the clipboard."""
+        one = self.as_copy()
+        self.app.copy_to_clipboard(one.text)
+        self.notify(f"{one.what} copied")
+
+    def action_save(self) -> None:
+        """Save it in a file."""
+        one = self.as_copy()
+
+        def say(path: Path | None) -> None:
+            if path is not None:
+                self.notify(f"{one.what} saved as {path}")
+
+        self.app.push_screen(SaveAs(one.what, one.text, one.proposed), say)
+
 
 LEAST_COLUMNS = 56
 """Width of a chart: two fit side by side into a terminal of 120 columns."""
@@ -51,12 +89,6 @@ class PartsView(VerticalScroll, Copied):
         bind("copy", "copy", "Copy tables", "copy the tables as Markdown"),
         bind("save", "save", "Save tables", "save the tables as a Markdown file"),
     ]
-    DEFAULT_CSS = """
-    PartsView { height: 1fr; }
-    PartsView .table { height: auto; padding-top: 1; }
-    PartsView ItemGrid { height: auto; grid-rows: auto; grid-gutter: 0 2; }
-    PartsView ChartPlot { height: auto; }
-    """
 
     def __init__(self, empty: str = "", *, id: str | None = None) -> None:
         super().__init__(Static(empty, classes="muted", markup=False), id=id)

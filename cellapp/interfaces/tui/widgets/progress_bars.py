@@ -67,10 +67,6 @@ def ending_words(eta_s: float | None, now: datetime) -> str:
 class ProgressBars(Widget):
     """One line for each part; if ``compact``, one line for the current part."""
 
-    DEFAULT_CSS = """
-    ProgressBars { height: auto; }
-    """
-
     parts: reactive[tuple[Part, ...]] = reactive(())
     compact: reactive[bool] = reactive(False, layout=True)
 

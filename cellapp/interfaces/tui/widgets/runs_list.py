@@ -78,10 +78,6 @@ class RunsList(Vertical):
         bind("sort", "sort", "Sort", "sort by the next column"),
         bind("again", "read", "Read again", "read the folder of runs again", show=False),
     ]
-    DEFAULT_CSS = """
-    RunsList #runs { height: 1fr; }
-    RunsList #about-run { height: auto; max-height: 8; }
-    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -134,7 +130,7 @@ class RunsList(Vertical):
 
     @work(thread=True, exclusive=True, group="list of runs")
     def _list_runs(self, folder: Path) -> None:
-        from cellapp.commands.runs.history import list_runs
+        from cellapp.commands.runs.run import list_runs
 
         found: RunsResult | str
         try:

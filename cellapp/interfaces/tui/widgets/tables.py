@@ -1,13 +1,33 @@
-"""A table of texts, and functions for screens with tabs."""
+"""A table of texts, and functions for screens with tabs.
+
+A map of the cell. The chart is made in a thread: the kinematics of the arms takes half a second to load.
+
+Table of the screen Cell: the doctor's findings.
+
+The stops of a plan as a table of the screen Plan.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
 
+import numpy as np
 from rich.text import Text
+from textual import work
+from textual.coordinate import Coordinate
 from textual.widgets import DataTable, TabbedContent, TabPane, Tabs
+from textual.worker import get_current_worker
 
 from cellapp.commands.docs.keys import SHOWN
+from cellapp.interfaces.tui.plots import ChartPlot
+
+if TYPE_CHECKING:
+    from cellapp.cell.driving.records import PlannedStop
+    from cellapp.cell.planning.planned_stops import PlannedStops
+    from cellapp.commands.doctor.result import DoctorResult
+    from cellapp.ground.profile import Profile
 
 
 class TextTable(DataTable[Text]):
@@ -53,3 +73,128 @@ def show_next_of(tabs: TabbedContent, some: Sequence[str]) -> None:
 def explain_tabs(tabs: TabbedContent) -> None:
     """Set a tooltip that explains the tabs."""
     tabs.query_one(Tabs).tooltip = f"Left and right choose a tab; {SHOWN['tab']} shows the next one"
+
+
+class CellMap(ChartPlot):
+    """Bases, tracker and stops, seen from above or from the tracker."""
+
+    def __init__(self, view: Literal["above", "tracker"], *, id: str) -> None:
+        super().__init__(id=id)
+        self._view: Literal["above", "tracker"] = view
+
+    def show_cell(self, profile: Profile | None, stops: Sequence[PlannedStop] = ()) -> None:
+        """Draw the cell of a profile with its planned stops; blank without a profile."""
+        if profile is None:
+            self.workers.cancel_node(self)
+            self.chart = None
+        else:
+            self._make(profile, stops)
+
+    @work(thread=True, exclusive=True)
+    def _make(self, profile: Profile, stops: Sequence[PlannedStop]) -> None:
+        from cellapp.commands.plan.charts import cell_map_chart
+
+        made = cell_map_chart(profile, stops, self._view)
+        if not get_current_worker().is_cancelled:  # else another one is being made
+            self.call_later(setattr, self, "chart", made)
+
+
+_ORDER = {"failed": 0, "warning": 1, "ok": 2}
+_MARKS = {"failed": "✗ failed", "warning": "! warning", "ok": "✓ ok"}
+_STYLES = {"failed": "bold red", "warning": "yellow", "ok": "green"}
+
+
+class FindingsTable(TextTable):
+    """The doctor's checks, failed ones first. The text of the row under the cursor is in ``selected_text``."""
+
+    def on_mount(self) -> None:
+        """Create the columns."""
+        self.cursor_type = "row"
+        self.add_columns("status", "what", "found")
+
+    def show(self, result: DoctorResult | None) -> None:
+        """Draw the findings; None: nothing yet."""
+        self.clear()
+        findings = sorted(() if result is None else result.findings, key=lambda finding: _ORDER[finding.status])
+        self.texts = [f"{finding.subject}: {finding.text}" for finding in findings]
+        for finding in findings:
+            self.add_row(_mark(finding.status), Text(finding.subject), Text(finding.text))
+
+
+def age_words(seconds: float) -> str:
+    """Format an age: "now", "12 s ago", "3 min ago"."""
+    if seconds < 2.0:
+        return "now"
+    return f"{seconds:.0f} s ago" if seconds < 90.0 else f"{seconds / 60.0:.0f} min ago"
+
+
+def _mark(status: str) -> Text:
+    return Text(_MARKS[status], style=_STYLES[status])
+
+
+class StopsTable(TextTable):
+    """The stops in their order, with the person's marks; initially the frozen stops are marked."""
+
+    def __init__(self, *, id: str) -> None:
+        super().__init__(id=id, cursor_type="row")
+        self.tooltip = "Space marks the selected stop"
+        self._stops: Sequence[PlannedStop] = ()
+        self._ways: PlannedStops | None = None
+        self.marked: set[int] = set()
+
+    def on_mount(self) -> None:
+        """Create the columns."""
+        self.add_columns("stop", "marked", "frozen", "state", "part", "how")
+
+    def show(self, stops: Sequence[PlannedStop], ways: PlannedStops | None) -> None:
+        """Draw the stops of a plan, unless they are already shown; marks that were not stored are lost."""
+        if stops is self._stops or (stops == self._stops and _same_ways(ways, self._ways)):
+            return
+        self._stops, self._ways = stops, ways
+        self.marked = set() if ways is None else set(np.flatnonzero(ways.frozen).tolist())
+        rows = [_stop_row(stop, ways) for stop in stops]
+        texts = [text for _, text in rows]
+        if texts != self.texts:  # the cursor stays if nothing changed
+            self.texts = texts
+            self.clear()
+            for cells, _ in rows:
+                self.add_row(*map(Text, cells))
+
+    def mark(self) -> None:
+        """Mark or unmark the selected stop, then go to the next one."""
+        if self.cursor_row >= len(self._stops):
+            return
+        stop = self._stops[self.cursor_row].configuration
+        self.marked ^= {stop}
+        self.update_cell_at(Coordinate(self.cursor_row, 1), Text("●" if stop in self.marked else ""))
+        self.action_cursor_down()
+
+
+def _same_ways(one: PlannedStops | None, other: PlannedStops | None) -> bool:
+    """Return whether the data of two plans with the same joint positions are equal, and so the ways to their stops."""
+    if one is None or other is None:
+        return one is other
+    return bool((one.frozen == other.frozen).all() and (one.block == other.block).all())
+
+
+def _stop_row(stop: PlannedStop, ways: PlannedStops | None) -> tuple[tuple[str, ...], str]:
+    """Return cells and sentence of one stop, counted from 1."""
+    from cellapp.commands.plan.check_view import stop_words
+
+    number, state = stop.configuration + 1, "measured" if stop.measured else "planned"
+    joints = "; ".join(
+        f"arm {name} " + ", ".join(f"{math.degrees(angle):.0f}" for angle in q) + " deg" for name, q in stop.q.items()
+    )
+    if ways is None:
+        return (str(number), "", "", state, "", ""), f"Stop {number}: {joints}."
+    frozen, how = bool(ways.frozen[stop.configuration]), stop_words(ways, stop.configuration)
+    cells = (
+        str(number),
+        "●" if frozen else "",
+        "yes" if frozen else "",
+        state,
+        str(ways.block[stop.configuration] + 1),
+        how,
+    )
+    words = f"{how}; frozen: a new design leaves it" if frozen else how
+    return cells, f"Stop {number}: {joints}. {words[:1].upper()}{words[1:]}."

@@ -1,1 +1,0 @@
-"""Choice of further stops: open hypotheses, candidates, greedy selection, predicted discrimination."""

@@ -1,0 +1,750 @@
+"""Proposal of further stops, and of how to approach them, that best decide what discovery left open.
+
+Candidate stops of one arm (poses times approaches), the hypotheses to decide, and the design so far.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cellapp.cell.planning.hypotheses import (
+    CandidateDesign,
+    Hypothesis,
+    joined_context,
+    open_hypotheses,
+    refitted_discovery,
+)
+from cellapp.cell.planning.plan import draw_stops
+from cellapp.cell.planning.planned_stops import (
+    PlannedStops,
+    can_go,
+    joined,
+    read_planned_stops,
+    straight_stops,
+    write_planned_stops,
+)
+from cellapp.cell.planning.transit_paths import ArmRoadmap
+from cellapp.cell.run import RunFile
+from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
+from cellapp.cell.safety.gate import CellBodies, refuse_motion, visible_stops
+from cellapp.estimation.calibration.quantities import conditions_of_arms
+from cellapp.estimation.design.information import HOPELESS, Discrimination, SequentialDesign, joint_gains
+from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.outcome import Discovery
+from cellapp.estimation.readings import Readings
+from cellapp.ground.counting import counted
+from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.robot.effects import EFFECTS, DriverVariable, MeasurementConditions, varies
+from cellapp.robot.kinematics.statics import base_moment
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel, CellModel
+
+# -- Approaches to a pose: the last step of each joint and the dwell before the measurement ---------------------------
+
+
+STEPS_RAD = (0.03, 0.5)
+"""Small and large last step of a joint [rad]: within and far beyond the play and wind-up of a gear (1e-4 to 1e-3)."""
+DWELLS_S = (0.5, 5.0)
+"""Short and long rest before a measurement [s]: within and beyond the settling of an arm (about 1 s)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Approaches:
+    """The approaches (f of them) to each pose of one arm.
+
+    ``steps`` (n, f, N) are last steps [rad], all zero without a detour; ``dwells`` (f,) [s].
+    """
+
+    steps: Array
+    dwells: Array
+
+    def __len__(self) -> int:
+        return len(self.dwells)
+
+    def first(self, poses: int) -> Approaches:
+        """Return the approaches to the first ``poses`` poses."""
+        return Approaches(self.steps[:poses], self.dwells)
+
+    def needed_for(self, variables: Collection[DriverVariable]) -> Approaches:
+        """Leave out detours and dwells that no variable depends on."""
+        steps, dwells = self.steps, self.dwells
+        if DriverVariable.DWELL not in variables:
+            steps, dwells = steps[:, :: len(DWELLS_S)], np.zeros(len(dwells) // len(DWELLS_S))
+        if not {DriverVariable.APPROACH, DriverVariable.STEP} & set(variables):
+            dwells = np.unique(dwells)
+            steps = np.zeros((len(steps), len(dwells), steps.shape[2]))
+        return Approaches(steps, dwells)
+
+
+def all_approaches(poses: int, joints: int, rng: np.random.Generator) -> Approaches:
+    """Combine each of 12 last steps with each dwell.
+
+    Signs: all joints forward, all backward, two opposite mixtures. Sizes: small, large, mixed.
+    """
+    mixed = rng.choice([-1.0, 1.0], (poses, 1, joints))
+    forward = np.ones((poses, 1, joints))
+    signs = np.concatenate([forward, -forward, mixed, -mixed], axis=1)
+    small, large = STEPS_RAD
+    sizes = (np.full(signs.shape, small), np.full(signs.shape, large), rng.choice(STEPS_RAD, signs.shape))
+    steps = np.concatenate([signs * size for size in sizes], axis=1)
+    return Approaches(np.repeat(steps, len(DWELLS_S), axis=1), np.tile(np.array(DWELLS_S), steps.shape[1]))
+
+
+_MEMORY_BYTES = 3e8
+"""Memory for the candidates' columns of one arm: a share that leaves room on a machine of 2 GB."""
+_BYTES_A_COLUMN = 2 * 3 * 8
+"""Memory of one column at one candidate: three coordinates in double precision, held twice by a discrimination."""
+_LEAST_POSES = 20
+"""Number of poses that are kept whatever the memory: fewer would leave no choice."""
+_TYPICAL_DWELL_S = 0.7
+"""Rest before a measurement [s] if a run has logged none: the settling time of the arms in the profiles."""
+_LAST_READINGS = 5
+"""Number of readings whose mean stands for the current joint temperatures."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunConditions:
+    """Conditions of further stops of one arm, taken from its run.
+
+    Attributes
+    ----------
+    name : str
+    other : (str, ArmModel), optional
+        Name and model of the other arm.
+    conditions : MeasurementConditions
+        Of the readings of the run.
+    count : int
+        Number of further stops.
+    """
+
+    name: str
+    other: tuple[str, ArmModel] | None
+    conditions: MeasurementConditions
+    count: int
+
+    def candidates(
+        self,
+        poses: CandidatePoses,
+        approaches: Approaches,
+        pose: NDArray[np.intp],
+        approach: NDArray[np.intp],
+        load_kg: Array | None = None,
+    ) -> tuple[Array, MeasurementConditions]:
+        """Return configurations (m, N) [rad] and conditions of candidates; ``load_kg`` replaces the payload."""
+        m, conditions = len(pose), self.conditions
+        steps = approaches.steps[pose, approach]
+        moment = other_q = None
+        if self.other is not None:
+            other, model = self.other
+            other_q = poses.q[other][pose]
+            moment = base_moment(model.geometry, model.bodies, other_q, model.up_M)
+        detour = bool(steps.any())
+        dwell_s, rested_s = None, conditions.dwell_s
+        shortest_s = np.nanmin(rested_s) if rested_s is not None and np.isfinite(rested_s).any() else _TYPICAL_DWELL_S
+        if rested_s is not None or approaches.dwells.any():
+            dwell_s = approaches.dwells[approach] + shortest_s
+        return poses.q[self.name][pose], MeasurementConditions(
+            approach=np.sign(steps) if detour else None,
+            step=steps if detour else None,
+            dwell_s=dwell_s,
+            time_s=self._times(m),
+            payload_kg=last_known(conditions.payload_kg, m) if load_kg is None else load_kg,
+            air_c=last_known(conditions.air_c, m),
+            joints_c=last_known(conditions.joints_c, m),
+            other_moment_M=moment,
+            other_q=other_q,
+            record=conditions.record,
+        )
+
+    def all_candidates(self, poses: CandidatePoses, approaches: Approaches) -> tuple[Array, MeasurementConditions]:
+        """Return configurations and expected conditions of all candidates, pose by pose."""
+        pose, approach = (each.ravel() for each in np.indices((len(poses), len(approaches))))
+        return self.candidates(poses, approaches, pose, approach)
+
+    def _times(self, m: int) -> Array | None:
+        """Return the middle of the time in which the further stops will be measured, at the pace of the run."""
+        time_s = self.conditions.time_s
+        if time_s is None or not np.isfinite(time_s).any():
+            return None
+        ordered = np.sort(time_s[np.isfinite(time_s)])
+        pace = float(np.median(np.diff(ordered))) if len(ordered) > 1 else 0.0
+        return np.full(m, float(ordered[-1]) + pace * (0.5 * self.count + 1.0))
+
+
+def last_known(values: Array | None, m: int) -> Array | None:
+    """Return the last known value for m stops; of several channels (temperatures) the mean over the last readings."""
+    if values is None:
+        return None
+    rows = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]
+    if not len(rows):
+        return None
+    last = rows[-_LAST_READINGS:].mean(axis=0, keepdims=True) if values.ndim > 1 else rows[-1:]
+    return np.repeat(last, m, axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class ArmHypotheses:
+    """Hypotheses for further stops of one arm, the approaches that they need, and the largest number of poses."""
+
+    run: RunConditions
+    hypotheses: tuple[Hypothesis, ...]
+    approaches: Approaches
+    limits: Array
+    affordable_poses: int
+
+    @classmethod
+    def of(
+        cls,
+        profile: Profile,
+        name: str,
+        model: CellModel,
+        readings: Readings,
+        conditions: MeasurementConditions,
+        discovery: Discovery,
+        poses: CandidatePoses,
+        count: int,
+        effort: Effort,
+        rng: np.random.Generator,
+    ) -> ArmHypotheses:
+        """Derive the hypotheses from the outcome of discovery in the arm's readings."""
+        arm = profile.arms[name]
+        rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
+        rows = rows[~np.isin(readings.configuration[rows], discovery.result.left_out_configurations)]
+        geometry_only = ArmData.of(profile, model.arms[name], readings.take(rows), conditions.take(rows))
+        data, fit = refitted_discovery(geometry_only, discovery)
+        others = [(other, model.arms[other]) for other in model.arms if other != name]
+        run = RunConditions(name, others[0] if len(others) == 1 else None, conditions, count)
+        approaches = all_approaches(len(poses), readings.joints, rng)
+        joined = joined_context(data, *run.all_candidates(poses, approaches))
+        hypotheses = tuple(open_hypotheses(data, fit, discovery, joined))
+        approaches = approaches.needed_for(frozenset[DriverVariable]().union(*(one.variables for one in hypotheses)))
+        columns = sum(one.columns_a_candidate for one in hypotheses)
+        most = min(int(_MEMORY_BYTES / max(columns * _BYTES_A_COLUMN, 1)), effort.candidates) // len(approaches)
+        limits = np.array(arm.joint_limits)
+        return cls(run, hypotheses, approaches, limits, max(_LEAST_POSES, most))
+
+    @property
+    def variables(self) -> frozenset[DriverVariable]:
+        """All variables that the hypotheses' models depend on."""
+        return frozenset[DriverVariable]().union(*(one.variables for one in self.hypotheses))
+
+
+@dataclass(eq=False)
+class ArmCandidates:
+    """Candidate stops of one arm (n poses, f approaches) while some of them are chosen.
+
+    Attributes
+    ----------
+    run, approaches
+    allowed : array, shape (n, f)
+        Candidates that may still be chosen.
+    comparisons : list of (Hypothesis, discriminations)
+        Over all candidates.
+    designs : list of (Hypothesis, SequentialDesign)
+        Each discrimination with the candidates chosen so far.
+    """
+
+    run: RunConditions
+    approaches: Approaches
+    allowed: NDArray[np.bool_]
+    comparisons: list[tuple[Hypothesis, list[Discrimination]]]
+    designs: list[tuple[Hypothesis, SequentialDesign]]
+
+    @classmethod
+    def of(cls, arm: ArmHypotheses, poses: CandidatePoses) -> ArmCandidates:
+        """Set up the discriminations over all candidates; last steps must start inside the joint limits."""
+        approaches = arm.approaches.first(len(poses))
+        start = poses.q[arm.run.name][:, None] - approaches.steps
+        low, high = arm.limits.T
+        q, conditions = arm.run.all_candidates(poses, approaches)
+        designs: dict[int, CandidateDesign] = {}
+        comparisons = []
+        for one in arm.hypotheses:
+            if id(one.fit) not in designs:
+                designs[id(one.fit)] = CandidateDesign.of(one.data, one.fit, q, conditions)
+            discriminations = one.discriminations(designs[id(one.fit)])
+            comparisons.append((one, _decidable(discriminations, one.needed, arm.run.count)))
+        begun = [(one, each.start_design()) for one, comparison in comparisons for each in comparison]
+        return cls(arm.run, approaches, ((start >= low) & (start <= high)).all(axis=2), comparisons, begun)
+
+    @property
+    def name(self) -> str:
+        """Name of the arm."""
+        return self.run.name
+
+    def gains(self, stops_left: int) -> Array:
+        """Compute the gain (n, f) of each candidate over all hypotheses, at most 1; -inf where it is not allowed."""
+        if not self.designs:
+            return np.where(self.allowed, 0.0, -math.inf)
+        needed = [one.needed for one, _ in self.designs]
+        gains = joint_gains([design for _, design in self.designs], needed, stops_left)
+        return np.where(self.allowed, gains.reshape(self.allowed.shape), -math.inf)
+
+    def add(self, pose: int, approach: int) -> None:
+        """Add a candidate to the designs; it cannot be chosen again."""
+        for _, design in self.designs:
+            design.add(pose * len(self.approaches) + approach)
+        self.allowed[pose, approach] = False
+
+    def start_of_last_step(self, poses: CandidatePoses, pose: int, approach: int) -> Array | None:
+        """Return where the last step to a candidate begins (N,) [rad]; None if it has none."""
+        step = self.approaches.steps[pose, approach]
+        return poses.q[self.name][pose] - step if step.any() else None
+
+
+def _decidable(comparison: list[Discrimination], needed: float, count: int) -> list[Discrimination]:
+    """Drop laws that contain the effect itself (as dry friction contains backlash), unless all do."""
+    decidable = []
+    for one in comparison:
+        design = one.start_design()
+        most = design.noncentrality + count * float(design.gains().max(initial=0.0))
+        if most > HOPELESS * needed:
+            decidable.append(one)
+    return decidable or comparison
+
+
+# -- Candidate poses of all arms for further stops: visible to the tracker, free of collision, and easy to reach ------
+
+
+@dataclass(frozen=True)
+class Effort:
+    """The number of candidates from which a proposal is chosen; its time grows in proportion.
+
+    Attributes
+    ----------
+    drawn : int
+        Poses that are drawn: enough that ``kept`` of them are within easy reach in the twin's crowded cell.
+    kept : int
+        Poses that are kept of these.
+    candidates : int
+        Upper limit of poses times approaches of one arm.
+    """
+
+    drawn: int = 840
+    kept: int = 600
+    candidates: int = 8000
+
+
+@dataclass(frozen=True, eq=False)
+class CandidatePoses:
+    """Poses of all arms, drawn together.
+
+    Attributes
+    ----------
+    q : mapping
+        Arm -> joint positions (n, N) [rad].
+    gate : CellBodies or None
+        Checks motions; None where the profile does not describe the cell.
+    homes : mapping
+        Arm -> home position (N,) [rad]; empty without a gate.
+    """
+
+    q: Mapping[str, Array]
+    gate: CellBodies | None
+    homes: Mapping[str, Array]
+
+    def __len__(self) -> int:
+        return len(next(iter(self.q.values())))
+
+    def first(self, count: int) -> CandidatePoses:
+        """Return the first ``count`` poses."""
+        return replace(self, q={name: q[:count] for name, q in self.q.items()})
+
+
+def candidate_poses(
+    profile: Profile, readings: Mapping[str, Readings], effort: Effort, rng: np.random.Generator, cancel: CancelToken
+) -> tuple[CandidatePoses, list[str]]:
+    """Draw poses in the cell that the profile describes, else take the measured configurations; and return notes.
+
+    Raises
+    ------
+    InputError
+        If there are none.
+    """
+    described = profile.tracker.pose is not None and all(
+        arm.base is not None and arm.home is not None and arm.type.capsules for arm in profile.arms.values()
+    )
+    if described:
+        return _drawn_poses(profile, effort, rng, cancel), []
+    note = (
+        "candidates are configurations that were measured, as the profile does not say where arms and tracker stand;"
+        " the motions to them were not checked for collisions"
+    )
+    return _measured_poses(readings, effort, rng), [note]
+
+
+def _drawn_poses(profile: Profile, effort: Effort, rng: np.random.Generator, cancel: CancelToken) -> CandidatePoses:
+    gate, homes = cell_bodies(profile), home_positions(profile)
+    drawn = draw_stops(gate, profile, effort.drawn, rng, cancel)
+    reached = np.all([ArmRoadmap(profile, gate, name, rng).reaches(q) for name, q in drawn.items()], axis=0)
+    if not reached.any():
+        raise InputError("propose: no candidate can be reached; make plan.clearance smaller")
+    return CandidatePoses({name: q[reached][: effort.kept] for name, q in drawn.items()}, gate, homes)
+
+
+def _measured_poses(readings: Mapping[str, Readings], effort: Effort, rng: np.random.Generator) -> CandidatePoses:
+    common = set.intersection(*(set(arm.configuration.tolist()) for arm in readings.values()))
+    stops = rng.permutation(np.array(sorted(common), dtype=np.int64))[: effort.kept].tolist()
+    if not stops:
+        raise InputError("propose: the arms have no stop in common from which candidates could be made")
+    q = {}
+    for name, arm in readings.items():
+        row_of = {stop: row for row, stop in enumerate(arm.configuration.tolist())}
+        q[name] = arm.q[[row_of[stop] for stop in stops]]
+    return CandidatePoses(q, None, {})
+
+
+def alone(gate: CellBodies, name: str) -> CellBodies:
+    """Return the cell with one arm only."""
+    return replace(gate, arms={name: gate.arms[name]})
+
+
+# -- Value of proposed stops: discrimination of each hypothesis now, with them, and with equally many random ones -----
+
+
+_RANDOM_DESIGNS = 8
+"""Number of random designs that are averaged for comparison, so that no single draw decides."""
+_LOAD_SHARE = 0.25
+"""Suggested further payload as a share of the arm's own mass: what arms of this class may carry."""
+_LEAST_LOAD_STEP_KG = 0.5
+"""Suggested payloads are multiples of this: common weights."""
+_WORTH_A_LOAD = 1.5
+"""Factor by which another payload must raise the discrimination to be suggested."""
+
+
+@dataclass(frozen=True)
+class PredictedDiscrimination:
+    """Non-centrality lambda of one hypothesis: now, with the proposed stops, with the same number of random ones.
+
+    ``against`` is empty where the question is whether the effect can be seen at all.
+    """
+
+    arm: str
+    effect: str
+    against: str
+    needed: float
+    now: float
+    proposed: float
+    random: float
+
+    @property
+    def gain_over_random(self) -> float:
+        """Ratio of the discrimination with the proposed stops to that with random ones."""
+        return self.proposed / max(self.random, 1e-12)
+
+
+def predict_arm(
+    arm: ArmCandidates,
+    poses: CandidatePoses,
+    pose: NDArray[np.intp],
+    approach: NDArray[np.intp],
+    rng: np.random.Generator,
+) -> tuple[list[PredictedDiscrimination], list[str]]:
+    """Predict the hypotheses of one arm with the chosen candidates; return also advice to change its payload."""
+    chosen = pose * len(arm.approaches) + approach
+    draws = [rng.integers(0, len(poses) * len(arm.approaches), len(chosen)) for _ in range(_RANDOM_DESIGNS)]
+    nothing = np.array([], dtype=np.intp)
+    predictions, advice = [], []
+    for one, comparison in arm.comparisons:
+        prediction = PredictedDiscrimination(
+            arm=arm.name,
+            effect=one.effect,
+            against=one.against,
+            needed=one.needed,
+            now=_least(comparison, nothing),
+            proposed=_least(comparison, chosen),
+            random=float(np.mean([_least(comparison, draw) for draw in draws])),
+        )
+        predictions.append(prediction)
+        advice += _load_advice(arm, one, poses, pose, approach, prediction)
+    return predictions, advice
+
+
+def _least(comparison: Sequence[Discrimination], chosen: NDArray[np.intp]) -> float:
+    """Return the least discrimination over the laws of the rival."""
+    return min(one.noncentrality(chosen) for one in comparison)
+
+
+def _load_advice(
+    arm: ArmCandidates,
+    hypothesis: Hypothesis,
+    poses: CandidatePoses,
+    pose: NDArray[np.intp],
+    approach: NDArray[np.intp],
+    prediction: PredictedDiscrimination,
+) -> list[str]:
+    """Advise another payload at every second stop, if the stops do not decide and the run had one payload."""
+    conditions = arm.run.conditions
+    depends = any(DriverVariable.PAYLOAD in EFFECTS[slug].variables for slug in hypothesis.effects)
+    decided = bool(hypothesis.against) and prediction.proposed >= prediction.needed
+    if not depends or decided or varies(conditions.payload_kg):
+        return []
+    bodies = hypothesis.data.model.bodies
+    present = last_known(conditions.payload_kg, 1)
+    now_kg = bodies.payload_mass if present is None else float(present[0])
+    steps = round(_LOAD_SHARE * float(bodies.masses.sum()) / _LEAST_LOAD_STEP_KG)
+    more_kg = max(steps * _LEAST_LOAD_STEP_KG, _LEAST_LOAD_STEP_KG)
+    load_kg: Array = now_kg + more_kg * (np.arange(len(pose)) % 2).astype(np.float64)
+    q, expected = arm.run.candidates(poses, arm.approaches, pose, approach, load_kg)
+    design = CandidateDesign.of(hypothesis.data, hypothesis.fit, q, expected)
+    loaded = _least(hypothesis.discriminations(design), np.arange(len(pose)))
+    if loaded < _WORTH_A_LOAD * prediction.proposed:
+        return []
+    titles = " and ".join(EFFECTS[slug].title for slug in hypothesis.effects)
+    aim = f"distinguish {titles}" if hypothesis.against else f"show {titles}"
+    return [
+        f"arm {arm.name}: another load would {aim} better: {now_kg + more_kg:g} kg instead of {now_kg:g} kg at every"
+        f" second stop would bring the discrimination to {loaded:.0f} instead of {prediction.proposed:.0f}; a person"
+        " must attach it, if the arm may carry it, and enter it in the controller"
+    ]
+
+
+DEFAULT_EFFORT = Effort()
+"""Effort of a proposal from the command line: 10 stops for the two arms of the twin take some 5 s."""
+_PROPOSAL_SEED = 0x9409
+"""Seed, besides the profile's seed and the number of readings: a later proposal draws other candidates."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Proposed stops in the order of measuring, and the discrimination that they are predicted to give.
+
+    Attributes
+    ----------
+    stops : PlannedStops
+        With straight motions; one at least.
+    predictions : tuple of PredictedDiscrimination
+    notes, advice : tuple of str
+    """
+
+    stops: PlannedStops
+    predictions: tuple[PredictedDiscrimination, ...]
+    notes: tuple[str, ...]
+    advice: tuple[str, ...]
+
+
+def propose_stops(
+    profile: Profile,
+    model: CellModel,
+    readings: Mapping[str, Readings],
+    found: Mapping[str, Discovery],
+    count: int,
+    listener: Listener = ignore,
+    cancel: CancelToken | None = None,
+    effort: Effort | None = None,
+) -> Proposal:
+    """Propose ``count`` further stops of all arms of a calibrated cell after ``found`` was discovered.
+
+    Raises
+    ------
+    InputError
+        If nothing is open, or no candidate stops can be made.
+    Cancelled
+        On request.
+    """
+    cancel, effort = cancel or CancelToken(), effort or DEFAULT_EFFORT
+    rng = np.random.default_rng([profile.seed, _PROPOSAL_SEED, max(len(arm) for arm in readings.values())])
+    listener(Progress("propose", 0, count, "candidates"))
+    poses, notes = candidate_poses(profile, readings, effort, rng, cancel)
+    conditions = conditions_of_arms(model.arms, readings)
+    hypotheses = [
+        ArmHypotheses.of(profile, name, model, readings[name], conditions[name], found[name], poses, count, effort, rng)
+        for name in model.arms
+    ]
+    if not any(arm.hypotheses for arm in hypotheses):
+        raise InputError("propose: no effect is ambiguous or hidden, so further stops have nothing to decide")
+    poses = poses.first(min(arm.affordable_poses for arm in hypotheses))
+    arms = [ArmCandidates.of(arm, poses) for arm in hypotheses]
+    coupled = any(DriverVariable.OTHER_ARM in arm.variables for arm in hypotheses)
+    selection = StopSelection(arms, poses, coupled or poses.gate is None, rng)
+    chosen = selection.select(count, listener, cancel)
+    if not chosen:
+        raise InputError("propose: the gate refused every candidate; make plan.clearance smaller, or move the bases")
+    if len(chosen) < count:
+        notes.append(f"only {len(chosen)} of {counted(count, 'stop')}: the gate refused the other candidates")
+    predictions: list[PredictedDiscrimination] = []
+    advice: list[str] = []
+    taken = {arm.name: np.array([one.poses[k] for one in chosen], dtype=np.intp) for k, arm in enumerate(arms)}
+    stops = straight_stops({name: poses.q[name][pose] for name, pose in taken.items()})
+    stops.proposed[:] = True
+    for number, arm in enumerate(arms):
+        pose = taken[arm.name]
+        approach = np.array([one.approaches[number] for one in chosen], dtype=np.intp)
+        of_arm, advice_of_arm = predict_arm(arm, poses, pose, approach, rng)
+        predictions += of_arm
+        advice += advice_of_arm
+        step = arm.approaches.steps[pose, approach]
+        moved = step.any(axis=1)
+        stops.approach_from[arm.name][moved] = (stops.q[arm.name] - step)[moved]
+        stops.dwell_s[arm.name][:] = arm.approaches.dwells[approach]
+    listener(Progress("propose", count, count, "done"))
+    return Proposal(stops, tuple(predictions), tuple(notes), tuple(dict.fromkeys(advice)))
+
+
+# -- Greedy choice of further stops for all arms, among candidates that the safety gate lets them reach ---------------
+#
+# Stop by stop, each arm takes the candidate of the largest gain (sequential T-optimal design). The arms can move to
+# every stop from home, and home from it. The order is random, so that time is confounded with nothing.
+
+
+_MOST_OFTEN = 3
+"""How often a pose is proposed at most: optimal designs repeat few stops, which would hide
+that a law is wrong elsewhere."""
+_REFUSALS = 400
+"""Refusals in a row after which the search for a further stop ends: bounds the time in a crowded cell."""
+
+
+@dataclass(frozen=True)
+class ChosenStop:
+    """The pose of each arm, and the approach to it."""
+
+    poses: tuple[int, ...]
+    approaches: tuple[int, ...]
+
+
+@dataclass(eq=False)
+class StopSelection:
+    """The selection of stops for all arms.
+
+    Attributes
+    ----------
+    arms, poses
+        The candidates.
+    paired : bool
+        Keep poses of all arms together that were drawn together, as where an effect depends on the other arm. Else
+        each arm's best poses are combined, if the gate accepts it.
+    rng
+    refused : set of ChosenStop
+        Combinations that the gate refused.
+    """
+
+    arms: Sequence[ArmCandidates]
+    poses: CandidatePoses
+    paired: bool
+    rng: np.random.Generator
+    refused: set[ChosenStop] = field(default_factory=set)
+
+    def select(self, count: int, listener: Listener, cancel: CancelToken) -> list[ChosenStop]:
+        """Choose ``count`` stops, each the best in addition to those before; fewer if the gate refuses."""
+        used = [np.zeros(len(self.poses), dtype=np.intp) for _ in self.arms]
+        found: list[ChosenStop] = []
+        while len(found) < count:
+            cancel.check()
+            listener(Progress("propose", len(found), count, "stops"))
+            stop = self._next(used, count - len(found))
+            if stop is None:
+                break
+            for arm, counts, pose, approach in zip(self.arms, used, stop.poses, stop.approaches, strict=True):
+                arm.add(pose, approach)
+                counts[pose] += 1
+            found.append(stop)
+        return [found[k] for k in self.rng.permutation(len(found))]
+
+    def target(self, stop: ChosenStop) -> dict[str, Array]:
+        """Return the joint positions of the arms at a stop."""
+        return {arm.name: self.poses.q[arm.name][pose] for arm, pose in zip(self.arms, stop.poses, strict=True)}
+
+    def _next(self, used: list[NDArray[np.intp]], stops_left: int) -> ChosenStop | None:
+        """Choose the best stop whose last steps the gate accepts; None if there is none."""
+        gains = [arm.gains(stops_left) for arm in self.arms]
+        for gain, counts in zip(gains, used, strict=True):
+            gain[counts >= _MOST_OFTEN] = -math.inf
+        for _ in range(_REFUSALS):
+            stop = self._best(gains)
+            if stop is None:
+                return None
+            refused_arms = self._arms_refused_alone(stop)
+            if not refused_arms and stop not in self.refused and not self._refused_together(stop):
+                return stop
+            self.refused.add(stop)
+            for number in refused_arms:
+                self.arms[number].allowed[stop.poses[number], stop.approaches[number]] = False
+            for number in refused_arms or [_least_loss(gains, stop)]:
+                gains[number][stop.poses[number], stop.approaches[number]] = -math.inf
+        return None
+
+    def _best(self, gains: Sequence[Array]) -> ChosenStop | None:
+        """Return the stop of the largest gains (n, f) of each arm; None if an arm has no candidate left."""
+        by_pose = [gain.max(axis=1) for gain in gains]
+        if self.paired:
+            by_pose = [np.sum(by_pose, axis=0)] * len(self.arms)
+        poses = tuple(int(np.argmax(best)) for best in by_pose)
+        if any(not math.isfinite(float(best[pose])) for best, pose in zip(by_pose, poses, strict=True)):
+            return None
+        return ChosenStop(poses, tuple(int(np.argmax(gain[pose])) for gain, pose in zip(gains, poses, strict=True)))
+
+    def _start(self, stop: ChosenStop) -> dict[str, Array]:
+        """Return where the last steps to a stop begin; an arm without one is there already."""
+        starts = self.target(stop)
+        for arm, pose, approach in zip(self.arms, stop.poses, stop.approaches, strict=True):
+            start = arm.start_of_last_step(self.poses, pose, approach)
+            if start is not None:
+                starts[arm.name] = start
+        return starts
+
+    def _arms_refused_alone(self, stop: ChosenStop) -> list[int]:
+        """Return indices of the arms whose last step the gate refuses whatever the others do."""
+        gate = self.poses.gate
+        if gate is None:
+            return []
+        target, start = self.target(stop), self._start(stop)
+        return [
+            number
+            for number, arm in enumerate(self.arms)
+            if start[arm.name] is not target[arm.name]
+            and refuse_motion(alone(gate, arm.name), {arm.name: start[arm.name]}, {arm.name: target[arm.name]})
+        ]
+
+    def _refused_together(self, stop: ChosenStop) -> bool:
+        """Return whether the tracker misses an SMR at a stop, or the gate refuses the last steps or the ways home."""
+        gate, homes = self.poses.gate, self.poses.homes
+        if gate is None:
+            return False
+        start, target = self._start(stop), self.target(stop)
+        if not self.paired and not visible_stops(gate, {name: q[None] for name, q in target.items()})[0]:
+            return True
+        return bool(refuse_motion(gate, start, target)) or not (
+            can_go(gate, homes, start) and can_go(gate, target, homes)
+        )
+
+
+def _least_loss(gains: Sequence[Array], stop: ChosenStop) -> int:
+    """Return the index of the arm whose second best candidate is nearest to its best."""
+    losses = []
+    for gain, pose, approach in zip(gains, stop.poses, stop.approaches, strict=True):
+        rest = gain.copy()
+        rest[pose, approach] = -math.inf
+        losses.append(float(gain[pose, approach] - rest.max()))
+    return int(np.argmin(losses))
+
+
+# -- Stops that discovery proposed, appended to the plan of a run that this program drives ----------------------------
+
+
+def append_proposed_stops(run: RunFile, stops: PlannedStops) -> int:
+    """Append stops to the plan in place of earlier proposals that were not measured; return the first one's number."""
+    plan, done = read_planned_stops(run), run.stops_done()
+    first = len(plan)
+    while first and plan.proposed[first - 1] and first - 1 not in done:
+        first -= 1
+    whole = joined(plan.take(range(first)), stops)
+    block = np.where(np.arange(len(whole)) < first, whole.block, whole.block[:first].max(initial=-1) + 1)
+    load = np.where(np.arange(len(whole)) < first, whole.load, whole.load[:first].max(initial=0))  # the last load
+    write_planned_stops(run, replace(whole, block=block, load=load))
+    return first
+
+
+def why_not_driven(run: RunFile) -> str:
+    """Say why this program cannot drive further stops of a run; empty if it can."""
+    missing = [f"arms.{name}" for name, arm in run.profile.arms.items() if not arm.driver.has_device]
+    missing += [] if run.profile.tracker.driver.has_device else ["tracker"]
+    if missing:
+        return f"the driver of {missing[0]} is 'none'"
+    return "" if run.read_plan() else "the run has no plan (it was imported)"

@@ -1,1 +1,0 @@
-"""Which effects, from which size on, a plan would find."""
