@@ -21,6 +21,13 @@ COMMANDS: Mapping[str, str] = {
     "docs screens": "the source's 'python -m tests.handbook screens' draws the terminal application",
     "power": "use 'cellapp trials power DIR'",
     **{
+        f"docs {old}": f"'cellapp docs {new}' has what it held"
+        for old, new in (
+            *(("figures", "validation"), ("messages", "faults"), ("certificate", "report"), ("untried", "limits")),
+            *(("paths", "targets"), ("programs", "targets"), ("house", "architecture")),
+        )
+    },
+    **{
         f"trials {name}": _EVIDENCE
         for name in (
             *("league", "benchmark", "blind-matrix", "truth", "paper", "parameter-sets", "coverage", "cost"),

@@ -10,7 +10,7 @@ from cellapp.commands.registry import records
 from cellapp.commands.schema import written_results
 from cellapp.ground.results import Result
 from cellapp.robot.effects import EFFECTS
-from tests.evidence.page import figures_part, readme_part
+from tests.evidence.page import validation_part, readme_part
 from tests.interfaces.tui.states import states_table
 
 _DECLARED = re.compile(r"<!-- declared: (\w+) -->\n.*?<!-- end -->\n", re.DOTALL)
@@ -19,7 +19,7 @@ _DECLARED = re.compile(r"<!-- declared: (\w+) -->\n.*?<!-- end -->\n", re.DOTALL
 def with_declarations(text: str) -> str:
     """The text with the parts that repeat declarations (between markers) renewed: verbs, effects, results as JSON."""
     lists = {"results": results_part, "verbs": verbs_part, "keys": keys_part, "states": states_part}
-    lists |= {"figures": figures_part, "readme": readme_part}
+    lists |= {"validation": validation_part, "readme": readme_part}
     return _DECLARED.sub(
         lambda match: lists[match[1]]() if match[1] in lists else declared_part(EFFECTS[match[1]]), text
     )

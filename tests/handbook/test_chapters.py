@@ -48,7 +48,7 @@ from cellapp.robot.kinematics.chain import nominal_geometry, parallel_rows, smr_
 from cellapp.robot.kinematics.transforms import Array, rotation_x, rotation_z, transform
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
-from tests.evidence.page import README_ROWS, figures_part, readme_part
+from tests.evidence.page import README_ROWS, validation_part, readme_part
 from tests.evidence.skeleton import Limit, Share, programs, stated_results
 from tests.handbook import chapters
 from tests.handbook.chapters import ROOT, blocks, chapter_path
@@ -124,7 +124,7 @@ def test_terms_stand_in_order_are_short_and_lead_to_a_chapter() -> None:
 
 
 _TAKES = re.compile(r"\b(?:takes?|took) (?:some |about )?[\d.]+ (?:m?s|min)\b[^.;|]*")
-_KNOWN = ("figures", "AMD EPYC", "times", "of the cell", "simulated twin")
+_KNOWN = ("validation", "AMD EPYC", "times", "of the cell", "simulated twin")
 """What tells where a time is from."""
 
 
@@ -172,7 +172,7 @@ def test_people_need_not_see_how_tests_run_an_example() -> None:
 def test_the_command_prints_chapters_and_sections_and_lists_the_topics() -> None:
     runner = CliRunner()
     assert runner.invoke(app, ["docs", "discovery"]).output.startswith("# How discovery decides")
-    assert runner.invoke(app, ["docs", "figures"]).output.startswith("# Figures")
+    assert runner.invoke(app, ["docs", "validation"]).output.startswith("# Validation")
     section = runner.invoke(app, ["docs", "backlash"]).output
     assert section.startswith("## backlash\n")
     assert "## friction_windup" not in section
@@ -286,7 +286,7 @@ def test_figures_are_of_programs_and_shown() -> None:
     assert set(stated_results()) <= set(programs())
     assert {name for _, _, name in README_ROWS} <= set(stated_results())
     for title in (stated["title"] for stated in stated_results().values()):
-        assert f"## {title}\n" in figures_part()
+        assert f"## {title}\n" in validation_part()
     assert "| --- | --- | --- |" in readme_part()
 
 

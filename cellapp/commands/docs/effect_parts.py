@@ -6,7 +6,7 @@ import textwrap
 
 from cellapp.robot.effects import Effect
 
-_WIDTH = 120
+WIDTH = 120
 """Line width of the Markdown files."""
 _GENERAL_PLACE = {"link_bending": "the link", "unknown": "a part of the cell"}
 
@@ -25,4 +25,4 @@ def declared_part(effect: Effect) -> str:
 
 
 def _wrapped(text: str) -> str:
-    return textwrap.fill(text, _WIDTH, break_long_words=False, break_on_hyphens=False)
+    return textwrap.fill(text, WIDTH, break_long_words=False, break_on_hyphens=False)

@@ -46,7 +46,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "python": "using cellapp from Python: runs, models, data frames, mistakes",
     },
     "for developers": {
-        "figures": "figures of the project, each with the program that measured it",
+        "validation": "what was measured of the program, on real arms first, each with the program that measured it",
         "extend": "arms, drivers, effects and exports of your own, as plug-ins",
         "emulator": "the emulated cell: real protocols, faults at will",
         "scale": "effects hidden in a cell of yours: trials on all cores or a Dask cluster",
