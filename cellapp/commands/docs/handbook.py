@@ -18,7 +18,8 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "tutorial": "from an empty folder to a certificate, on the simulated twin",
         "readings": "readings that you measured elsewhere: any table, any arm, in ten minutes",
         "cell": "connecting the real cell step by step, with its risks; writing a profile",
-        "faults": "stopping, pausing, resuming, and going on after a fault",
+        "instruments": "tracker, bridge, 6-D probe, weather station",
+        "faults": "stopping, going on after a fault, and what each message asks of you",
         "glossary": "the terms of the field as this program uses them",
     },
     "measure and calibrate": {
@@ -29,11 +30,10 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "motion": "sweeps instead of stops: recordings of joints and points, each with its own clock",
         "discovery": "how discovery decides, and what its words mean",
         "effects": "the physical effects that discovery knows",
-        "messages": "every fault and suspicion by device: what the program says, cause, what to do",
         "report": "the page of a run: verdict, sections, what is out of date, paper",
         "files": "every file that goes in or comes out: columns, units, frames, examples",
         "frames": "frames and conventions: where each frame sits, signs, D-H rows, order of rotations",
-        "untried": "what was never tried on real hardware, and what the program does not do",
+        "limits": "what was never tried on real hardware, and what the program does not do",
     },
     "use what was calibrated": {
         "targets": "targets of calibrated arms: lists, verdicts, uncertainty, measuring them",
@@ -50,8 +50,8 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "extend": "arms, drivers, effects and exports of your own, as plug-ins",
         "emulator": "the emulated cell: real protocols, faults at will",
         "scale": "effects hidden in a cell of yours: trials on all cores or a Dask cluster",
-        "house": "how the code is laid out, how to add to it, tests",
-        "decisions": "decisions that shaped the house, with their reasons",
+        "architecture": "how the code is laid out, how to add to it, tests",
+        "decisions": "decisions that shaped the architecture, with their reasons",
     },
 }
 """Name and subject of each chapter, a Markdown file of ``cellapp.docs``, by part of the handbook."""
