@@ -91,7 +91,7 @@ class CorrectRequest(Request):
     ] = False
 
 
-VERB = Verb("correct", CorrectRequest, chapter="programs", question="Correct a program")
+VERB = Verb("correct", CorrectRequest, chapter="targets", question="Correct a program")
 
 
 _JOINTS = 6

@@ -12,7 +12,7 @@ from cellapp.ground.outputs import Writes
 class CompensateRequest(Request):
     """Joint positions that bring the real arms to Cartesian targets or along paths, from the calibrated model.
 
-    TARGETS may be a path file (YAML), lines and arcs with speeds: 'cellapp docs paths' explains it. Nothing moves.
+    TARGETS may be a path file (YAML), lines and arcs with speeds: 'cellapp docs targets' explains it. Nothing moves.
     """
 
     folder: RunFolder
