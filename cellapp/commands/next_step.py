@@ -158,7 +158,7 @@ def _of_stages(results: RunResults, folder: str) -> Iterator[Step]:
             text = f"{words}: measure stops that decide what discovery left open:"
             yield Step(text, f"cellapp discover {folder} --propose {_PROPOSED_STOPS}", "discover")
         elif name == PATH:
-            yield Step(f"{words}: mend the path, then compute it again:", "cellapp docs paths")
+            yield Step(f"{words}: mend the path, then compute it again:", "cellapp docs targets")
         elif name == CHECK and kind == "cannot say":
             yield Step(f"{words}:", f"cellapp check {folder}", "check")
         elif name in (PUSH, VERIFY) and kind == "cannot say":
@@ -196,7 +196,7 @@ def _again(run: RunFile) -> Iterator[tuple[str, Step]]:
     verbs: dict[str, tuple[NextVerb, str]] = {
         f"'{COMPENSATE}'": ("compensate", at_targets("compensate", run.folder)),
         f"'{PUSH}'": ("push", at_targets("push", run.folder)),
-        f"'{PATH}'": ("", "cellapp docs paths"),
+        f"'{PATH}'": ("", "cellapp docs targets"),
         f"'{ISO9283}'": ("iso9283", f"cellapp iso9283 --run {folder}"),
         f"'{CHECK}'": ("check", f"cellapp check {folder}"),
         REPORT_FILE: ("report", f"cellapp report {folder}"),

@@ -29,6 +29,13 @@ COMMANDS: Mapping[str, str] = {
     "correct": "use 'cellapp compensate DIR PROGRAM --out FILE'",
     **{request: f"use 'cellapp job {request} DIR'" for request in ("pause", "resume", "abort")},
     **{
+        f"docs {old}": f"'cellapp docs {new}' has what it held"
+        for old, new in (
+            *(("figures", "validation"), ("messages", "faults"), ("certificate", "report"), ("untried", "limits")),
+            *(("paths", "targets"), ("programs", "targets"), ("house", "architecture")),
+        )
+    },
+    **{
         f"trials {name}": _EVIDENCE
         for name in (
             *("league", "benchmark", "blind-matrix", "truth", "paper", "parameter-sets", "coverage", "cost"),

@@ -45,7 +45,7 @@ class CertificateRequest(Request):
 VERB = Verb(
     "certificate",
     CertificateRequest,
-    chapter="certificate",
+    chapter="report",
     question="Write the certificate",
     stored=(Stored("certificate", "no certificate is", ("certificate",)),),
 )

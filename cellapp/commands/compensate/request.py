@@ -17,8 +17,8 @@ PROGRAMS = (".script", ".urp")
 class CompensateRequest(Request):
     """Commands from the calibrated model that bring the real arms to targets, along paths, through a UR program.
 
-    TARGETS is a target list (YAML, CSV), a path file (YAML: lines and arcs with speeds, 'cellapp docs paths'), or a
-    program of a UR controller (.script, .urp, 'cellapp docs programs'), whose targets are corrected so that a plain
+    TARGETS is a target list (YAML, CSV), a path file (YAML: lines and arcs with speeds, 'cellapp docs targets'), or a
+    program of a UR controller (.script, .urp, 'cellapp docs targets'), whose targets are corrected so that a plain
     controller truly reaches them: every other line stays byte for byte, and nothing is written while a target cannot be
     corrected, unless with --partly. Nothing moves.
     """

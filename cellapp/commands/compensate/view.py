@@ -75,7 +75,7 @@ def paths_section(result: PathResult) -> Section:
         "",
         paths_view(result).parts,
         message=f"{len(result.paths) - refused} of {len(result.paths)} paths can be driven.",
-        about="Lines and arcs with speeds, as joint paths of the calibrated model; 'cellapp docs paths' explains them.",
+        about="Lines and arcs with speeds, as joint paths of the calibrated model; see 'cellapp docs targets'.",
     )
 
 

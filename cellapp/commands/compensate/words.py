@@ -35,8 +35,8 @@ _ADVICE: Mapping[str, str] = {
     "approach": "drive so, or state a side: approach: [1, 0, ...] of the target, one sign for each joint",
     "with any rotation": "move the target nearer to the arm",
     "out of reach": "move the target nearer to the arm, or leave its rotation free",
-    "beyond limits": "turn the target about the tool's axis, or leave its rotation free",
-    "singular": "turn or move the target a little, or leave its rotation free",
+    "beyond limits": "rotate the target about the tool's axis, or leave its rotation free",
+    "singular": "rotate or move the target a little, or leave its rotation free",
     "collide": "move or turn the target; bodies and obstacles are those of the profile",
     "asked": "move or turn the target; clearance, bodies and obstacles are those of the profile",
 }

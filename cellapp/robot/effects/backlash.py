@@ -83,16 +83,15 @@ class Backlash(Effect):
     arm_bound = True
     meaning = Meaning.of(
         """cause: The gear of {place} has lost motion: the output lags behind the motor on each reversal.
-        size (estimate): 40 µrad of half play are 25 to 55 µm at the flange of a UR10; catalogues of strain-wave gears
-          give arc minutes of lost motion
+        size (estimate): 40 µrad of half play are 25 to 55 µm at the flange of a UR10
         check: With drives on and the arm at rest, push and pull at the link beyond {place} with a dial gauge on it:
           play is a loose bolt or a worn gear. With drives off the brake's own play shows as well.
-        check: Check the bolts of the gearbox of {place}, then have the gear inspected.
-        check: Until it is mended, approach every target from the same side as during calibration.
+        check: Check the bolts of the gearbox of {place}, then have the gear inspected; until then approach every target
+          from the side of the calibration.
         settle: Measure 10 poses twice, each joint approached once from either side by the same step.
         settle: Approach one pose with last steps of 1, 5, 20 and 60 degrees: hysteresis grows with the step, play does
           not.
-        settle: Record approach signs, or import with --in-order: without them the effect is invisible."""
+        settle: Record approach signs, or import with --in-order."""
     )
     look_alikes = ("friction_windup", "unsettled_measurement")
     impossible = ImpossibleValues(
@@ -207,13 +206,12 @@ class FrictionWindup(Effect):
         """cause: Friction in {place} holds the gear wound up against its last motion, more so under load.
         size (estimate): 1e-4 rad at 50 Nm, 50 to 130 µm at the flange of a UR10
         check: Warm the arm up: cold grease has more friction.
-        check: Compare the motor current of {place} in slow motion with the other arm's: more current is more friction.
-        check: Check lubrication and brake of {place}: a brake that drags winds up too.
+        check: Compare the motor current of {place} in slow motion with the other arm's.
+        check: Check lubrication and brake of {place}: a dragging brake winds up too.
         settle: Approach the same poses from both sides with two payloads: wind-up grows with the load, backlash does
           not.
-        settle: Repeat 10 stops cold and after an hour of motion.
-        settle: Dry friction and play look the same at every stop: push at the link with drives on and a dial gauge on
-          it. Play gives way at once, a gear that friction holds gives way in proportion to the force."""
+        settle: Push at the link with drives on and a dial gauge on it: play gives way at once, dry friction in
+          proportion to the force."""
     )
     look_alikes = ("backlash", "unsettled_measurement")
     impossible = ImpossibleValues(

@@ -86,15 +86,15 @@ class BaseDrift(Effect):
     slug = "base_drift"
     title = "drift of the base (drift of the tracker looks the same)"
     meaning = Meaning.of(
-        """cause: The base moves slowly against the tracker: the tracker's stand or head warms up, a pedestal settles,
-          or the floor creeps.
-        size (sourced): Tenths of a millimetre in a tracker's first two hours (published), 10 to 40 µm after that
+        """cause: The base moves slowly against the tracker: stand or head of the tracker warms up, a pedestal
+          settles, the floor creeps.
+        size (sourced): tenths of a millimetre in a tracker's first two hours (published), 10 to 40 µm after that
           (estimate)
         check: Let the tracker run for two hours before measuring.
-        check: Check the tracker's stand: clamps, feet, cables that pull, people who lean on it.
-        check: Check the bolts of the pedestal and of the base plate.
+        check: Check the tracker's stand: clamps, feet, cables that pull.
+        check: Check the bolts of pedestal and base plate.
         settle: Measure four fixed nests every 20 stops: if they move, it is the tracker.
-        settle: Measure both arms by turns: a drift that both share is the tracker's, one arm's own is its base."""
+        settle: Measure both arms by turns: what both share is the tracker's."""
     )
     look_alikes = ("base_step", "thermal_growth", "joint_drift")
     variables = frozenset({DriverVariable.TIME})
@@ -150,7 +150,7 @@ class BaseStep(OnsetEffect):
     meaning = Meaning.of(
         """cause: The base or the tracker moved at once: a bumped stand, a bolt that slipped, a crane or fork-lift.
         size (estimate): 10 to 50 µm
-        check: Look in the log for what happened at the time of the step: people, doors, collisions, restarts.
+        check: Look in the log for what happened at the time of the step.
         check: Check the bolts of the base plate and the clamps of the tracker's stand.
         check: If the step is large, orient the tracker again and repeat the stops before or after it.
         settle: Measure the fixed nests again: if they moved, it was the tracker.

@@ -44,13 +44,11 @@ class JointAxisRunout(Effect):
     title = "run-out of joint axes"
     arm_bound = True
     meaning = Meaning.of(
-        """cause: The axis of {place} shifts as it turns: radial or axial run-out of its bearing, or a seat out of
-          round.
+        """cause: The axis of {place} shifts with its angle: run-out of its bearing, or a seat out of round.
         size (estimate): 10 to 50 µm; 8 to 27 µm were found on a real UR10
-        check: Put a dial gauge to the flange side of {place} and turn it: its reading is the run-out.
-        check: Check the bolts of the bearing ring of {place}: unevenly tightened ones bend the ring.
-        settle: Move {place} alone through a whole turn with the arm folded, in steps of 10 degrees, forth and back.
-        settle: Repeat it with the arm stretched: a run-out stays the same, a tilt grows with the distance."""
+        check: Put a dial gauge to the flange side of {place} and move it: its reading is the run-out.
+        check: Check that the bolts of the bearing ring of {place} are tightened evenly.
+        settle: Move {place} alone through a whole revolution, folded and stretched: a run-out stays the same."""
     )
     look_alikes = ("joint_axis_wobble", "transmission_error", "encoder_eccentricity")
     variables = frozenset({DriverVariable.JOINT_ANGLE})

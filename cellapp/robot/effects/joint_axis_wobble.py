@@ -67,13 +67,13 @@ class JointAxisWobble(Effect):
     title = "wobble of joint axes"
     arm_bound = True
     meaning = Meaning.of(
-        """cause: The axis of {place} tilts as it turns: run-out of the bearing or ovality of its raceways.
+        """cause: The axis of {place} tilts with its angle: run-out of the bearing or oval raceways.
         size (estimate): 5 to 20 µrad, 5 to 25 µm
-        check: Turn {place} slowly by hand or in jog and listen and feel for a rough or tight spot of its bearing.
-        check: Check the bolts of the bearing ring of {place}: unevenly tightened ones bend the ring oval.
-        check: Check for a past collision of this arm: dents of a raceway give this and noise.
-        settle: Move {place} alone through a whole turn with the arm stretched, in steps of 10 degrees, forth and back.
-        settle: Repeat it with the arm folded: a tilt grows with the distance from the axis, a run-out does not."""
+        check: Move {place} slowly in jog and feel for a rough or tight spot of its bearing.
+        check: Check that the bolts of the bearing ring of {place} are tightened evenly.
+        check: Check for a past collision of this arm.
+        settle: Move {place} alone through a whole revolution, stretched and folded: a tilt grows with the distance from
+          the axis."""
     )
     look_alikes = ("joint_axis_runout", "transmission_error")
     variables = frozenset({DriverVariable.JOINT_ANGLE})

@@ -79,18 +79,15 @@ class JointCompliance(Effect):
     title = "joint compliance under gravity"
     arm_bound = True
     meaning = Meaning.of(
-        """cause: The gear and the bearings of {place} twist under the weight that they carry. Strain-wave gears always
-          do; a loose bolted joint or a worn gear adds to it.
-        size (computed): 1 to 3 mm at the flange of a UR10, 0.5 to 1.5 mm of a UR5: catalogue stiffness times the arm's
-          own torques
+        """cause: Gear and bearings of {place} twist under the weight that they carry: strain-wave gears always, loose
+          bolts or a worn gear more.
+        size (computed): 1 to 3 mm at the flange of a UR10, 0.5 to 1.5 mm of a UR5
         check: Compare the value with that of the same joint of the other arm and of earlier runs. If it grew, check the
           bolts between the gearbox of {place} and both links.
-        check: Check masses, centres of mass and payload in the profile and in the controller: a wrong mass scales the
-          value.
+        check: Check masses, centres of mass and payload in the profile and in the controller.
         settle: Repeat 20 stops with a second payload: what grows with the load is compliance and not geometry.
-        settle: Add stops over the full range of joints 2 and 3.
-        settle: Log the motor-side and the output-side encoder: a compliant gear shows in their difference, a bending
-          link does not."""
+        settle: Log motor-side and output-side encoders: compliance shows in their difference, bending of a link does
+          not."""
     )
     look_alikes = ("link_bending", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
     impossible = ImpossibleValues(
@@ -153,16 +150,13 @@ class PayloadCompliance(Effect):
     title = "joint compliance under the payload"
     arm_bound = True
     meaning = Meaning.of(
-        """cause: The gear of {place} twists under the payload alone: the arm's own weight was calibrated away or is
-          compensated by the controller, the load in the gripper is not.
-        size (computed): 10 kg deflect the flange of a UR10 by 1.4 to 3.4 mm, 5 kg that of a UR5 by 0.5 to 1.2 mm:
-          makers' tables and catalogue stiffness
+        """cause: The gear of {place} twists under the payload alone: the controller compensates the arm's own weight,
+          or calibration did.
+        size (computed): 10 kg deflect the flange of a UR10 by 1.4 to 3.4 mm, 5 kg that of a UR5 by 0.5 to 1.2 mm
         check: Weigh the payload and enter its mass and centre of mass in the profile and in the controller.
-        check: Check that the payload is bolted tight: a loose one moves in the same way.
-        check: If the value is much above that of the other arm, check the bolts at the gearbox of {place}.
-        settle: Measure the same 10 poses empty and with two payloads: geometry drops out of the differences.
-        settle: Change only the payload setting of the controller at one pose: if the SMR moves, the controller
-          compensates."""
+        check: Check that the payload is bolted tight.
+        check: If the value is much above the other arm's, check the bolts at the gearbox of {place}.
+        settle: Measure the same 10 poses empty and with two payloads."""
     )
     look_alikes = ("joint_compliance", "link_bending")
     impossible = ImpossibleValues(

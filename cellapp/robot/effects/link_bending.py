@@ -66,15 +66,13 @@ class LinkBending(Effect):
     title = "bending of links"
     arm_bound = True
     meaning = Meaning.of(
-        """cause: Bending and twisting of {place} as a beam under all that it carries. A tube always bends; a cracked
-          clamp or a loose bolt at its end bends more.
+        """cause: {place} bends and twists as a beam under all that it carries; a cracked clamp or a loose bolt at its
+          end adds to it.
         size (estimate): 0.2 to 0.4 mm at the flange of a UR10, 0.1 mm of a UR5, for a bending stiffness of 1e5 N m^2
         check: Check the bolts at both ends of {place}.
-        check: Compare with the joint compliance of the same arm: position data hardly distinguish them, so treat both
-          as one elasticity.
-        settle: Put two or three SMRs on {place} and measure them stretched and folded.
-        settle: Log the motor-side and the output-side encoder: compliance shows there, bending does not.
-        settle: Repeat 20 stops with a second payload, near 0 and near the rated load."""
+        settle: Measure two or three SMRs on {place}, stretched and folded.
+        settle: Log motor-side and output-side encoders: bending does not show there.
+        settle: Repeat 20 stops near zero and near the rated load."""
     )
     look_alikes = ("joint_compliance", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
     impossible = ImpossibleValues(

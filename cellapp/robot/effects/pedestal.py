@@ -59,13 +59,10 @@ class PedestalCompliance(Effect):
     title = "pedestal tilting under the arm's own weight"
     meaning = Meaning.of(
         """cause: The pedestal or the plate under the arm tilts under the arm's own weight as it reaches out.
-        size (estimate): 2e6 Nm/rad (estimate) under 127 Nm (computed) are 60 µrad, 70 to 140 µm on a UR10
-        check: Tighten the bolts of base plate and anchors, and look for a gap under the plate with a feeler gauge.
-        check: Check the levelling feet: each must carry load.
-        check: Stiffen the pedestal, or keep the arm's reach of the calibration.
-        settle: Put an SMR in a nest on top of the pedestal and measure it with the arm stretched to four sides.
-        settle: Add stops with the arm stretched to all sides; another payload loads the joints alike and does not help.
-        """
+        size (estimate): 2e6 Nm/rad under 127 Nm are 60 µrad, 70 to 140 µm on a UR10
+        check: Tighten base plate and anchors, and look for a gap under the plate with a feeler gauge.
+        check: Check that each levelling foot carries load.
+        settle: Measure an SMR on top of the pedestal with the arm stretched to four sides."""
     )
     look_alikes = ("joint_compliance", "link_bending", "transmission_error", "tracker_angle_error")
     impossible = ImpossibleValues(
@@ -147,13 +144,10 @@ class PedestalCoupling(Effect):
     title = "pedestal tilting under the other arm's weight"
     meaning = Meaning.of(
         """cause: The base tilts under the other arm's weight, through a common plate, frame or floor.
-        size (estimate): 25 to 40 µm on a UR10 from a UR5's 57 Nm; 50 to 100 µm the other way round: moments computed,
-          stiffness an estimate
-        check: Tighten the bolts between both pedestals and their common plate or frame.
-        check: Check the anchors of the common frame in the floor.
-        check: Park the other arm in one pose where accuracy matters, as in the calibration.
-        settle: Move the other arm at random between stops, and log its joints.
-        settle: Measure one pose of this arm while only the other arm changes from folded to stretched."""
+        size (estimate): 25 to 40 µm on a UR10 from a UR5's 57 Nm; 50 to 100 µm the other way round
+        check: Tighten the bolts between both pedestals, their common frame and the floor.
+        check: Park the other arm in the pose of the calibration where accuracy matters.
+        settle: Move the other arm at random between stops, and log its joints."""
     )
     look_alikes = ("base_step", "base_drift")
     variables = frozenset({DriverVariable.OTHER_ARM})

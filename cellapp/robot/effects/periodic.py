@@ -72,13 +72,12 @@ class EncoderEccentricity(Effect):
     title = "encoder eccentricity (one cycle per revolution)"
     arm_bound = True
     meaning = Meaning.of(
-        """cause: The graduated disc or magnet ring of the encoder of {place} is off the axis; a first-order error of
-          the gear has exactly the same shape.
+        """cause: The disc or magnet ring of the encoder of {place} is off the axis; a first-order error of the gear has
+          the same shape.
         size (estimate): 2 µm on a radius of 25 mm are 80 µrad, 50 to 110 µm at the flange of a UR10
-        check: After a repair of {place}: check how the encoder disc is seated and centred.
-        check: No repair is needed where the error is stable: the calibrated model corrects it.
-        settle: Move {place} alone through a whole turn in steps of 10 degrees, all other joints at rest.
-        settle: Log both encoders of {place}: an eccentric disc shows in one of them only."""
+        check: After a repair of {place}, check how the encoder disc is centred. A stable error needs no repair.
+        settle: Move {place} alone through a whole revolution in steps of 10 degrees.
+        settle: Log both encoders of {place}: an eccentric disc shows in one only."""
     )
     look_alikes = ("joint_compliance", "transmission_error")
     variables = frozenset({DriverVariable.JOINT_ANGLE})
@@ -131,15 +130,15 @@ class TransmissionError(Effect):
     title = "transmission error (two cycles per revolution and up)"
     arm_bound = True
     meaning = Meaning.of(
-        """cause: The gear of {place} does not turn uniformly: ovality of its flexspline gives two cycles per
-          revolution, the wave generator one or two cycles per revolution of the motor, the teeth more.
-        size (estimate): 20 to 80 µrad, 13 to 80 µm at the flange of a UR10; only the cycle counts are published
-        check: Compare with earlier runs: a line that grew is wear, plan an exchange of the gear of {place}.
+        """cause: The gear of {place} runs unevenly: an oval flexspline gives two cycles per revolution, the wave
+          generator one or two of the motor, the teeth more.
+        size (estimate): 20 to 80 µrad, 13 to 80 µm at the flange of a UR10
+        check: Compare with earlier runs: a line that grew is wear; plan an exchange of the gear of {place}. A stable
+          error needs no repair.
         check: Check the oil or grease interval of {place}.
-        check: A stable error needs no repair: the calibrated model corrects it.
-        settle: Move {place} alone in steps of 0.1 degrees over 10 degrees: the lines of the gear stand out.
-        settle: Add stops over a whole turn of {place} where two cycles per revolution and one are confused.
-        settle: Read the encoders with all their digits: rounding hides lines of many cycles."""
+        settle: Move {place} alone in steps of 0.1 degrees over 10 degrees.
+        settle: Add stops over a whole revolution of {place}.
+        settle: Read the encoders with all their digits."""
     )
     look_alikes = ("encoder_eccentricity", "joint_axis_wobble", "joint_axis_runout")
     variables = frozenset({DriverVariable.JOINT_ANGLE})

@@ -36,11 +36,9 @@ class TargetSlip(OnsetEffect):
     meaning = Meaning.of(
         """cause: The SMR or its mount slipped in the flange at one moment of the run.
         size (estimate): 20 to 200 µm
-        check: Check the screws of the SMR's mount and whether the SMR sits fully in its nest.
-        check: Wipe ball and nest clean: a chip under the ball lifts it.
-        check: Look for a collision of the tool at the time of the step in the log.
-        settle: Revisit one of the first poses at two rolls of the wrist: a slipped target rotates with the wrist, a
-          moved base does not."""
+        check: Check the screws of the SMR's mount and that the SMR sits clean and fully in it.
+        check: Look in the log for a collision of the tool at that time.
+        settle: Revisit one of the first poses at two rolls of the wrist: a slipped target rotates with it."""
     )
     look_alikes = ("base_step",)
 
@@ -73,13 +71,11 @@ class TargetIncidence(Effect):
     title = "target's error with the angle of incidence"
     meaning = Meaning.of(
         """cause: The reading changes with the angle at which the beam meets the reflector: a vertex off the centre,
-          mirrors that are not square, or a glass prism.
+          mirrors that are not square, a glass prism.
         size (estimate): 2 to 20 µm, more for glass prisms
-        check: Clean the reflector and look for a damaged mirror.
-        check: Exchange the SMR for another one and repeat 10 stops.
-        check: Turn the reflector on the flange so that it faces the tracker in the middle of the work.
-        settle: Measure the same point at six rolls of the wrist.
-        settle: Turn the SMR by 90 degrees in its nest and repeat: an off-centre vertex turns with it."""
+        check: Clean the reflector, look for a damaged mirror, or exchange the SMR and repeat 10 stops.
+        check: Mount the reflector so that it faces the tracker in the middle of the work.
+        settle: Measure one point at six rolls of the wrist, and with the SMR rotated by 90 degrees in its mount."""
     )
     look_alikes = ("tracker_distance_offset",)
     variables = frozenset({DriverVariable.INCIDENCE})

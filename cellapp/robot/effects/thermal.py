@@ -110,13 +110,12 @@ class ThermalGrowth(Effect):
     title = "thermal growth of links"
     meaning = Meaning.of(
         """cause: The links grow with temperature, from their own joints and from the air.
-        size (computed): Aluminium, 23e-6 1/K, over 0.61 m and 5 to 10 K: 70 to 140 µm a link
+        size (computed): aluminium, 23e-6 1/K, over 0.61 m and 5 to 10 K: 70 to 140 µm a link
         check: Let the arm move for an hour before calibrating, and hold the hall's temperature.
         check: Check for sun, heaters and air outlets that reach the arm.
-        check: Fit a temperature sensor or log the joint temperatures, and keep compensating with them.
-        settle: Measure one stretched and one folded reference pose every 20 stops.
-        settle: Log joint and air temperatures; continue while the cell cools down.
-        settle: Measure fixed nests every 20 stops: they separate growth of the arm from drift of the tracker."""
+        check: Log joint or air temperatures, and keep compensating with them.
+        settle: Measure one stretched and one folded reference pose, and fixed nests, every 20 stops.
+        settle: Continue while the cell cools down."""
     )
     look_alikes = ("base_drift", "joint_drift", "base_step", "tracker_scale")
     impossible = ImpossibleValues(
@@ -254,10 +253,9 @@ class JointDrift(Effect):
         check: Warm the arm up before measuring.
         check: Compare the temperature of {place} with its neighbours: a hot joint has too much friction or a dragging
           brake.
-        check: After a repair of {place}: check the seat of the encoder.
-        settle: Measure a reference pose every 20 stops and let the cell cool down as well.
-        settle: Measure fixed nests every 20 stops and move the other arm: drift of the tracker shows in all of them.
-        settle: Keep the order of poses random in time."""
+        check: After a repair of {place}, check the seat of the encoder.
+        settle: Measure a reference pose every 20 stops, while the cell cools down, too.
+        settle: Measure fixed nests every 20 stops: a drift of the tracker shows in all of them."""
     )
     look_alikes = ("base_drift", "thermal_growth", "base_step")
     variables = _OF_TIME | _OF_AIR | _OF_JOINTS

@@ -49,13 +49,12 @@ class TrackerScale(Effect):
     of_reading = True
     title = "scale of the tracker"
     meaning = Meaning.of(
-        """cause: The tracker's lengths are too long or too short: wrong air temperature, pressure or humidity, or a bad
+        """cause: The tracker's lengths are wrong by a factor: wrong air temperature, pressure or humidity, or a bad
           reference.
-        size (computed): 1 ppm per K and 0.27 ppm per hPa of opposite sign (published): 1 to 10 ppm of 3 m are 3 to 30
-          µm
-        check: Check the readings of the weather station against another thermometer and barometer.
-        check: Check that the tracker's controller uses them.
-        check: Ask for the date of the tracker's last service and check it on a scale bar.
+        size (computed): 1 ppm per K, -0.27 ppm per hPa (published): 1 to 10 ppm of 3 m are 3 to 30 µm
+        check: Check the weather station against another thermometer and barometer, and that the tracker's controller
+          uses it.
+        check: Check the tracker on a scale bar.
         settle: Measure a calibrated scale bar or two nests of known distance: the arm alone cannot show a scale."""
     )
     look_alikes = ("thermal_growth", "tracker_distance_offset")
@@ -91,16 +90,11 @@ class TrackerDistanceOffset(Effect):
     of_reading = True
     title = "zero of the tracker's distance"
     meaning = Meaning.of(
-        """cause: All distances are off by the same length: zero of the absolute distance meter, a wrong reflector type
-          or home point.
-        size (sourced): Permissible: 5 µm for home distance, 10 µm for the meter (manual of the AT500; no AT960 page was
-          found)
-        check: Check that the reflector selected in the tracker is the one on the flange: its offset is millimetres if
-          wrong.
-        check: Set the distance at the home point again.
-        check: Run the tracker's own check of the distance zero.
-        settle: Measure a target between two stations of the tracker, or stops both near and far: poses at one distance
-          cannot show it."""
+        """cause: All distances are off by one length: zero of the distance meter, wrong reflector type or home point.
+        size (sourced): permissible: 5 µm for home distance, 10 µm for the meter (manual of the AT500)
+        check: Check that the reflector selected in the tracker is the one on the flange.
+        check: Set the distance at the home point again and run the tracker's own check of its zero.
+        settle: Measure a target between two stations of the tracker, or stops near and far."""
     )
     look_alikes = ("tracker_angle_error", "pedestal_compliance", "target_incidence")
     variables = frozenset({DriverVariable.BEAM})
@@ -126,13 +120,11 @@ class TrackerAngleError(Effect):
     of_reading = True
     title = "errors of the tracker's angles"
     meaning = Meaning.of(
-        """cause: The tracker's angles err periodically: eccentricity and ovality of its graduated circles, or a tilted
-          axis.
-        size (sourced): About half (estimate) of the permissible 15 µm + 6 µm/m (manual of the AT500; no AT960 page was
-          found)
-        check: Run the tracker's two-face check, and its field adjustment where that fails.
-        check: Let the tracker warm up for two hours and repeat.
-        check: Check that its stand does not twist as the head turns.
+        """cause: The tracker's angles err periodically: eccentric or oval circles, or a tilted axis.
+        size (sourced): about half (estimate) of the permissible 15 µm + 6 µm/m (manual of the AT500)
+        check: Let the tracker warm up for two hours, then run its two-face check, and its field adjustment where that
+          fails.
+        check: Check that its stand does not twist as the head rotates.
         settle: Measure 10 stops in both faces: odd orders change sign, even orders stay.
         settle: Measure the same stops from a second station."""
     )

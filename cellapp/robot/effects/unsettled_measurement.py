@@ -54,11 +54,11 @@ class UnsettledMeasurement(Effect):
         """cause: The tracker measured before {place} had come to rest: servo tail, creep of the gear, or swing of the
           arm.
         size (estimate): 5e-5 of a move of 1 rad, 30 to 70 µm at the flange of a UR10
-        check: Raise the dwell before a measurement in the profile until the value no longer changes.
+        check: Raise the dwell before a measurement until the value no longer changes.
         check: Lower speed and acceleration of the approach.
-        check: Check that the cell stands still: compressor, doors and the other arm can make the SMR swing.
-        settle: Vary the dwell from 0.5 to 10 s at random, independently of step and direction.
-        settle: Read the same stop again 5 s later: the difference is the effect itself."""
+        check: Check what can make the SMR swing: compressor, doors, the other arm.
+        settle: Vary the dwell from 0.5 to 10 s at random.
+        settle: Read the same stop again 5 s later."""
     )
     look_alikes = ("backlash", "friction_windup")
     variables = frozenset({DriverVariable.STEP, DriverVariable.DWELL})
