@@ -14,6 +14,7 @@ import numpy as np
 
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.quantities import measured_quantities, measurement_conditions
+from cellapp.estimation.calibration.weights import NORMAL_95
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.grouping import grouped
@@ -31,8 +32,6 @@ MOST_ABOVE_MEAN, WITHIN_95 = 1.15, (0.93, 0.97)
 """Limits of the worst draw over the mean, and of the share of coordinates within the stated 95 % intervals."""
 REFERENCE_MM = {"C": "0.092", "D": "0.102", "UR5": "0.053"}
 """A structured Gaussian process as a plain reference, 300 rows, mean of two draws."""
-_95 = 1.959964
-"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -79,7 +78,7 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
             group: {
                 "held_out": len(some),
                 "mm": [1e3 * float(np.linalg.norm(off[some], axis=1).mean()) for off in left],
-                "within": float(np.mean(np.abs(left[1][some]) <= _95 * sd[some, np.newaxis])),
+                "within": float(np.mean(np.abs(left[1][some]) <= NORMAL_95 * sd[some, np.newaxis])),
                 "turned": _turned(readings.take(some), conditions.take(some), geometry, found.model),
             }
             for group, some in drawn.held_out.items()
@@ -97,7 +96,7 @@ def _turned(
     rows = np.flatnonzero(its.turned)
     q, then = its.readings.q[rows], its.conditions.take(rows)
     off: list[Array] = [model.predict(q, conditions=then) for model in (geometry, discovery)]
-    within = float(np.mean(np.abs(off[1]) <= _95 * discovery.measured_uncertainty(q, then)[:, np.newaxis]))
+    within = float(np.mean(np.abs(off[1]) <= NORMAL_95 * discovery.measured_uncertainty(q, then)[:, np.newaxis]))
     return [*(1e3 * float(np.linalg.norm(one, axis=1).mean()) for one in off), within]
 
 

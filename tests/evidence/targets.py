@@ -36,6 +36,7 @@ from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.commands.trials.blind import with_hidden
 from cellapp.estimation.calibration.pair_calibration import distances
+from cellapp.estimation.calibration.weights import NORMAL_95
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
 from cellapp.ground.results import CALIBRATE
@@ -61,8 +62,6 @@ _PACED_M, _PACED_RAD = 0.02, math.radians(0.4)
 """Standard deviation of each coordinate and angle of a station measured by pacing."""
 _FLOOR_DRAWS = 5
 """Repeated measurements of each target: with 200 targets the mean is known to 1.5 %."""
-_NORMAL_95 = 1.959964
-"""Half-width of a 95 % interval of a normal variable [standard deviations]."""
 
 
 TITLE = "Targets"
@@ -170,7 +169,7 @@ def _arm_figures(bench: _Bench, name: str, targets: Sequence[MeasuredTarget]) ->
     predicted_M = _rows([one.predicted_M for one in done])
     model = bench.model.arms[name]
     approach = np.array([one.approach for one in done], dtype=np.float64)
-    limit = _NORMAL_95 * _measured_sd(model, q, approach, bench.ranges[name])
+    limit = NORMAL_95 * _measured_sd(model, q, approach, bench.ranges[name])
     stated = [one for one in done if one.within_mm is not None]
     paper_M = None if bench.moved else bench.paper.arms[name].predict(q)
     return dict[str, float | None](

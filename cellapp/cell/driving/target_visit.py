@@ -36,6 +36,7 @@ from cellapp.cell.targets.invert import invert_model, with_approach
 from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.ranges import conditions_of
 from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, VerifyResult
+from cellapp.estimation.calibration.weights import NORMAL_95
 from cellapp.estimation.uncertainty.budget import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
@@ -345,8 +346,6 @@ _NOISE_95 = 7.815
 """95 % quantile of chi-squared with three degrees of freedom; a target above it is measured again."""
 _NOISE_99 = 11.345
 """99 % quantile; if the mean of new measurements is above it, it is corrected."""
-_NORMAL_95 = 1.960
-"""Two-sided 95 % quantile of the normal distribution [standard deviations]."""
 _NORMAL_99 = 2.576
 """Two-sided 99 % quantile."""
 _ONE_SIDED_95 = 1.645
@@ -436,7 +435,7 @@ def explained_by_noise(error_M: Array, covariance_M: Array, limit: float = _NOIS
     return bool(error_M @ np.linalg.solve(covariance, error_M) <= limit)
 
 
-def distance_explained_by_noise(error_m: float, line_M: Array, covariance_M: Array, limit: float = _NORMAL_95) -> bool:
+def distance_explained_by_noise(error_m: float, line_M: Array, covariance_M: Array, limit: float = NORMAL_95) -> bool:
     """Return whether noise explains the distance error of two SMRs; ``line_M`` (3,) [m] leads from one to the other.
 
     ``covariance_M`` (3, 3) [m^2] is that of the vector between them.

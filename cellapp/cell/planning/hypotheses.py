@@ -185,7 +185,7 @@ def _expected_sigma(data: ArmData, context: EffectContext) -> Array:
 
     Further stops count as positions alone, also where the run has orientations.
     """
-    points = slice(None) if data.turned is None else ~data.turned
+    points = data.positions
     sigma = data.sigma[points]
     if sigma.ndim == 1:
         return np.full(len(context), float(np.sqrt(np.mean(sigma**2))))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import get_args
 
 from cellapp.commands.view.table import Interval, Number, Table, table_of
+from cellapp.estimation.calibration.weights import NORMAL_95
 from cellapp.estimation.discovery.records import LawRecord, Place
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement, overall
 from cellapp.ground.counting import counted
@@ -31,8 +32,6 @@ _MILLIMETRES = 1e-3
 """Lengths from this one on are shown in mm [m]."""
 _NEARLY_CERTAIN = 0.99
 """Probability beyond which only this limit is stated."""
-TWO_SIDED = 1.959964
-"""Half width of a 95 % interval in standard errors: quantile 0.975 of the normal distribution."""
 
 
 def law_words(effect: str, law: LawRecord, joints: Sequence[int] = ()) -> str:
@@ -83,7 +82,7 @@ def interval_95(estimate: Estimate) -> tuple[Number, Interval | None, str]:
         return Number(value, 3), None, unit
     error = estimate.standard_error * factor
     decimals = min(max(1 - math.floor(math.log10(error)), 0), 9) if 0.0 < error < math.inf else 3
-    half = TWO_SIDED * error
+    half = NORMAL_95 * error
     return Number(value, decimals), Interval(value - half, value + half, decimals), unit
 
 

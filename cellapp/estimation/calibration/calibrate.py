@@ -43,7 +43,7 @@ from cellapp.estimation.calibration.quantities import (
 )
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
 from cellapp.estimation.calibration.registration import factory_doubt
-from cellapp.estimation.calibration.weights import MEDIAN_NORM
+from cellapp.estimation.calibration.weights import MEDIAN_NORM, NORMAL_95
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
 from cellapp.estimation.readings.alike import first_stops, neighbours_words
 from cellapp.estimation.readings.readings import FIRST_SAMPLE
@@ -629,8 +629,8 @@ def undetermined_offset(name: str, found: Identification) -> list[str]:
     what, of = ("probe", "itself") if found.turned is not None else ("SMR", "with the flange turned so")
     return [
         f"arm '{name}': the offset of the {what} along ({words}) of the flange is not determined (95 % within"
-        f" +-{1.96 * sd_mm:.0f} mm), as that direction hardly turned; positions of the {what} {of} are not affected,"
-        " those of another tool are: measure with the wrist turned to more sides"
+        f" +-{NORMAL_95 * sd_mm:.0f} mm), as that direction hardly turned; positions of the {what} {of} are not"
+        " affected, those of another tool are: measure with the wrist turned to more sides"
     ]
 
 

@@ -166,6 +166,11 @@ class Identification:
         return self
 
     @property
+    def positions(self) -> slice | NDArray[np.bool_]:
+        """Mask of the rows that are positions; a full slice if no orientation was measured."""
+        return slice(None) if self.turned is None else ~self.turned
+
+    @property
     def condition(self) -> float:
         """Condition number of the scaled Jacobian."""
         squares = np.linalg.eigvalsh(self.gram)
@@ -659,7 +664,7 @@ def identify_with_excess(
     if tool is None:
         return found.settled("identification"), excess
     at_origin = replace(start, tool=tool).with_T_M_B(np.eye(4))
-    points = slice(None) if found.turned is None else ~found.turned
+    points = found.positions
     mirrored = at_origin.with_T_M_B(register(p_M[points], smr_positions(at_origin, q[points])))
     if R_M_S is not None:
         mirrored = with_probe(mirrored, q, R_M_S)

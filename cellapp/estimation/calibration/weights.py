@@ -19,6 +19,8 @@ _TUKEY = 6.0
 """Norm beyond which Tukey's weight is zero: about four times the median norm of a good point."""
 MEDIAN_NORM = 1.5382
 """Median of the norm of three independent standard normal variables."""
+NORMAL_95 = 1.959964
+"""Half width of the 95 % interval of a normal distribution, in standard deviations: its quantile 0.975."""
 _CHANCE = 3.0
 """Standard deviations by which chi-square must exceed its degrees of freedom for the scatter to count as excess."""
 _SETTLED, _MOST_STEPS = 1e-6, 100

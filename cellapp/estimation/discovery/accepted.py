@@ -203,7 +203,7 @@ def term_movements(fit: JointFit, number: int) -> tuple[PlaceMovement, ...]:
 
 def rms_length(fit: JointFit, whitened: Array) -> float:
     """Return the rms length [m] of whitened displacements (3 n,) over those readings of a fit that are positions."""
-    here = fit.positions
+    here = fit.identification.positions
     moved = np.linalg.solve(fit.white.transpose(2, 0, 1)[here], whitened.reshape(3, -1).T[here, :, None])[..., 0]
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
 
@@ -611,7 +611,11 @@ class _TermPictures:
 
     def of_shift(self, axis: int | None) -> list[Picture]:
         """Draw the shift of the SMR by the columns that act on the axis of joint ``axis`` (from 0), by all if None."""
-        term, columns, here = self.fit.terms[self.number], self.fit.term_columns(self.number), self.fit.positions
+        term, columns, here = (
+            self.fit.terms[self.number],
+            self.fit.term_columns(self.number),
+            self.fit.identification.positions,
+        )
         own = [k for k, one in enumerate(columns) if one.shift_M is not None and axis in (None, one.index)]
         shifts = np.array([columns[k].shift_M for k in own]).reshape(-1, len(self.data), 3)[:, here]
         shift_M = np.einsum("k,kna->na", self.fit.term_values(self.number)[own], shifts)

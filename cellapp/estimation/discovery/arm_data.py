@@ -120,6 +120,11 @@ class ArmData:
         """Mask (n,) of the rows that are orientations; None if there are none."""
         return self.conditions.turned
 
+    @property
+    def positions(self) -> slice | NDArray[np.bool_]:
+        """Mask (n,) of the rows that are positions; a full slice if no orientation was measured."""
+        return slice(None) if self.turned is None else ~self.turned
+
     @cached_property
     def group(self) -> Groups:
         """Group (n,) of the rows that are one configuration: position and orientation of a reading, and its repeats."""

@@ -336,12 +336,6 @@ class JointFit:
     derived: dict[Any, Any] = field(default_factory=dict, repr=False)
     _behind: dict[int, ProjectedResidual] = field(default_factory=dict, repr=False)
 
-    @property
-    def positions(self) -> slice | NDArray[np.bool_]:
-        """Mask of the rows that are positions; a full slice if no orientation was measured."""
-        turned = self.identification.turned
-        return slice(None) if turned is None else ~turned
-
     @cached_property
     def normal(self) -> NormalMatrix:
         """Normal matrix of all columns and ``target``, shared by projectors, criterion and cross-validation."""

@@ -72,7 +72,9 @@ def detectability(found: SearchResult, scan: LawScan) -> tuple[tuple[AbsentEffec
     ``scan`` covers all effects that the final model lacks.
     """
     fit = found.fit if found.fit.terms else found.geometry_only
-    noise_mm = 1e3 * (1.0 / math.sqrt(float(np.mean(np.einsum("aan->an", fit.white[:, :, fit.positions]) ** 2))))
+    noise_mm = 1e3 * (
+        1.0 / math.sqrt(float(np.mean(np.einsum("aan->an", fit.white[:, :, fit.identification.positions]) ** 2)))
+    )
     needed = found.threshold + SCORE_MARGIN  # score of a name with even odds
     invisible: list[AbsentEffect] = []
     not_found: list[AbsentEffect] = []

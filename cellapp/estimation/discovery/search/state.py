@@ -197,6 +197,11 @@ class SearchResult:
     claim: float = 1.0
 
     @property
+    def state(self) -> SearchState:
+        """The last state of the search."""
+        return SearchState(self.data, self.fit, self.steps, self.dropped)
+
+    @property
     def absent(self) -> list[str]:
         """Effects of the library that the final model does not have."""
         taken = {term.slug for term in self.fit.terms}

@@ -192,22 +192,17 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
     best = _best_model(problem, start, before_names, progress)
     progress.finish("review and rivals")
     found = _probable(problem, _result(problem, best, fit), best)
-    if found.fit.terms or not before_names:
-        ended = SearchState(found.data, found.fit, found.steps, found.dropped)
-        extended = _smooth(problem, ended)
-    else:
-        extended = before_names
+    extended = _smooth(problem, found.state) if found.fit.terms or not before_names else before_names
     found = with_unnamed(problem, found, extended)
     if len(found.reviews) < len(found.fit.terms):
-        ended = SearchState(found.data, found.fit, found.steps, found.dropped)
         added = range(len(found.reviews), len(found.fit.terms))
-        found = replace(found, reviews=(*found.reviews, *(review(problem, ended, number) for number in added)))
+        found = replace(found, reviews=(*found.reviews, *(review(problem, found.state, number) for number in added)))
     return replace(found, not_fitted=tuple(dict.fromkeys(problem.not_fitted)))
 
 
 def _claim(data: ArmData, start: SearchState, before_names: SearchState | None) -> float:
     """Return the ratio of the scatter of positions to what they state, about free functions; 1 if nothing is stated."""
-    points = slice(None) if data.turned is None else ~data.turned
+    points = data.positions
     if data.stated is None or states_nothing(data.stated[points]):
         return 1.0
     about_geometry = scatter(data, start.fit)

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cellapp.estimation.calibration.weights import NORMAL_95
 from cellapp.estimation.discovery.accepted import model_without, rms_length
 from cellapp.estimation.discovery.joint_fit import JointFit, left_out
 from cellapp.estimation.discovery.outcome import HeldOut
@@ -25,8 +26,6 @@ from cellapp.robot.effects import EFFECTS
 from cellapp.robot.effects.effect import is_unnamed, lent_effect, unnamed
 from cellapp.robot.kinematics.transforms import Array
 
-_95 = 1.959964
-"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
 _MOSTLY = 0.5
 """Least rms, relative to the largest, of the places that the unnamed term mostly moves."""
 _CAUSES = 3
@@ -65,8 +64,9 @@ def with_unnamed(problem: SearchProblem, found: SearchResult, extended: SearchSt
         return replace(found, spread=_spread(left_out(found.data, found.fit)[1]))
     fit = without_names(extended.fit, [k for k in smooth_numbers(extended.fit.terms) if k >= len(found.fit.terms)])
     left, scaled = left_out(extended.data, fit)
-    points = slice(None) if found.data.turned is None else ~found.data.turned
-    before, after = (np.linalg.norm(one[points], axis=1) for one in (left_out(found.data, found.fit)[0], left))
+    before, after = (
+        np.linalg.norm(one[found.data.positions], axis=1) for one in (left_out(found.data, found.fit)[0], left)
+    )
     gain = before - after
     errors = float(before.mean()) * 1e3, float(after.mean()) * 1e3
     if gain.mean() <= gain.std() / math.sqrt(len(gain)):
@@ -77,7 +77,7 @@ def with_unnamed(problem: SearchProblem, found: SearchResult, extended: SearchSt
 
 def _spread(scaled: Array) -> float:
     """Return the factor by which 95 % of left-out coordinates are within their intervals, at least 1."""
-    return max(float(np.quantile(np.abs(scaled), 0.95)) / _95, 1.0)
+    return max(float(np.quantile(np.abs(scaled), 0.95)) / NORMAL_95, 1.0)
 
 
 def unnamed_record(found: SearchResult, held_out: HeldOut) -> Unnamed:
