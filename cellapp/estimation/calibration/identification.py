@@ -20,18 +20,14 @@ from functools import partial
 from typing import Protocol
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import (
-    PIVOT,
     Minimum,
-    cholesky,
     damped_step,
     inverse_diagonal,
     inverse_psd,
     minimise,
-    solve_psd,
 )
 from cellapp.estimation.calibration.normal_equations import (
     EffectColumns,
@@ -40,7 +36,6 @@ from cellapp.estimation.calibration.normal_equations import (
     normal_equations,
     parameter_scale,
     split_values,
-    with_gradient,
 )
 from cellapp.estimation.calibration.parameters import (
     ParameterSet,
@@ -61,15 +56,6 @@ from cellapp.robot.kinematics.transforms import Array, register, rotation_x
 
 _LEAST_WEIGHT = 1e-3
 """Robust weight below which a point does not count in the degrees of freedom."""
-_SAME_JACOBIAN = 1e-3
-"""Change of the parameters [m at arm's length] up to which the normal matrix of many effects is reused: its relative
-change is about as large. The gradient is always that of the present values, so the solution is the same."""
-_SAME_MATRIX = 1e-4
-"""The same without effects: the last evaluation then computes residuals and gradient alone. The matrix, which gives the
-uncertainties, changes by 1e-5 there."""
-_MANY_EFFECTS = 200
-"""Number of effect columns from which the normal matrix is reused. So many come from smooth functions, which have
-priors. A law's columns without priors may be nearly singular with few readings; another matrix then leads elsewhere."""
 _SMALLEST = 1e-200
 """Lower bound that keeps a variance above zero."""
 _TRACKER_M = 1e-5
@@ -329,15 +315,6 @@ class _Problem:
         effects = self.observations.effects
         return effects is not None and effects.prior_sd is not None
 
-    @property
-    def keeps_matrix(self) -> bool:
-        """Whether the normal matrix of many effects is reused from step to step."""
-        return self.robust == "none" and self.effect_count >= _MANY_EFFECTS
-
-    def _same_matrix(self, moved_m: float) -> bool:
-        """Return whether the normal matrix may be reused at a distance [m] from the point where it was computed."""
-        return self.keeps_matrix or (self.robust == "none" and not self.effect_count and moved_m <= _SAME_MATRIX)
-
     def at_start(self) -> Estimate:
         values = self.start.vector()[list(self.parameters.columns)]
         effects = self.observations.effects
@@ -346,27 +323,18 @@ class _Problem:
 
     def _estimate(self, values: Array, weights: Array | None, precision: Array) -> Estimate:
         normal = normal_equations(self.start, self.observations, self.parameters, values, weights)
-        keeps = self.keeps_matrix and self.sigma_is_exact
-        eliminated = Eliminated.of(normal, precision, len(self.parameters.columns)) if keeps else None
-        return Estimate(values, normal, weights, precision, eliminated=eliminated)
+        return Estimate(values, normal, weights, precision)
 
     def reweighted(self, point: Estimate) -> Estimate:
         if self.robust != "none":
             whitened = self.observations.whiten(point.normal.residuals, 0, self.observations.count)
             weights = robust_weights(np.linalg.norm(whitened, axis=0), self.robust)
             point = replace(self._estimate(point.values, weights, point.precision), variance=point.variance)
-        elif point.moved_m > _SAME_JACOBIAN:
-            point = replace(self._estimate(point.values, None, point.precision), variance=point.variance)
         # Weigh the priors against the present scatter of the readings. Far from the solution, where the scatter is
         # large, the priors dominate; near it they only determine what the readings do not.
         if not point.precision.any() or (self.sigma_is_exact and not self.spreads):
             return point
-        if point.eliminated is None:
-            by_priors = point.by_priors
-        else:  # the geometry's parameters only
-            priors = point.geometric_priors(len(self.parameters.columns))
-            by_priors = priors * point.eliminated.variances(priors)
-        precision = point.precision.copy()
+        by_priors, precision = point.by_priors, point.precision.copy()
         for spread in self.spreads:
             places = spread.places
             deviations = point.values[places] - self.mean[places]
@@ -385,21 +353,13 @@ class _Problem:
         return float(step @ self._right(point))
 
     def step(self, point: Estimate, damping: float) -> tuple[Array, Array]:
-        b = self._right(point)
         unit = point.normal.unit
-        if point.eliminated is not None and damping == 0.0:
-            step = point.eliminated.solve(unit * b, point.geometric_priors(len(self.parameters.columns)))
-        else:
-            step = damped_step(point.posterior_precision(point.variance), unit * b, damping)
+        step = damped_step(point.posterior_precision(point.variance), unit * self._right(point), damping)
         return unit * step, step
 
     def moved(self, point: Estimate, step: Array) -> Estimate:
-        values = point.values + step
-        moved_m = point.moved_m + float(np.max(np.abs(step * point.normal.scale)))
-        if not self._same_matrix(moved_m):
-            return replace(self._estimate(values, point.weights, point.precision), variance=point.variance)
-        normal = with_gradient(point.normal, self.start, self.observations, self.parameters, values)
-        return replace(point, values=values, normal=normal, moved_m=moved_m)
+        moved = self._estimate(point.values + step, point.weights, point.precision)
+        return replace(moved, variance=point.variance)
 
     def objective(self, point: Estimate) -> float:
         return point.normal.cost / point.variance + float(point.precision @ (point.values - self.mean) ** 2)
@@ -480,64 +440,11 @@ def _freedom_of_turns(point: Estimate, turned: NDArray[np.bool_] | None) -> floa
     return max(1.0, 3.0 * np.count_nonzero(some) - determined)
 
 
-# -- State of an identification: values, normal equations, priors. The block of many effects is factored only once ----
-#
-#     [[G + P, C], [C^T, E]] x = b,   E = L L^T,   S = G - C E^-1 C^T
-#
-# The geometry's priors P are weighed anew at each step of the identification; those of effects, part of E, are not.
-# So a step solves with the Schur complement S + P and the factor of E.
-
-
-@dataclass(frozen=True, eq=False)
-class Eliminated:
-    """Factors after elimination of the effects: L (m, m), ``cross`` L^-1 C^T (m, size), S (size, size), each parameter
-    in its unit."""
-
-    lower: Array
-    cross: Array
-    schur: Array
-
-    @classmethod
-    def of(cls, normal: NormalEquations, precision: Array, size: int) -> Eliminated | None:
-        """Factor with the precisions (k,) of all priors, of which the first ``size`` are the geometry's.
-
-        Return None if the factors would be inaccurate.
-        """
-        H, priors = normal.scaled_A, precision * normal.unit**2
-        E = H[size:, size:].copy()
-        E.flat[:: len(E) + 1] += priors[size:]
-        lower = cholesky(E)
-        if lower is None:
-            return None
-        cross = scipy.linalg.solve_triangular(lower, H[size:, :size], lower=True, check_finite=False)
-        S = H[:size, :size] - cross.T @ cross
-        whole = cholesky(S + np.diag(priors[:size]))
-        if whole is None or not (whole.diagonal() > PIVOT * np.sqrt(H.diagonal()[:size] + priors[:size])).all():
-            return None
-        return cls(lower, cross, S)
-
-    def solve(self, rhs: Array, priors: Array) -> Array:
-        """Solve for x (k,) with precisions (size,) of the geometry's priors, in their units."""
-        size = len(priors)
-        behind = scipy.linalg.solve_triangular(self.lower, rhs[size:], lower=True, check_finite=False)
-        first = solve_psd(self.schur + np.diag(priors), rhs[:size] - behind @ self.cross)
-        rest = scipy.linalg.solve_triangular(
-            self.lower, behind - self.cross @ first, lower=True, trans=1, check_finite=False
-        )
-        return np.concatenate([first, rest])
-
-    def variances(self, priors: Array) -> Array:
-        """Compute the variances (size,) of the geometry's parameters."""
-        return inverse_diagonal(self.schur + np.diag(priors))
-
-
 @dataclass(frozen=True)
 class Estimate:
     """Parameter values (k,), the normal equations there, the weights used in them, precisions of priors (k,).
 
-    ``variance`` scales the stated covariance of the readings when they are weighed against the priors. ``moved_m`` is
-    the distance of the values from those of the normal matrix [m at arm's length]. ``eliminated`` is that matrix in
-    factored form, for many effects; else None.
+    ``variance`` scales the stated covariance of the readings when they are weighed against the priors.
     """
 
     values: Array
@@ -545,12 +452,6 @@ class Estimate:
     weights: Array | None
     precision: Array
     variance: float = 1.0
-    moved_m: float = 0.0
-    eliminated: Eliminated | None = None
-
-    def geometric_priors(self, size: int) -> Array:
-        """Return the precisions (size,) of the geometry's priors, in its units."""
-        return np.asarray(self.precision[:size] * self.normal.unit[:size] ** 2)
 
     @property
     def by_priors(self) -> Array:

@@ -126,13 +126,6 @@ class Observations:
         left = self.p_M[:, first:last] - P
         return left if shift is None else left - shift
 
-    def weigh(self, white: Array, first: int, last: int) -> Array:
-        """Multiply whitened vectors (3, last - first) by W^T: with ``whiten``, W^T W times the original vectors."""
-        if self.white is None:
-            return white
-        factors = self.white[..., first:last]
-        return white * factors if factors.ndim == 1 else np.einsum("acn,an->cn", factors, white)
-
     def whiten(self, vectors: Array, first: int, last: int, out: Array | None = None) -> Array:
         """Scale vectors (3, ..., last - first) to units of their standard uncertainty, in ``out`` if that is given.
 
@@ -149,14 +142,6 @@ class Observations:
             for column in range(1, row + 1):
                 out[row] += white[row, column] * vectors[column]
         return out
-
-
-@dataclass(frozen=True)
-class Linearisation:
-    """Computed SMR positions ``P`` (3, n) [m] and their Jacobian ``J`` (3, k, n)."""
-
-    P: Array
-    J: Array
 
 
 @dataclass(frozen=True)
@@ -226,9 +211,8 @@ def normal_equations(
     of_turns = None if turned is None else np.zeros((k, k))
     common = observations.common_white if weights is None else None
     for first, last in observations.chunks():
-        model = linearise(geometry, observations, parameters, beta, first, last)
-        J = model.J
-        r = residuals[:, first:last] = observations.left(model.P, beta, first, last)
+        P, J = linearise(geometry, observations, parameters, beta, first, last)
+        r = residuals[:, first:last] = observations.left(P, beta, first, last)
         if common is None:
             gram += gram_matrix(J[:, :size])
             squares[size:] += np.einsum("akn,akn->k", J[:, size:], J[:, size:])
@@ -253,44 +237,17 @@ def normal_equations(
     return NormalEquations(A, b, gram, cost, scale, residuals, of_turns)
 
 
-def with_gradient(
-    near: NormalEquations, start: Geometry, observations: Observations, parameters: ParameterSet, values: Array
-) -> NormalEquations:
-    """Compute residuals and gradient at ``values`` (k,) without robust weights; keep the normal matrix of ``near``.
-
-    This costs as little as the residuals alone: the effects' columns are not multiplied out.
-    """
-    geometry, beta = split_values(start, parameters, values)
-    effects = observations.effects
-    b, cost, residuals = np.zeros(len(values)), 0.0, np.empty((3, observations.count))
-    size = len(parameters.columns)
-    for first, last in observations.chunks():
-        angles = observations.angles_with(beta, first, last)
-        P, J = jacobian(geometry, angles, parameters.columns, observations.workspace)
-        r = residuals[:, first:last] = observations.left(P, beta, first, last)
-        white = observations.whiten(r, first, last)
-        cost += float(np.vdot(white, white))
-        weighed = observations.weigh(white, first, last)
-        b[:size] += J.swapaxes(0, 1).reshape(size, -1) @ weighed.ravel()
-        if effects is not None:
-            _, by_joint = joint_jacobian(geometry, angles)
-            torque = np.einsum("ajn,an->jn", by_joint, weighed)
-            last_offset = size + len(effects.joints)
-            b[size:last_offset] += np.einsum("kn,kn->k", effects.offsets[:, first:last], torque[effects.joints])
-            b[last_offset:] += np.einsum("kan,an->k", effects.shifts_M[:, :, first:last], weighed)
-    return replace(near, b=b, cost=cost, residuals=residuals)
-
-
 def linearise(
     geometry: Geometry, observations: Observations, parameters: ParameterSet, beta: Array, first: int, last: int
-) -> Linearisation:
+) -> tuple[Array, Array]:
+    """Compute SMR positions (3, last - first) [m] and their Jacobian (3, k, last - first) in a chunk."""
     angles, effects = observations.angles_with(beta, first, last), observations.effects
     P, J = jacobian(geometry, angles, parameters.columns, observations.workspace)
     if effects is not None:
         _, by_joint = joint_jacobian(geometry, angles)
         by_offset = effects.offsets[:, None, first:last] * by_joint.swapaxes(0, 1)[effects.joints]
         J = np.concatenate([J.swapaxes(0, 1), by_offset, effects.shifts_M[:, :, first:last]]).swapaxes(0, 1)
-    return Linearisation(P, J)
+    return P, J
 
 
 def parameter_scale(squares: Array, count: int, parameters: ParameterSet) -> Array:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import Identification, identify, start_from_nominal
-from cellapp.estimation.calibration.normal_equations import EffectColumns, Linearisation, Observations, linearise
+from cellapp.estimation.calibration.normal_equations import EffectColumns, Observations, linearise
 from cellapp.estimation.calibration.parameters import SetName, estimated_parameters, gram_matrix, weak_priors
 from cellapp.estimation.calibration.weights import MEDIAN_NORM, RobustName, excess_variance
 from cellapp.ground.errors import InputError
@@ -322,12 +322,12 @@ class OnlineFit:
         if self._fits is None or not (self.ready or self._fits[1].scatter_m > NO_GEOMETRY_M):
             return None
         fit = self._fits[1]
-        row = self._rows(fit.found, q[None])
-        J, noise = row.J[:, :, 0], self._stated()[-1] + fit.excess * np.eye(3)
+        P, J = self._rows(fit.found, q[None])
+        J, noise = J[:, :, 0], self._stated()[-1] + fit.excess * np.eye(3)
         covariance = fit.variance * (J @ fit.found.estimated_covariance @ J.T + noise)
         R_M_F = flange_poses(fit.found.geometry, q[None])[0][0]
         freedom = float(fit.found.degrees_of_freedom)
-        return Innovation(stop, p_M, p_M - row.P[:, 0], covariance, R_M_F, fit.scatter_m, freedom)
+        return Innovation(stop, p_M, p_M - P[:, 0], covariance, R_M_F, fit.scatter_m, freedom)
 
     def report(self, stop: int, q: Array, p_M: Array) -> StopReport | None:
         """Report a stop by the last fit; None without a model."""
@@ -343,9 +343,9 @@ class OnlineFit:
 
     def _left_M(self, found: Identification, q: Array, p_M: Array) -> Array:
         """Compute the residuals (n, 3) [m] of points."""
-        return np.asarray(p_M - self._rows(found, q).P.T)
+        return np.asarray(p_M - self._rows(found, q)[0].T)
 
-    def _rows(self, found: Identification, q: Array) -> Linearisation:
+    def _rows(self, found: Identification, q: Array) -> tuple[Array, Array]:
         """Compute SMR positions and their derivatives at ``q`` (n, N) [rad] by the parameters of a fit."""
         effects = self._errors(q) if len(found.effect_values) else None
         observations = Observations(JointAngles.of(q), q, np.zeros((3, len(q))), None, effects)

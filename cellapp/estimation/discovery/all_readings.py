@@ -13,7 +13,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import minimise
 from cellapp.estimation.discovery.arm_data import ArmData, whitening
@@ -38,9 +37,8 @@ from cellapp.estimation.discovery.process import (
 )
 from cellapp.estimation.discovery.search.state import Review, SearchResult
 from cellapp.estimation.discovery.search.unnamed import without_name
-from cellapp.estimation.discovery.terms import Excess, ModelTerm, ModelTerms, smoothness_of, whitened_displacements
+from cellapp.estimation.discovery.terms import Excess, ModelTerm, ModelTerms, smoothness_of
 from cellapp.ground.errors import NotConverged
-from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EffectColumn, displacement_by
 from cellapp.robot.effects.effect import is_unnamed, lent_effect
 from cellapp.robot.kinematics.chain import smr_positions
@@ -161,11 +159,11 @@ def _gathered(data: ArmData, fit: JointFit, further: Sequence[Component] = ()) -
         columns = [*of_terms, *_columns(chunk, further)]
         moved = displacement_by(of_terms, fit.identification.effect_values.tolist(), *q.shape)
         q = q + moved.joints
-        linear = LinearModel.of(fit.model.geometry, q, white, fit.identification.estimated.columns, R_M_S=R_M_S)
-        split = SplitColumns.of(linear, columns, white)
+        estimated = fit.identification.estimated.columns
+        linear = LinearModel.of(fit.model.geometry, q, white, estimated, columns, R_M_S)
         predicted = smr_positions(fit.model.geometry, q, R_M_S) + moved.shift_M
         left = np.einsum("acn,nc->an", white, chunk.readings.p_M - predicted)
-        found += NormalMatrix(split.gram(), split.moment(left), float(np.vdot(left, left)))
+        found += NormalMatrix.of(linear.rows, left.ravel())
     return found
 
 
@@ -250,82 +248,3 @@ def _fitted(data: ArmData, fit: JointFit, spread: float) -> ArmModel:
         seed=(data.profile.seed, _DRAW_SEED),
     )
     return replace(found.point.fit.model, posterior=draws)
-
-
-# -- Whitened columns of many readings, with those of joint offsets kept as scalar functions of the reading -----------
-#
-# Such a column moves the SMR by f(i) u_j(i), where u_j (3, n) is the motion by joint j. In products of two of them the
-# three coordinates reduce to one factor,
-#
-#     sum_i f(i) g(i) u_j(i) . u_k(i),
-#
-# so these products take a third of the time, and the full columns are never formed.
-
-
-@dataclass(frozen=True, eq=False)
-class _Offsets:
-    """Columns that offset one joint: their indices, functions (m, n) and the whitened motion (3, n)."""
-
-    places: NDArray[np.intp]
-    functions: Array
-    motion: Array
-
-
-@dataclass(frozen=True, eq=False)
-class SplitColumns:
-    """Whitened columns of n readings: ``rows`` (r, 3, n) at the indices ``places``, and those that offset joints.
-
-    ``total`` is the number of all columns.
-    """
-
-    places: NDArray[np.intp]
-    rows: Array
-    offsets: tuple[_Offsets, ...]
-    total: int
-
-    @classmethod
-    def of(cls, geometric: LinearModel, effects: Sequence[EffectColumn], white: Array) -> SplitColumns:
-        """Arrange the rows of ``geometric``, then the columns of effects, whitened by ``white`` (3, 3, n)."""
-        n, first = white.shape[2], len(geometric.rows)
-        by_joint = grouped((one.joint, place) for place, one in enumerate(effects))
-        shifts = by_joint.pop(None, [])
-        moved = whitened_displacements([effects[place] for place in shifts], geometric.by_joint, white)
-        offsets = tuple(
-            _Offsets(
-                first + np.array(of_joint, dtype=np.intp),
-                np.array([effects[place].offset for place in of_joint]),
-                geometric.by_joint[:, joint],
-            )
-            for joint, of_joint in by_joint.items()
-            if joint is not None
-        )
-        places = np.concatenate([np.arange(first), first + np.array(shifts, dtype=np.intp)])
-        rows = np.concatenate([geometric.rows, moved]).reshape(len(places), 3, n)
-        return cls(places, rows, offsets, first + len(effects))
-
-    def gram(self) -> Array:
-        """Return X^T X (total, total)."""
-        found = np.empty((self.total, self.total))
-        whole = self.rows.reshape(len(self.rows), -1)
-        found[np.ix_(self.places, self.places)] = whole @ whole.T
-        for number, one in enumerate(self.offsets):
-            beside = one.functions @ np.einsum("ran,an->rn", self.rows, one.motion).T
-            _set(found, one.places, self.places, beside)
-            for other in self.offsets[: number + 1]:
-                together = np.einsum("an,an->n", one.motion, other.motion)
-                _set(found, one.places, other.places, (one.functions * together) @ other.functions.T)
-        return found
-
-    def moment(self, left: Array) -> Array:
-        """Return X^T y (total,) of whitened residuals y (3, n)."""
-        found = np.empty(self.total)
-        found[self.places] = self.rows.reshape(len(self.rows), -1) @ left.ravel()
-        for one in self.offsets:
-            found[one.places] = one.functions @ np.einsum("an,an->n", one.motion, left)
-        return found
-
-
-def _set(gram: Array, first: NDArray[np.intp], second: NDArray[np.intp], block: Array) -> None:
-    """Set both blocks of a symmetric matrix (p, p) that columns ``first`` and ``second`` share."""
-    gram[np.ix_(first, second)] = block
-    gram[np.ix_(second, first)] = block.T

@@ -215,43 +215,24 @@ class ArmModel:
             f" {effects:.100})"
         )
 
-    def context(
-        self,
-        q: Array,
-        approach: Signs | None = None,
-        payload_kg: Array | None = None,
-        conditions: MeasurementConditions | None = None,
-    ) -> EffectContext:
-        """Return the variables that effects depend on, at configurations ``q`` (n, N) [rad].
-
-        ``conditions`` replaces ``approach`` (n, N) and ``payload_kg`` (n,); it also holds times, temperatures and the
-        state of the other arm.
-        """
-        if conditions is None:
-            conditions = MeasurementConditions(approach=approach, payload_kg=payload_kg)
+    def context(self, q: Array, conditions: MeasurementConditions | None = None) -> EffectContext:
+        """Return the variables that effects depend on, at configurations ``q`` (n, N) [rad]."""
         return EffectContext(
             q=q,
-            conditions=conditions,
+            conditions=conditions or MeasurementConditions(),
             geometry=self.geometry,
             bodies=self.bodies,
             up_M=self.up_M,
             smr_normal=self.smr_normal,
         )
 
-    def effect_displacement(
-        self,
-        q: Array,
-        approach: Signs | None = None,
-        payload_kg: Array | None = None,
-        conditions: MeasurementConditions | None = None,
-    ) -> Displacement:
+    def effect_displacement(self, q: Array, conditions: MeasurementConditions) -> Displacement:
         """Compute the displacement by all effects of the model at controller readings ``q`` (n, N) [rad]."""
         if len(q) > _AT_ONCE:
-            conditions = self.context(q, approach, payload_kg, conditions).conditions
             chunks = np.array_split(np.arange(len(q)), -(-len(q) // _AT_ONCE))
-            parts = [self.effect_displacement(q[rows], conditions=conditions.take(rows)) for rows in chunks]
+            parts = [self.effect_displacement(q[rows], conditions.take(rows)) for rows in chunks]
             return Displacement(*map(np.concatenate, zip(*((one.joints, one.shift_M) for one in parts), strict=True)))
-        context = self.context(q, approach, payload_kg, conditions)
+        context = self.context(q, conditions)
         each = [displacement([term], EFFECTS, context) for term in self.effects]
         moved = Displacement.total(each, len(context), q.shape[1])
         if not moved.joints.any():
@@ -270,9 +251,9 @@ class ArmModel:
     def true_joints(
         self, q: Array, approach: Signs | None = None, conditions: MeasurementConditions | None = None
     ) -> Array:
-        """Compute true joint positions (n, N) [rad] at controller readings ``q`` (n, N) [rad]; see ``context``."""
-        q = configurations(q, self.geometry.joints)
-        return q if not self.effects else q + self.effect_displacement(q, approach, conditions=conditions).joints
+        """Compute true joint positions (n, N) [rad] at controller readings ``q`` (n, N) [rad]; see ``predict``."""
+        q, conditions = configurations(q, self.geometry.joints), conditions or MeasurementConditions(approach=approach)
+        return q if not self.effects else q + self.effect_displacement(q, conditions).joints
 
     def predict(
         self,
@@ -284,20 +265,21 @@ class ArmModel:
         """Predict SMR positions (n, 3) in the tracker frame [m] at controller readings ``q`` (n, N) [rad].
 
         ``approach`` (n, N) are the signs of each joint's last motion, ``payload_kg`` (n,) the payload; unknown if not
-        given. ``conditions`` replaces both, see ``context``. Rows with a measured orientation return the rotation
-        vector from it to the computed one [rad] instead. Raise ``InputError`` if ``q`` has another shape.
+        given. ``conditions`` replaces both; it also holds times, temperatures and the state of the other arm. Rows with
+        a measured orientation return the rotation vector from it to the computed one [rad] instead. Raise
+        ``InputError`` if ``q`` has another shape.
         """
         q = configurations(q, self.geometry.joints)
-        R_M_S = None if conditions is None else conditions.R_M_S
+        conditions = conditions or MeasurementConditions(approach=approach, payload_kg=payload_kg)
         if self.effects:
-            moved = self.effect_displacement(q, approach, payload_kg, conditions)
-            p_M = smr_positions(self.geometry, q + moved.joints, R_M_S) + moved.shift_M
+            moved = self.effect_displacement(q, conditions)
+            p_M = smr_positions(self.geometry, q + moved.joints, conditions.R_M_S) + moved.shift_M
         else:
-            p_M = smr_positions(self.geometry, q, R_M_S)
+            p_M = smr_positions(self.geometry, q, conditions.R_M_S)
         if self.network is None:
             return p_M
         correction_M = self.network.correct(q) @ self.geometry.T_M_B()[:3, :3].T
-        if conditions is not None and conditions.turned is not None:
+        if conditions.turned is not None:
             correction_M[conditions.turned] = 0.0  # the network is trained on positions only
         return np.asarray(p_M + correction_M)
 
@@ -312,8 +294,8 @@ class ArmModel:
 
     def turns(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
         """Compute flange rotations (n, 3, 3), in the tracker frame, by deflection of links, bearings and base."""
-        some = conditions or MeasurementConditions()
-        moved = self.effect_displacement(q, conditions=replace(some, R_M_S=np.tile(np.eye(3), (len(q), 1, 1))))
+        turned = replace(conditions or MeasurementConditions(), R_M_S=np.tile(np.eye(3), (len(q), 1, 1)))
+        moved = self.effect_displacement(q, turned)
         return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(moved.shift_M).as_matrix())
 
     def uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
