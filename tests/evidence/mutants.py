@@ -51,7 +51,7 @@ GROUPS: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
         ["cellapp/estimation/discovery/verdict.py", "cellapp/estimation/discovery/posterior.py"],
         [
             *(f"{_DISCOVERY}findings.py", f"{_DISCOVERY}propose.py", _PRIOR, f"{_DISCOVERY}structure.py"),
-            f"{_DISCOVERY}discover.py",
+            *(f"{_DISCOVERY}discover.py", "tests/estimation/discovery/search"),
         ],
     ),
     "decision rule": (
