@@ -127,7 +127,7 @@ def gather(
     about = json.dumps([program, function.__qualname__, to_jsonable_python([prepare.args, prepare.keywords])])
     text = {name: about + json.dumps(to_jsonable_python(one)) for name, one in given.items()}
     keys = {name: hashlib.sha256(one.encode()).hexdigest() for name, one in text.items()}
-    kept = _kept(work.results)
+    kept = kept_results(work.results)
     results = {name: adapter.validate_python(kept[key]) for name, key in keys.items() if key in kept}
     failures: dict[str, _Answer] = {}
     work.listener(Progress(job, len(results), len(given), f"{len(results)} computed before" if results else ""))
@@ -325,8 +325,11 @@ def _program(function: Callable[..., Any]) -> str:
     return f"cellapp {__version__} (source {found.hexdigest()[:12]}), Python {python}, {packages}"
 
 
-def _kept(path: Path | None) -> dict[str, Any]:
-    """Key -> result of a results file; a last line that was cut off while it was written is removed."""
+def kept_results(path: Path | None) -> dict[str, Any]:
+    """Key -> result of a results file; a last line that was cut off while it was written is removed.
+
+    Raises ``InputError`` if it is none.
+    """
     if path is None or not path.exists():
         return {}
     try:

@@ -112,7 +112,9 @@ def opening(change: Callable[[Cell], None]) -> Callable[..., Any]:
 FRICTION = {"friction": [8.0] * 6, "load_friction": [0.1] * 6, "stiffness": [6e4, 5e4, 3e4, 1e4, 1e4, 1e4]}
 
 
-@pytest.mark.parametrize("hidden", [{}, {"friction_windup": FRICTION}], ids=["twin", "friction"])
+@pytest.mark.parametrize(
+    "hidden", [pytest.param({}, marks=pytest.mark.slow), {"friction_windup": FRICTION}], ids=["twin", "friction"]
+)
 def test_what_a_calibration_left_unexplained_is_no_change(tmp_path: Path, hidden: dict[str, Any]) -> None:
     profile = finished_twin(80)
     for name in profile.arms:

@@ -9,8 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -65,16 +63,7 @@ def collected(
         return readings, calibrated, push_run(run, targets, verify=True, iterate=1)
 
 
-@pytest.fixture(scope="module")
-def shells(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Future[None]]:
-    """A user at work at other addresses while the other test runs: both mostly wait."""
-    with ThreadPoolExecutor(1) as pool:
-        yield pool.submit(emulates_the_cell_in_one_shell_and_runs_it_in_another, tmp_path_factory.mktemp("shells"))
-
-
-def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_twin(
-    tmp_path: Path, shells: Future[None]
-) -> None:
+def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_twin(tmp_path: Path) -> None:
     # the right one has an e-Series controller: 500 Hz, remote control, other dashboard
     e_series = load_profile(PROFILES / "ur10e-ur5e.yaml").arms["right"].type
     twin = with_arm(small_twin(STOPS), "right", type=e_series)
@@ -148,11 +137,7 @@ def wire_profile(folder: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_user_emulates_the_cell_in_one_shell_and_runs_it_in_another(shells: Future[None]) -> None:
-    shells.result(240.0)
-
-
-def emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: Path) -> None:
+def test_a_user_emulates_the_cell_in_one_shell_and_runs_it_in_another(tmp_path: Path) -> None:
     wire_profile(tmp_path)
     environment = {**os.environ, "PYTHONPATH": str(PROFILES.parent)}
 

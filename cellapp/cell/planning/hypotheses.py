@@ -342,7 +342,7 @@ def _signal_size(fit: JointFit, column: EffectColumn, further: EffectColumn, nee
     visible, whole = float(np.sum(rows * fit.projector.project(rows))), float(np.sum(rows**2))
     if visible > VISIBLE**2 * whole and visible > 0.0:
         return detectable_size(math.sqrt(visible), needed)
-    noise = float(1.0 / np.sqrt(np.mean(fit.white[0, 0, fit.positions] ** 2)))
+    noise = float(1.0 / np.sqrt(np.mean(fit.white[0, 0, fit.identification.positions] ** 2)))
     if further.shift_M is not None:
         moved = float(np.sqrt(np.mean(further.shift_M**2)))
     else:

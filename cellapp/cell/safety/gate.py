@@ -229,7 +229,7 @@ def _first_gap_below(first: Placed, second: Placed, clearance: float) -> float:
     near_first, near_second = _within_reach(first, second, clearance)
     i, a = np.nonzero(near_first)
     k, b = np.nonzero(near_second)
-    if len(i) == 0 or len(k) == 0:
+    if len(i) == 0:  # then none of the other's is near, either
         return np.inf
     ends, others = first.axes(i, a), second.axes(k, b)
     first_middle, second_middle = 0.5 * (ends[0] + ends[1]), 0.5 * (others[0] + others[1])

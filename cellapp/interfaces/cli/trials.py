@@ -137,8 +137,9 @@ def power(
 
 
 def _work(job: Job, jobs: int | None, scheduler: str | None, results: Path | None = None) -> Work:
-    from cellapp.ground.executors import Work
+    from cellapp.ground.executors import Work, kept_results
 
+    kept_results(results)  # one that is none is refused before hours of work
     return Work(jobs, scheduler, results, job.listen, job.control)
 
 

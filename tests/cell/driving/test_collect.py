@@ -340,12 +340,12 @@ def test_the_other_arms_smr_is_not_taken_for_this_ones(
 
 
 STOPS_OF_CAMPAIGNS = 30
-SEEDS = (1, 2, 3, 6, 8, 9, 10, 12, 13, 14, 17, 18, 20, 21, 22, 24, 29, 30, 31, 33, 34, 39, 45, 47, 10531)
-"""In these every kind of fault strikes, and several times those whose bad handling must be found.
+SEEDS = (1, 2, 3, 8, 12, 14, 17, 18, 21, 22, 30, 31, 33, 34, 39, 47, 10531)
+"""In these every kind of fault strikes, and twice those whose bad handling must be found.
 
 In the last one a person's stop comes after another cause, and was recorded under the name of that.
 """
-OTHER_SEEDS = tuple(seed for seed in range(32) if seed not in SEEDS)
+OTHER_SEEDS = tuple(seed for seed in range(48) if seed not in SEEDS)
 
 
 @pytest.fixture(scope="module")
@@ -363,7 +363,7 @@ def failures(bench: Bench, *seeds: int) -> set[str]:
     return {failure.kind for seed in seeds for failure in run_campaign(bench, seed)[0].failures}
 
 
-def seeds_with(campaigns: list[Campaign], *faults: str, count: int = 4) -> list[int]:
+def seeds_with(campaigns: list[Campaign], *faults: str, count: int = 2) -> list[int]:
     """The first seeds whose campaign has one of these faults."""
     return [one.seed for one in campaigns if set(faults) & set(one.struck)][:count]
 
@@ -379,9 +379,9 @@ def test_the_engine_survives_more_campaigns(bench: Bench) -> None:
     assert failures(bench, *OTHER_SEEDS) == set()
 
 
-def test_the_same_seed_is_the_same_campaign(bench: Bench) -> None:
-    first, second, other = (run_campaign(bench, seed)[0] for seed in (7, 7, 8))
-    assert replace(first, seconds=0.0) == replace(second, seconds=0.0)
+def test_the_same_seed_is_the_same_campaign(bench: Bench, campaigns: list[Campaign]) -> None:
+    first, other, *_ = campaigns
+    assert replace(first, seconds=0.0) == replace(run_campaign(bench, SEEDS[0])[0], seconds=0.0)
     assert first.digest != other.digest
 
 

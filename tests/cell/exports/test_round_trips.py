@@ -157,6 +157,15 @@ def test_an_arm_of_another_make_is_refused(arm: str, form: str) -> None:
         FORMATS[form].text(drawn(arm, 0), [])
 
 
+def test_an_arm_with_one_other_angle_is_refused() -> None:
+    arm = drawn("ur10", 0).arm
+    first, *others = arm.type.joints
+    type_ = arm.type.model_copy(update={"joints": (first.model_copy(update={"alpha": 1.2}), *others)})
+    export = replace(drawn("ur10", 0), arm=arm.model_copy(update={"type": type_}))
+    with pytest.raises(InputError, match="does not have the chain of a UR arm"):
+        FORMATS["ur-calibration"].text(export, [])
+
+
 def test_urdf_has_limits_speeds_masses_and_their_places() -> None:
     export = drawn("elbow-antiparallel", 0)
     model = pinocchio.buildModelFromXML(FORMATS["urdf"].text(export, []))

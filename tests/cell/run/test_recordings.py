@@ -16,6 +16,7 @@ from hypothesis.extra import numpy as hnp
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.columns import understood
 from cellapp.cell.run.csv_export import write_recordings_csv
+from cellapp.cell.run.csv_text import stamp_seconds
 from cellapp.cell.run.recorded_csv import converted, read_recorded
 from cellapp.cell.run.recordings import (
     packed,
@@ -477,3 +478,24 @@ def test_what_is_not_clear_is_refused_where_it_is_wrong(case: str, tmp_path: Pat
     *texts, said = BAD_STRANGE[case]
     with pytest.raises(InputError, match=said):
         read(tmp_path, *texts)
+
+
+NEW_YEAR_2026 = 1767225600.0
+"""Its first second in UTC, since 1970."""
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("'01.01.2026 00:00:02,5", NEW_YEAR_2026 + 2.5),
+        ("1/2/26 1:02:03 pm", NEW_YEAR_2026 + 86400.0 + 13 * 3600.0 + 123.0),  # the month comes first ...
+        ("13/1/2026 12:00:00 AM", NEW_YEAR_2026 + 12 * 86400.0),  # ... where it can be one
+        ("12/1/2026 12:00:00 PM", NEW_YEAR_2026 + 334 * 86400.0 + 12 * 3600.0),
+        ("2026-01-01 01:00:00+01:00", NEW_YEAR_2026),
+        ("01:02:03", 3723.0),
+        ("1.1.2026 soon", np.nan),
+        ("31.2.2026 00:00:00", np.nan),
+    ],
+)
+def test_dates_and_times_of_day_are_seconds(text: str, seconds: float) -> None:
+    np.testing.assert_equal(stamp_seconds(text), seconds)

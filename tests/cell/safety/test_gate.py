@@ -18,6 +18,8 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, cover, home_positions
 from cellapp.cell.safety.gate import (
     CellBodies,
     FreeMotions,
+    PathsAtOnce,
+    allowed_apart_m,
     clear_stops,
     free_motions,
     on_rows,
@@ -103,6 +105,16 @@ def test_the_clearance_is_kept_between_samples_too() -> None:
             far = 2.0 + clearance + 0.1 - 0.001
             cell = CellBodies({"a": turnstile(0.0), "b": turnstile(far)}, None, clearance, -1.0)
             assert "of each other" in refuse_motion(cell, at(a=start, b=math.pi), at(a=1.5, b=math.pi))
+
+
+def test_arms_at_once_may_be_apart_by_what_the_slower_one_runs_until_all_are_stopped(turnstiles: CellBodies) -> None:
+    lever = float(turnstiles.arms["a"].levers[0])
+    paths = {"a": np.array([[0.0], [0.01], [0.02]]), "b": np.array([[0.0], [0.01], [0.04]])}
+    assert allowed_apart_m(turnstiles, paths, 0.1) == pytest.approx(0.05 + 0.5 * 0.01 * lever / 0.1)
+    assert allowed_apart_m(turnstiles, {"a": paths["a"]}, 0.1) == 0.0
+    at_once = PathsAtOnce(turnstiles, paths)
+    assert at_once.apart_m(at(a=0.01, b=0.01)) == 0.0
+    assert at_once.apart_m(at(a=0.02, b=0.0)) == pytest.approx(0.02 * lever)  # from the first row or the second
 
 
 def test_nan_and_vectors_of_wrong_length_are_refused(twin: CellBodies) -> None:

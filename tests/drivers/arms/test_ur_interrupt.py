@@ -37,7 +37,7 @@ pytestmark = pytest.mark.waits
 ENDS_WITHIN_S = 0.5
 DELAYS_S = (0.05, 0.3, 0.6, 1.0)
 """From the upload of a program to its start. A stop before the start does not keep it from starting."""
-TIMES = 5
+TIMES = 2
 
 Refuse = Callable[[UrArm], None]
 REFUSE: dict[str, Refuse] = {"refuse_motion": UrArm.refuse_motion, "brake": UrArm.brake}

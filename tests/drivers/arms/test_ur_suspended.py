@@ -24,7 +24,7 @@ from tests.waiting import until, within
 
 pytestmark = pytest.mark.waits
 
-SUSPENDED_S = 3.0
+SUSPENDED_S = 2.0
 TIMES = 2
 """Of each of four programs: eight suspensions."""
 

@@ -195,7 +195,7 @@ def test_springs_that_are_softer_below_a_knee_are_named_with_it():
     assert discovery.heldout_after_mm < 0.2 * discovery.heldout_before_mm
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_nothing_is_found_where_nothing_is(seed):
     rng = np.random.default_rng(seed)
     motion = corners(rng, 6, 120.0) if seed == 3 else sweep(rng, 6)  # corners excite vibration where there is any

@@ -24,12 +24,16 @@ from cellapp.estimation.uncertainty.budget import (
     combined_mm,
     distance_budget,
     expanded_mm,
+    expanded_mrad,
     not_given,
     position_budget,
+    turn_budget,
 )
 from cellapp.estimation.uncertainty.records import UncertaintyContribution
+from cellapp.ground.profile.sections import Probe
 from tests.estimation.uncertainty.cases import measured, profile_with, results, verification
 from tests.interfaces.page.cases import calibration, nothing_missing
+from tests.twin import small_twin, with_arm
 
 CALIPER = (0.7, 1.2, 3.4)
 """Three standard uncertainties whose root of the sum of squares is known: sqrt(0.49 + 1.44 + 11.56) = 3.6729."""
@@ -114,15 +118,35 @@ def test_both_positions_of_a_distance_count() -> None:
     assert combined_mm(distance_budget(position)) == pytest.approx(math.sqrt(2.0) * math.hypot(0.01, 0.02))
 
 
-def test_repeats_count_by_what_exceeds_the_tracker() -> None:
-    """Mean distance from the barycentre 0.0479 mm: 0.03 mm a coordinate; tracker 0.0346 mm: 0.02 mm a coordinate."""
-    mean, tracker = 0.03 * 2.0 * math.sqrt(2.0 / math.pi), 0.02 * math.sqrt(3.0)
+@pytest.mark.parametrize(("tracker", "expected"), [(0.02, math.sqrt(0.03**2 - 0.02**2)), (0.04, 0.0), (None, 0.03)])
+def test_repeats_count_by_what_exceeds_the_tracker(tracker: float | None, expected: float) -> None:
+    """Mean distance from the barycentre 0.0479 mm: 0.03 mm a coordinate, as the ``tracker`` is per coordinate."""
+    mean, tracker_mm = 0.03 * 2.0 * math.sqrt(2.0 / math.pi), tracker and tracker * math.sqrt(3.0)
     repeats = Repeatability(mean=mean, rp=0.1, n=20)
     base = calibration("left")
-    arm = base.arms["left"].model_copy(update={"repeatability_mm": repeats, "tracker_mm": tracker})
+    arm = base.arms["left"].model_copy(update={"repeatability_mm": repeats, "tracker_mm": tracker_mm})
     found = by_source(results(calibrate=base.model_copy(update={"arms": {"left": arm}})))[REPEATABILITY]
-    assert found.standard_mm == pytest.approx(math.sqrt(0.03**2 - 0.02**2))
+    assert found.standard_mm == pytest.approx(expected)
     assert found.evaluation == "A"
+
+
+@pytest.mark.parametrize(
+    ("probe", "noise_mrad", "expected"),
+    [
+        (Probe(sigma=40e-6), 0.05, (0.04, 0.03, 0.1)),
+        (Probe(sigma=40e-6), 0.03, (0.04, 0.0, 0.1)),
+        (None, 0.05, (None, 0.05, 0.1)),
+    ],
+)
+def test_an_orientation_counts_probe_scatter_beyond_it_and_model(
+    probe: Probe | None, noise_mrad: float, expected: tuple[float | None, ...]
+) -> None:
+    twin = small_twin()
+    profile = with_arm(twin, "left", smr=twin.arms["left"].smr.model_copy(update={"probe": probe}))
+    found = turn_budget(profile, "left", 0.1, noise_mrad)
+    assert [one.standard_mrad for one in found] == [one and pytest.approx(one) for one in expected]
+    whole = None if None in expected else pytest.approx(2.0 * math.hypot(*(one or 0.0 for one in expected)))
+    assert expanded_mrad(found) == whole
 
 
 def test_scatter_about_the_model_counts_before_repeats_and_covers_growth() -> None:

@@ -243,12 +243,12 @@ def test_two_options_with_one_file(run_file: Path, monkeypatch: pytest.MonkeyPat
 def test_a_journal_of_a_run_is_neither_a_store_nor_a_file(
     run_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    words = ("trials", "power", str(write_profile(tmp_path / "small")))
     for suffix in ("-wal", "-journal", "-shm"):
         name = f"R/run.sqlite{suffix}"
         assert called(monkeypatch, "show", "R", "--json", name, "--force") == 2
-        words = ("trials", "power", str(write_profile(tmp_path / "small")))
         assert called(monkeypatch, *words, "--results", name) == 2
-        assert called(monkeypatch, *words, "--results", "R/run.sqlite") == 2
+    assert called(monkeypatch, *words, "--results", "R/run.sqlite") == 2
 
 
 # -- the door itself --------------------------------------------------------------------------------------------------
