@@ -51,7 +51,10 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
     calibration = calibrate_readings(profile, measured_plan(profile, plan, seed))
     assert calibration.pair is not None, calibration.notes
     methods = calibration.pair.methods
-    cooperative = {name: methods[name if name in methods else "method_1"].by_distances.mean for name in METHODS}  # type: ignore[index]
+    cooperative = {
+        name: 1e3 * float(np.abs(methods[name if name in methods else "method_1"].errors["distances"]).mean())  # type: ignore[index]
+        for name in METHODS
+    }
     seen_elsewhere = measured_plan(_moved(profile, seed), plan, seed + 1)
     moved = {name: _at_other_station(arm, seen_elsewhere[name]) for name, arm in calibration.arms.items()}
     return {"cooperative_mm": cooperative, "moved_mm": moved}

@@ -8,6 +8,7 @@ from typing import cast
 from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration
 from cellapp.estimation.calibration.learning import Batches, Shape, Training
 from cellapp.estimation.calibration.pair_calibration import PAIR_NAMES, PairCalibration, PairMethod
+from cellapp.estimation.calibration.quantities import summarise
 from cellapp.estimation.calibration.records import (
     ArmCalibrationResult,
     BatchesResult,
@@ -53,6 +54,7 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
         excess_mrad=None if found.turned is None else found.excess_rad * 1e3,
         splits=arm.counts,
         tracker_mm=arm.tracker_mm,
+        probe_mrad=arm.probe_mrad,
         repeatability_mm=arm.repeatability,
         network=None if arm.training is None else _network(arm.training),
         prior=arm.prior,
@@ -102,11 +104,14 @@ def _method(method: PairMethod, pair: PairCalibration) -> PairMethodResult:
     found, tracker = method.identification, method.T_R_L_tracker
     by_tracker = [*tracker[:3, 3].tolist(), *zyx_angles(tracker[:3, :3])]
     estimates = zip(PAIR_NAMES, found.values.tolist(), found.standard_errors.tolist(), by_tracker, strict=True)
-    summaries = {"distances": method.by_distances, "tracker": method.by_tracker}
+    summaries = {key: summarise(errors) for key, errors in method.errors.items()}
+    turned = {key: summarise(angles) for key, angles in method.turned.items()}
     return PairMethodResult(
         cooperative_mm=summaries[pair.chosen],
+        cooperative_mrad=turned.get(pair.chosen),
         transform=pair.chosen,
         by_transform_mm=summaries,
+        by_transform_mrad=turned or None,
         identified={
             name: PairEstimate(
                 value=value, standard_error=error, unit="m" if name in "xyz" else "rad", by_tracker=other

@@ -15,6 +15,7 @@ from cellapp.estimation.calibration.records import (
     BatchesResult,
     CalibrateResult,
     ClockResult,
+    PairMethodResult,
     PartDrift,
 )
 from cellapp.ground.counting import counted
@@ -27,8 +28,8 @@ MM = ".4f"
 ERROR_COLUMNS = (*((title, MM) for title in ("mean", "rms", "std", "max")), ("n", "d"))
 _DETAILED = ("mean", "95 % of mean", "rms", "std", "p50", "p95", "max")
 _DETAILED_COLUMNS = (*((title, MM) for title in _DETAILED), ("n", "d"))
-_TRANSFORMS = {"distances": "distances alone", "tracker": "the tracker frame"}
 _PAIRS = "between arms"
+_TURNED = "orientation [mrad]"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
 
@@ -51,11 +52,7 @@ def calibration_tables(result: CalibrateResult) -> list[Table]:
         rows = [(label, *error_cells(summary)) for label, _, summary in _stage_summaries(arm)]
         tables.append(Table(_arm_title(name, arm), columns_of("stage, measure", *ERROR_COLUMNS), tuple(rows)))
     if result.pair:
-        rows = [
-            (METHOD_WORDS[method], *error_cells(result.pair[method].cooperative_mm))
-            for method in METHODS
-            if method in result.pair
-        ]
+        rows = [(label, *error_cells(errors)) for label, _, errors in _pair_summaries(result)]
         tables.append(Table(_PAIR_TITLE, columns_of("method", *ERROR_COLUMNS), tuple(rows)))
     return [*tables, *_tables_of_kinds(result)]
 
@@ -81,10 +78,10 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
         ]
         tables.append(Table(_arm_title(name, arm), columns_of("stage, measure", *columns), tuple(rows)))
     if result.pair:
-        noise = cooperative_noise_mm(result)
-        summaries = {method: result.pair[method].cooperative_mm for method in METHODS if method in result.pair}
+        noise = {"distance": cooperative_noise_mm(result), "orientation": cooperative_noise_mrad(result)}
         rows = [
-            (METHOD_WORDS[key], *_detailed_cells(errors), _ratio(errors, noise)) for key, errors in summaries.items()
+            (label, *_detailed_cells(errors), _ratio(errors, noise[measure]))
+            for label, measure, errors in _pair_summaries(result)
         ]
         tables.append(Table(_PAIR_TITLE, columns_of("method", *columns), tuple(rows)))
     return [*tables, *_tables_of_kinds(result)]
@@ -92,16 +89,27 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
 
 def transform_tables(result: CalibrateResult) -> list[Table]:
     """Show cooperative errors with either inter-base transform on the same held-out stops; empty without a pair."""
-    rows = [
-        (f"{METHOD_WORDS[method]}, by {_TRANSFORMS[transform]}", *_detailed_cells(summary))
-        for method in METHODS
-        if method in result.pair
-        for transform, summary in result.pair[method].by_transform_mm.items()
-    ]
+    rows = []
+    for method in METHODS:
+        if (own := result.pair.get(method)) is None:
+            continue
+        turned = own.by_transform_mrad or {}
+        for transform, summary in own.by_transform_mm.items():
+            label = f"{METHOD_WORDS[method]}, by {transform_words(transform, own)}"
+            rows.append((label, *_detailed_cells(summary)))
+            if transform in turned:
+                rows.append((f"{label}, {_TURNED}", *_detailed_cells(turned[transform])))
     if not rows:
         return []
     columns = columns_of("method, transform", *_DETAILED_COLUMNS)
     return [Table("Pair: cooperative errors by either transform [mm]", columns, tuple(rows))]
+
+
+def transform_words(transform: str, method: PairMethodResult) -> str:
+    """Say what the inter-base transform rests on."""
+    if transform == "distances":
+        return "distances alone" if method.cooperative_mrad is None else "distances and relative rotations"
+    return "the tracker frame"
 
 
 def parameter_tables(result: CalibrateResult) -> list[Table]:
@@ -163,6 +171,12 @@ def cooperative_noise_mm(result: CalibrateResult) -> float | None:
     return distance_mm(lengths[0], lengths[1]) if len(lengths) == 2 else None
 
 
+def cooperative_noise_mrad(result: CalibrateResult) -> float | None:
+    """Return the rms angle [mrad] between two flanges that the stated uncertainty of both probes alone would cause."""
+    lengths = [arm.probe_mrad for arm in result.arms.values()]
+    return math.hypot(*lengths) if len(lengths) == 2 and lengths[0] and lengths[1] else None
+
+
 def _arm_title(name: str, arm: ArmCalibrationResult) -> str:
     return (
         f"Arm {name}: held-out errors [mm] ({counted(arm.rank, 'parameter')}, {counted(arm.iterations, 'iteration')})"
@@ -177,9 +191,20 @@ def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSum
             errors = arm.validate_[stage]
             found.append((f"{stage}, position", "position", errors.position_mm))
             if errors.orientation_mrad is not None:
-                found.append((f"{stage}, orientation [mrad]", "orientation", errors.orientation_mrad))
+                found.append((f"{stage}, {_TURNED}", "orientation", errors.orientation_mrad))
             if errors.distance_mm is not None:
                 found.append((f"{stage}, distance", "distance", errors.distance_mm))
+    return found
+
+
+def _pair_summaries(result: CalibrateResult) -> list[tuple[str, str, ErrorSummary]]:
+    """Return the label, measure (distance or orientation) and errors of each method of the pair."""
+    found = []
+    for method in METHODS:
+        if (own := result.pair.get(method)) is not None:
+            found.append((METHOD_WORDS[method], "distance", own.cooperative_mm))
+            if own.cooperative_mrad is not None:
+                found.append((f"{METHOD_WORDS[method]}, {_TURNED}", "orientation", own.cooperative_mrad))
     return found
 
 

@@ -150,11 +150,14 @@ def _errors(results: RunResults, arm: str) -> CertifiedErrors:
 def _pair(results: RunResults) -> CertifiedErrors:
     verify, calibrate = held_verification(results), results.held.calibrate
     predicted = {} if calibrate is None else calibrate.pair
-    best = next((predicted[method].cooperative_mm for method in BEST_METHODS if method in predicted), None)
+    best = next((predicted[method] for method in BEST_METHODS if method in predicted), None)
+    nominal = predicted.get("nominal")
     return _measured(None if verify is None else verify.cooperative).model_copy(
         update={
-            "predicted_found": predicted["nominal"].cooperative_mm if "nominal" in predicted else None,
-            "predicted_left": best,
+            "predicted_found": None if nominal is None else nominal.cooperative_mm,
+            "predicted_left": None if best is None else best.cooperative_mm,
+            "predicted_found_mrad": None if nominal is None else nominal.cooperative_mrad,
+            "predicted_left_mrad": None if best is None else best.cooperative_mrad,
         }
     )
 

@@ -181,6 +181,7 @@ def turn_tables(result: CertificateResult) -> list[Table]:
     rows: list[tuple[Cell, ...]] = []
     for name, arm in result.arms.items():
         rows += _error_rows(f"Arm {name}, orientation", arm.errors.orientations)
+    rows += _error_rows("Both arms, rotation of one flange in the other's frame", result.pair.orientations)
     return [Table("Errors of orientation as found and as left [mrad]", _ERROR_COLUMNS, tuple(rows))] if rows else []
 
 

@@ -38,10 +38,12 @@ from cellapp.commands.calibrate.detail_tables import (
 )
 from cellapp.commands.calibrate.view import (
     cooperative_noise_mm,
+    cooperative_noise_mrad,
     detailed_tables,
     distance_mm,
     motion_sentences,
     transform_tables,
+    transform_words,
 )
 from cellapp.commands.check.view import location_view
 from cellapp.commands.check.view import view as check_view
@@ -293,7 +295,8 @@ def _terms(calibrate: CalibrateResult) -> Iterator[str]:
     )
     if calibrate.pair:
         yield (
-            "Cooperative error: error of the computed distance between the two arms' SMRs at one stop. \"Network in the"
+            "Cooperative error: error of the computed distance between the two arms' SMRs at one stop, in mrad the"
+            " angle by which the computed rotation of one flange in the other's frame is off. \"Network in the"
             " tracker frame\" is the paper's counter-example: what was learned there is added in the base frame."
         )
 
@@ -307,7 +310,8 @@ def _tracker_words(calibrate: CalibrateResult) -> str:
     ]
     cooperative = cooperative_noise_mm(calibrate) if calibrate.pair else None
     if cooperative is not None:
-        words.append(f"pair: cooperative {cooperative:.4f} mm")
+        turned = cooperative_noise_mrad(calibrate)
+        words.append(f"pair: cooperative {cooperative:.4f} mm" + ("" if turned is None else f", {turned:.4f} mrad"))
     return "; ".join(words)
 
 
@@ -326,6 +330,8 @@ def _accuracy_message(data: ReportData) -> str:
         pair = data.calibrate.pair
         nominal = f" (nominal {mm(pair['nominal'].cooperative_mm.mean)})" if "nominal" in pair else ""
         parts.append(f"distance between both arms {mm(pair[method].cooperative_mm.mean)}{nominal}")
+        turned = pair[method].cooperative_mrad
+        parts += [] if turned is None else [f"rotation of one flange in the other's frame {turned.mean:.3f} mrad"]
     return f"Mean error at configurations that the calibration did not use: {'; '.join(parts)}."
 
 
@@ -419,8 +425,9 @@ def _pair(data: ReportData) -> Section | None:
         "",
         [*transform_tables(data.calibrate), *pair_tables(data.calibrate)],
         message,
-        "The transform between the two bases, identified from the distances between the two SMRs alone, and for"
-        " comparison from both bases in the common tracker frame, on the same stops.",
+        "The transform between the two bases, identified from the distances between the two SMRs, where both flanges"
+        " have a probe together with relative rotations, and for comparison from both bases in the common tracker"
+        " frame, on the same stops.",
     )
 
 
@@ -438,7 +445,8 @@ def _pair_message(calibrate: CalibrateResult) -> str:
     off = [estimate.value - estimate.by_tracker for estimate in known if estimate.by_tracker is not None]
     if len(off) < len(known):
         return f"{message}."
-    return f"{message}; by distances alone and by the tracker's frame this differs by {mm(1e3 * math.hypot(*off))}."
+    words = transform_words("distances", calibrate.pair[method])
+    return f"{message}; by {words} and by the tracker's frame this differs by {mm(1e3 * math.hypot(*off))}."
 
 
 def _cell(data: ReportData) -> Section:

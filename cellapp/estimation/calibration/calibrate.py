@@ -30,15 +30,20 @@ from cellapp.estimation.calibration.learning import (
     train_network,
     training_steps,
 )
-from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
+from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair, common_stops
 from cellapp.estimation.calibration.parameters import unknown_offset
 from cellapp.estimation.calibration.quantities import (
+    FEWEST_TURNS,
+    SUSPECT_RAD,
     Quantities,
     evaluate,
     evaluate_quantities,
+    measured_orientations,
     measured_quantities,
     refuse_odd_orientations,
     repeatability,
+    states_nothing,
+    turning_scatter,
     with_probe,
 )
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
@@ -324,8 +329,8 @@ class ArmCalibration:
     counts : mapping
         Number of readings in each split.
     repeatability : Repeatability or None
-    tracker_mm : float or None
-        Rms length of the stated noise [mm].
+    tracker_mm, probe_mrad : float or None
+        Rms length of the stated noise of positions [mm] and of orientations [mrad].
     training : Training or None
         How the residual network was trained.
     tracker_frame_network : ResidualNetwork or None
@@ -347,6 +352,7 @@ class ArmCalibration:
     counts: Mapping[str, int]
     repeatability: Repeatability | None
     tracker_mm: float | None
+    probe_mrad: float | None = None
     training: Training | None = None
     tracker_frame_network: ResidualNetwork | None = None
     prior: ArmPriorResult | None = None
@@ -391,6 +397,7 @@ def calibrate_readings(
     training = learning_steps(profile.network) + training_steps(1) * in_a_pair(profile) if trains else 0
     total = (1 + training) * len(readings) + 1
     arms: dict[str, ArmCalibration] = {}
+    _refuse_exchanged_probes(profile, readings)
     for name, arm_readings in readings.items():
         listener(Progress("calibrate", len(arms), total, f"arm {name}: geometry"))
         cancel.check()
@@ -423,6 +430,38 @@ def calibrate_readings(
     )
     listener(Progress("calibrate", total, total, "done"))
     return Calibration(model, arms, pair, tuple(notes), provenance)
+
+
+def _refuse_exchanged_probes(profile: Profile, readings: Mapping[str, Readings]) -> None:
+    """Raise ``InputError`` if what the probes of two arms measured follows the other arm each."""
+    if len(readings) != 2:
+        return
+    stops = common_stops(*readings.values())
+    seen = np.intersect1d(*(measured_orientations(one)[0] for one in stops))
+    if len(seen) < FEWEST_TURNS:
+        return
+    both = [one.take(seen) for one in stops]
+
+    def scatter(points: Sequence[Readings], turns: Sequence[Readings]) -> float:
+        """Return how far the orientations of ``turns`` are off the arms whose bases ``points`` give."""
+        found = []
+        for name, own, point, turn in zip(readings, both, points, turns, strict=True):
+            unknown = profile.arms[name].smr.offset == "unknown"
+            geometry = start_from_nominal(nominal_arm(profile.arms[name]), own.q, point.p_M, tool_unknown=unknown)
+            found.append(turning_scatter(geometry, own.q, measured_orientations(turn)[1]))
+        return max(found)
+
+    if scatter(both, both) < SUSPECT_RAD:
+        return
+    exchanged = both[::-1]
+    for what, points in {"orientations": both, "positions and orientations": exchanged}.items():
+        if scatter(points, exchanged) < SUSPECT_RAD:
+            first, second = readings
+            raise InputError(
+                f"the probes of arms '{first}' and '{second}' are exchanged: the {what} of each follow the other arm,"
+                f" from configuration {both[0].configuration[0]} on; give each arm the {what} of its own probe, and"
+                " import again"
+            )
 
 
 def provenance_of(profile: Profile) -> Provenance:
@@ -505,7 +544,7 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
     leave = f"arm '{name}': {counted(len(readings), 'reading leaves', 'readings leave')}"
     require_enough(leave, different, len(validate_rows))
     nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
-    refuse_odd_orientations(name, nominal, learn)
+    refuse_odd_orientations(name, nominal, readings)
     its = measured_quantities(learn)
     nominal = with_probe(nominal, its.readings.q, its.R_M_S)
     identification, excess = _identify(profile, name, nominal, its, robust=robust)
@@ -541,9 +580,17 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
         counts={word: len(good.in_split(word)) for word in SPLITS},
         repeatability=repeatability(good.q, good.p_M),
         tracker_mm=None if stated is None else rms_length_mm(stated),
+        probe_mrad=_probe_mrad(its),
         left_out=tuple(left_out.configuration.tolist()),
         left_out_counts={word: len(left_out.in_split(word)) for word in SPLITS} if len(left_out) else {},
     )
+
+
+def _probe_mrad(its: Quantities) -> float | None:
+    """Return the rms length [mrad] of the stated noise of orientations; None if none was measured or stated."""
+    if its.turned is None or its.stated is None or states_nothing(its.stated[its.turned]):
+        return None
+    return rms_length_mm(its.stated[its.turned])
 
 
 def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:

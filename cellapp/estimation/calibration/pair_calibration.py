@@ -6,13 +6,14 @@
     proposed   geometry and a network in the base frame (Bai et al. 2023)
     effects    geometry and the named effects
 
-Each method identifies the inter-base transform from its own positions twice, for comparison: from distances alone, and
-from the common tracker frame (both bases registered to the tracker on the same stops).
+Each method identifies the inter-base transform from its own positions twice, for comparison: from distances, where both
+flanges have a probe together with relative rotations; and from the common tracker frame (both bases registered to the
+tracker on the same stops).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -21,19 +22,25 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.calibration.least_squares import LeastSquares, inverse_psd
-from cellapp.estimation.calibration.quantities import measurement_conditions, position_errors, summarise
+from cellapp.estimation.calibration.quantities import (
+    measured_orientations,
+    measurement_conditions,
+    position_errors,
+)
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import BEST_METHODS, ErrorSummary, Method
+from cellapp.ground.results import BEST_METHODS, Method
 from cellapp.robot.effects import MeasurementConditions
-from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.kinematics.chain import Geometry, probe_rotations, smr_positions
 from cellapp.robot.kinematics.transforms import (
     Array,
     apply,
     invert,
+    mean_rotation,
     register,
     rotation_from_vector,
+    rotation_vectors,
     transform,
     zyx_angles,
 )
@@ -44,6 +51,10 @@ from cellapp.robot.model import ArmModel, ResidualNetwork
 # With SMR positions P_L, P_R, each in the base frame of its arm, and measured distances D,
 #
 #     minimise  sum_i (D_i^2 - |P_R,i - (R P_L,i + b)|^2)^2   over R, b.
+#
+# Two probes also measure R itself at every stop, as R_i = R_BR,i (R_MR,i^T R_ML,i) R_BL,i^T: computed rotations in the
+# bases about the measured one between the probes. Distances and rotation vectors of R_i R^T are then fitted together,
+# each weighted by its scatter: of the distances about their own fit, and of R_i about their mean.
 
 PAIR_NAMES = ("x", "y", "z", "theta", "beta", "alpha")
 _TOLERANCE = 1e-9
@@ -68,6 +79,8 @@ class PairIdentification:
     iterations : int
     scale : float
         Standard deviation of a distance [m].
+    scale_rad : float or None
+        Standard deviation of a component of a relative rotation [rad]; None without rotations.
     """
 
     T_R_L: Array
@@ -75,6 +88,7 @@ class PairIdentification:
     standard_errors: Array
     iterations: int
     scale: float
+    scale_rad: float | None = None
 
 
 def distances(T_R_L: Array, p_L: Array, p_R: Array) -> Array:
@@ -82,7 +96,9 @@ def distances(T_R_L: Array, p_L: Array, p_R: Array) -> Array:
     return np.asarray(np.linalg.norm(p_R - (p_L @ T_R_L[:3, :3].T + T_R_L[:3, 3]), axis=1))
 
 
-def identify_pair(start: Array, p_L: Array, p_R: Array, measured: Array) -> PairIdentification:
+def identify_pair(
+    start: Array, p_L: Array, p_R: Array, measured: Array, R_R_L: Array | None = None
+) -> PairIdentification:
     """Identify the inter-base transform.
 
     Parameters
@@ -93,6 +109,8 @@ def identify_pair(start: Array, p_L: Array, p_R: Array, measured: Array) -> Pair
         SMR positions, each in its own base frame [m].
     measured : array, shape (n,)
         Measured distances [m].
+    R_R_L : array, shape (k, 3, 3), optional
+        Rotations from the left base to the right one by two probes, see ``relative_rotations``.
 
     Raises
     ------
@@ -119,21 +137,53 @@ def identify_pair(start: Array, p_L: Array, p_R: Array, measured: Array) -> Pair
     off = measured - distances(T_R_L, p_L, p_R)
     scale = float(np.sqrt(off @ off / max(1, n - 6)))
     # All distances have the same variance, but their squares do not: D^2 has the standard deviation 2 D scale.
-    J = found.point.A
-    gain = inverse_psd(J.T @ J) @ (J * (2.0 * measured * scale)[:, None]).T
+    J, of_square, scale_rad = found.point.A, 2.0 * measured * scale, None
+    gain = inverse_psd(J.T @ J) @ (J * of_square[:, None]).T
     errors = np.linalg.norm(gain, axis=1)
+    if R_R_L is not None and scale > 0.0:
+        turns = rotation_vectors(R_R_L @ mean_rotation(R_R_L).T)
+        scale_rad = max(float(np.sqrt(np.sum(turns**2) / (turns.size - 3))), _TOLERANCE)
+
+        def of_both(T: Array) -> tuple[Array, Array]:
+            off, J = linearised(T)
+            turns = rotation_vectors(R_R_L @ T[:3, :3].T).ravel() / scale_rad
+            of_turns = np.tile(np.hstack([np.zeros((3, 3)), np.eye(3)]), (len(R_R_L), 1)) / scale_rad
+            return np.concatenate([off / of_square, turns]), np.vstack([J / of_square[:, None], of_turns])
+
+        found = LeastSquares(of_both, after_twist).best(
+            "inter-base transform from distances and relative rotations",
+            T_R_L,
+            tolerance=_TOLERANCE,
+            max_iterations=_MOST_ITERATIONS,
+        )
+        T_R_L, J = found.point.state, found.point.A
+        errors = np.sqrt(np.diag(inverse_psd(J.T @ J)))
     return PairIdentification(
         T_R_L=T_R_L,
         values=np.concatenate([T_R_L[:3, 3], zyx_angles(T_R_L[:3, :3])]),
         standard_errors=np.concatenate([errors[:3], errors[:2:-1]]),
         iterations=len(found.steps),
         scale=scale,
+        scale_rad=scale_rad,
     )
 
 
 def after_twist(T: Array, step: Array) -> Array:
     """Return T (4, 4) after a shift [m] and a small rotation [rad], applied after T's own, step (6,)."""
     return transform(rotation_from_vector(step[3:]) @ T[:3, :3], T[:3, 3] + step[:3])
+
+
+def relative_rotations(readings: Sequence[Readings], R_B_S: Sequence[Array]) -> Array:
+    """Return the rotations (n, 3, 3) from the left base to the right one that both probes measure at n common stops.
+
+    ``R_B_S`` (n, 3, 3) are the computed rotations of each arm's probe in its base frame. NaN where one was not seen.
+    """
+    R_M_S: list[Array] = []
+    for one in readings:
+        rows, rotations = measured_orientations(one)
+        R_M_S.append(np.full((len(one), 3, 3), np.nan))
+        R_M_S[-1][rows] = rotations
+    return np.asarray(R_B_S[1] @ R_M_S[1].swapaxes(1, 2) @ R_M_S[0] @ R_B_S[0].swapaxes(1, 2))
 
 
 class CalibratedArm(Protocol):
@@ -152,15 +202,16 @@ class CalibratedArm(Protocol):
 class PairMethod:
     """Results of one method on the held-out stops, with both inter-base transforms.
 
-    ``errors`` maps each transform to the signed distance errors (n,) [m], measured minus computed; ``position_errors``
-    maps each arm to the absolute errors (n,) [m] at the same stops, with the bases from the arms' calibration.
+    ``errors`` maps each transform to the signed distance errors (n,) [m], measured minus computed, ``turned`` to the
+    angles (k,) [rad] between the measured and the computed relative rotation at the stops where both probes were
+    measured, empty without; ``position_errors`` maps each arm to the absolute errors (n,) [m] at the same stops, with
+    the bases from the arms' calibration.
     """
 
-    by_distances: ErrorSummary
-    by_tracker: ErrorSummary
     identification: PairIdentification
     T_R_L_tracker: Array
     errors: Mapping[str, Array]
+    turned: Mapping[str, Array]
     position_errors: Mapping[str, Array]
 
 
@@ -226,26 +277,43 @@ def calibrate_pair(
             " profile requires"
         )
     both = (left, right)
+    probed = [name for name, its in zip(readings, both, strict=True) if len(measured_orientations(its)[0])]
+    if len(probed) == 1:
+        notes.append(
+            f"pair: orientations were measured of arm '{probed[0]}' alone: the pair is calibrated and judged by"
+            " distances alone, in mm; put a probe on both flanges for mrad"
+        )
     measured = np.linalg.norm(left.p_M - right.p_M, axis=1)
     models = [arm.model for arm in arms.values()]
     start = np.asarray(invert(models[1].geometry.T_M_B()) @ models[0].geometry.T_M_B())
     methods: dict[Method, PairMethod] = {}
-    for name, positions in _positions(both, list(arms.values())).items():
-        found = identify_pair(start, positions[0][learn], positions[1][learn], measured[learn])
+    for name, poses in _poses(both, list(arms.values())).items():
+        positions = [p_B for p_B, _ in poses]
+        R_R_L = relative_rotations(both, [R_B_S for _, R_B_S in poses])
+        seen = np.isfinite(R_R_L[:, 0, 0])
+        known = learn[seen[learn]]
+        found = identify_pair(
+            start,
+            positions[0][learn],
+            positions[1][learn],
+            measured[learn],
+            R_R_L[known] if len(known) >= _FEWEST_STOPS else None,
+        )
         T_M = [register(r.p_M[learn], p[learn]) for r, p in zip(both, positions, strict=True)]
-        tracker = np.asarray(invert(T_M[1]) @ T_M[0])
+        by = {"distances": found.T_R_L, "tracker": np.asarray(invert(T_M[1]) @ T_M[0])}
         p_L, p_R = positions[0][held_out], positions[1][held_out]
-        errors = {
-            "distances": measured[held_out] - distances(found.T_R_L, p_L, p_R),
-            "tracker": measured[held_out] - distances(tracker, p_L, p_R),
-        }
+        errors = {key: measured[held_out] - distances(T, p_L, p_R) for key, T in by.items()}
+        turns = R_R_L[held_out[seen[held_out]]]
         bases = [(model.nominal if name == "nominal" else model.geometry).T_M_B() for model in models]
         methods[name] = PairMethod(
-            by_distances=summarise(errors["distances"]),
-            by_tracker=summarise(errors["tracker"]),
             identification=found,
-            T_R_L_tracker=tracker,
+            T_R_L_tracker=by["tracker"],
             errors=errors,
+            turned={
+                key: np.linalg.norm(rotation_vectors(turns @ T[:3, :3].T), axis=1)
+                for key, T in by.items()
+                if len(turns) and found.scale_rad is not None
+            },
             position_errors={
                 arm: position_errors(r.p_M[held_out], apply(T_M_B, p[held_out]))
                 for arm, r, T_M_B, p in zip(readings, both, bases, positions, strict=True)
@@ -255,30 +323,40 @@ def calibrate_pair(
     return PairCalibration(methods, profile.pair.transform, counts, left.configuration[held_out]), notes
 
 
-def _positions(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[Method, tuple[Array, Array]]:
-    """Compute SMR positions p_B (n, 3) [m] of both arms in their own base frames, by method."""
+_ArmPoses = tuple[Array, Array]
+"""SMR positions (n, 3) [m] and rotations of the probe, without one of the flange, (n, 3, 3) in the base frame."""
+
+
+def _poses(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[Method, tuple[_ArmPoses, _ArmPoses]]:
+    """Compute the poses of both arms in their own base frames, by method."""
     left, right = both
     conditions = (
         measurement_conditions(left, (arms[1].model, right)),
         measurement_conditions(right, (arms[0].model, left)),
     )
 
-    def geometry_only(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> Array:
-        return smr_positions(arm.model.geometry.with_T_M_B(np.eye(4)), r.q)
+    def chain(geometry: Geometry, q: Array) -> _ArmPoses:
+        in_base = geometry.with_T_M_B(np.eye(4))
+        return smr_positions(in_base, q), probe_rotations(in_base, q)
 
-    def nominal(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> Array:
-        return smr_positions(arm.model.nominal.with_T_M_B(np.eye(4)), r.q)
+    def geometry_only(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> _ArmPoses:
+        return chain(arm.model.geometry, r.q)
 
-    def full(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> Array:
+    def nominal(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> _ArmPoses:
+        return chain(arm.model.nominal, r.q)
+
+    def full(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> _ArmPoses:
+        T_B_M = np.asarray(invert(arm.model.geometry.T_M_B()))
         p_M = arm.model.predict(r.q, conditions=conditions)
-        return apply(np.asarray(invert(arm.model.geometry.T_M_B())), p_M)
+        return apply(T_B_M, p_M), T_B_M[:3, :3] @ arm.model.orientation(r.q, conditions)
 
-    def wrong_frame(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> Array:
+    def wrong_frame(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> _ArmPoses:
         network = arm.tracker_frame_network
-        p_B = geometry_only(arm, r, conditions)
-        return p_B if network is None else np.asarray(p_B + network.correct(r.q))
+        p_B, R_B_S = chain(arm.model.geometry, r.q)
+        return (p_B if network is None else np.asarray(p_B + network.correct(r.q))), R_B_S
 
-    predictors: dict[Method, Callable[[CalibratedArm, Readings, MeasurementConditions], Array]] = {"nominal": nominal}
+    predictors: dict[Method, Callable[[CalibratedArm, Readings, MeasurementConditions], _ArmPoses]]
+    predictors = {"nominal": nominal}
     if any(arm.model.effects for arm in arms):
         predictors["effects"] = full
     else:

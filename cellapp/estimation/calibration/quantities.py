@@ -39,11 +39,11 @@ NOT_STATED = 1e-8
 """Standard uncertainty [m, rad] of a kind that states none while the other does: all of its scatter is estimated."""
 _ODD_RAD = 0.2
 """Median angle between orientations and the arm from which they are refused: they belong to another frame."""
-_SUSPECT_RAD = 0.02
+SUSPECT_RAD = 0.02
 """Median angle from which other frames are tried: a published arm is off by some mrad."""
 _BETTER = 0.2
 """Share of the median angle below which another frame is the one that was meant."""
-_FEWEST = 4
+FEWEST_TURNS = 4
 """Least number of orientations from which their frame is judged."""
 
 
@@ -144,15 +144,28 @@ def with_probe(geometry: Geometry, q: Array, R_M_S: Array | None) -> Geometry:
 
 
 def refuse_odd_orientations(name: str, geometry: Geometry, readings: Readings) -> None:
-    """Raise ``InputError`` if the orientations do not follow arm ``name``; it says in which frame they would.
+    """Raise ``InputError`` if the orientations do not follow arm ``name``; it says in which frame they would, or before
+    which configuration the probe slipped.
 
     How the probe is mounted is unknown, but its orientation relative to the flange is the same at all stops.
     """
     rows, rotations = measured_orientations(readings)
     q = readings.q[rows]
-    if len(rows) < _FEWEST or (own := _scatter(geometry, q, rotations)) < _SUSPECT_RAD:
+    if len(rows) < FEWEST_TURNS or (own := turning_scatter(geometry, q, rotations)) < SUSPECT_RAD:
         return
-    found = {words: _scatter(geometry, q, changed(rotations)) for words, changed in _FRAMES.items()}
+    ends = range(FEWEST_TURNS, len(rows) - FEWEST_TURNS + 1)
+    parts = {
+        end: max(turning_scatter(geometry, q[part], rotations[part]) for part in (slice(end), slice(end, None)))
+        for end in ends
+    }
+    slip = min(ends, key=lambda end: parts[end], default=0)
+    if slip and parts[slip] < _BETTER * own:
+        raise InputError(
+            f"arm '{name}': the probe slipped in its mount before configuration {readings.configuration[rows[slip]]}:"
+            " the orientations until then and from then on follow the flange each for themselves; fasten the probe and"
+            " measure again, or import both parts as runs of their own"
+        )
+    found = {words: turning_scatter(geometry, q, changed(rotations)) for words, changed in _FRAMES.items()}
     why = min(found, key=lambda words: found[words])
     if found[why] >= _BETTER * own:
         if own < _ODD_RAD:
@@ -164,7 +177,7 @@ def refuse_odd_orientations(name: str, geometry: Geometry, readings: Readings) -
     )
 
 
-def _scatter(geometry: Geometry, q: Array, rotations: Array) -> float:
+def turning_scatter(geometry: Geometry, q: Array, rotations: Array) -> float:
     """Compute the median angle [rad] between orientations and the arm with the probe that fits them best."""
     R_F_S = flange_poses(geometry, q)[0].swapaxes(1, 2) @ rotations
     return float(np.median(np.linalg.norm(rotation_vectors(mean_rotation(R_F_S).T @ R_F_S), axis=1)))

@@ -215,8 +215,8 @@ class ArmCalibrationResult(Record):
 
     ``identified`` are the parameters of the geometry, ``rank`` their number, ``merged`` maps each dropped parameter to
     those that take its place and their shares. ``excess_mm`` is the scatter of a coordinate beyond the stated
-    uncertainty, ``excess_mrad`` that of an orientation where it was measured, ``tracker_mm`` the rms length of the
-    stated noise. Where an earlier calibration was taken as ``prior``,
+    uncertainty, ``excess_mrad`` that of an orientation where it was measured, ``tracker_mm`` and ``probe_mrad`` the rms
+    length of the stated noise of positions and of orientations. Where an earlier calibration was taken as ``prior``,
     the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those
     of readings with gross errors, on which nothing here rests, ``left_out_splits`` their number in each split;
     ``splits`` counts the others. An arm that was recorded in ``motion`` has the ``clocks`` of its recordings; where it
@@ -237,6 +237,7 @@ class ArmCalibrationResult(Record):
     degrees_of_freedom: int
     splits: Mapping[str, int]
     tracker_mm: float | None = None
+    probe_mrad: float | None = None
     repeatability_mm: Repeatability | None = None
     network: NetworkResult | None = None
     prior: ArmPriorResult | None = None
@@ -245,7 +246,7 @@ class ArmCalibrationResult(Record):
     validate_: Mapping[Stage, StageErrors]
     clocks: Mapping[str, ClockResult] | None = None
     motion: MotionResult | None = None
-    omitted_when_none = frozenset({"excess_mrad", "prior", "clocks", "motion"})
+    omitted_when_none = frozenset({"excess_mrad", "probe_mrad", "prior", "clocks", "motion"})
 
     @property
     def best_stage(self) -> Stage:
@@ -268,16 +269,23 @@ class PairHeldOut(Record):
 
 
 class PairMethodResult(Record):
-    """Cooperative errors of one method on held-out stops, with the transform that the profile chose and with both."""
+    """Cooperative errors of one method on held-out stops, with the transform that the profile chose and with both.
+
+    ``..._mrad`` are the angles between the measured and the computed rotation of one flange in the other's frame, where
+    both have a probe; the transform by ``distances`` is then of distances and these rotations together.
+    """
 
     cooperative_mm: ErrorSummary
+    cooperative_mrad: ErrorSummary | None = None
     transform: str | None = None
     by_transform_mm: Mapping[str, ErrorSummary] = {}
+    by_transform_mrad: Mapping[str, ErrorSummary] | None = None
     identified: Mapping[str, PairEstimate] = {}
     iterations: int | None = None
     converged: bool | None = None
     splits: Mapping[str, int] = {}
     held_out: PairHeldOut | None = None
+    omitted_when_none = frozenset({"cooperative_mrad", "by_transform_mrad"})
 
 
 class CalibrateResult(Result, schema="cellapp-calibrate"):

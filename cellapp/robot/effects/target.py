@@ -16,6 +16,8 @@ from cellapp.robot.effects.time_functions import after_onset
 
 _MOST_SLIP = 1e-2
 """Bound [m]: a target that slipped by a centimetre has fallen off."""
+_MOST_TURN = 0.1
+"""Bound [rad] of a probe's turn in its mount; from twice this a calibration refuses the orientations."""
 _MOST_INCIDENCE = 5e-3
 """Bound [m]: ``1 - cos th`` is 0.13 at 30 degrees, so that this is 0.7 mm, some thirty times the error of a prism."""
 RADIAL = LawForm("radial", "along the beam")
@@ -23,7 +25,8 @@ LATERAL = LawForm("lateral", "along and across the beam")
 
 
 class TargetSlip(OnsetEffect):
-    """The SMR's mount slips: the SMR moves in the flange by ``d`` [m] along its x, y, z after an onset.
+    """The SMR's mount slips: the SMR moves in the flange by ``d`` [m] along its x, y, z after an onset; a probe, whose
+    orientation was measured, also turns by ``w`` [rad] about them.
 
     Onsets between readings are searched, none of them with fewer than 8 readings before or after it. Size: 20 to 200 µm
     (estimate); 59 % visible, as it rotates with the wrist. Look-alikes: no close one; a step of the base where the
@@ -43,11 +46,18 @@ class TargetSlip(OnsetEffect):
     look_alikes = ("base_step",)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
-        """Three columns; after the onset where the time is unknown."""
+        """Three columns, six of a probe; after the onset where the time is unknown."""
         moved = context.frames[0][-1] * after_onset(context, law)[:, None, None]
-        return [
+        slips = [
             shift_column(f"slip_{letter}", "m", Channel.TOOL, context.moved(moved[:, :, k]), -_MOST_SLIP, _MOST_SLIP)
             for k, letter in enumerate("xyz")
+        ]
+        if context.turned is None and (names is None or "turn_x" not in names):
+            return slips
+        turns = [context.moved(None, moved[:, :, k]) for k in range(3)]
+        return slips + [
+            shift_column(f"turn_{letter}", "rad", Channel.TOOL, turn_M, -_MOST_TURN, _MOST_TURN)
+            for letter, turn_M in zip("xyz", turns, strict=True)
         ]
 
 

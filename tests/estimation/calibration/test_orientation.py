@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cellapp.estimation.calibration.calibrate import calibrate_arm
+from cellapp.cell.planning.plan import plan_stops
+from cellapp.cell.profile import load_profile
+from cellapp.commands.calibrate.result import calibrate_result, pair_result
+from cellapp.commands.calibrate.view import cooperative_noise_mrad
+from cellapp.commands.calibrate.view import view as calibrate_view
+from cellapp.estimation.calibration.calibrate import calibrate_arm, calibrate_readings
 from cellapp.estimation.calibration.identification import identify_with_excess, start_from_nominal
 from cellapp.estimation.calibration.quantities import measured_quantities, refuse_odd_orientations, with_probe
+from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import (
@@ -22,7 +28,9 @@ from cellapp.robot.kinematics.chain import (
     smr_positions_of,
 )
 from cellapp.robot.model.nominal import nominal_arm
+from tests.approved import text_of
 from tests.arms import true_geometry
+from tests.evidence.shared.cells import TWIN, measured_plan
 from tests.evidence.shared.estimates import merged_values
 from tests.evidence.shared.series import draw_rows, load_entrant
 from tests.series import twin
@@ -162,3 +170,89 @@ def test_a_real_arm_in_six_dimensions():
     assert errors.orientation_mrad.mean < 0.96
     assert arm.identification.excess_rad == pytest.approx(0.55e-3, rel=0.1)
     assert len([note for note in notes if "along (0.00, 0.00, 1.00) of the flange is not determined" in note]) == 1
+
+
+# -- two arms with a probe each: the pair in orientation ---------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def six():
+    """The twin with two probes, without networks, and its readings."""
+    profile = load_profile(TWIN.with_name("twin-6d.yaml"))
+    profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
+    readings = measured_plan(profile, plan_stops(profile), 0)
+    return profile, {
+        name: replace(own, time_s=30.0 * np.arange(len(own)), sequence=np.arange(float(len(own))))
+        for name, own in readings.items()
+    }
+
+
+def test_two_probes_calibrate_the_pair_in_orientation(six):
+    """After discovery the rotation of one flange in the other's frame is predicted as well as two probes measure it."""
+    profile, readings = six
+    calibration = calibrate_readings(profile, readings)
+    result = calibrate_result(calibration)
+    nominal, geometry = (result.pair[method] for method in ("nominal", "method_1"))
+    assert nominal.cooperative_mrad.mean > 2.0 * geometry.cooperative_mrad.mean
+    assert ", orientation [mrad]" in text_of(calibrate_view(result).parts)
+    unturned = {name: replace(its, quaternion_M=None, sigma_rad=None) for name, its in readings.items()}
+    alone = calibrate_result(calibrate_readings(profile, unturned)).pair["method_1"]
+    assert alone.cooperative_mrad is None
+    for name in ("theta", "beta", "alpha"):
+        assert geometry.identified[name].standard_error < 0.7 * alone.identified[name].standard_error
+    found = discover_cell(profile, calibration.model, readings)
+    after = pair_result(found.pair)["effects"].cooperative_mrad
+    assert after.rms < 1.2 * cooperative_noise_mrad(result) == pytest.approx(1.2 * np.sqrt(6.0) * 0.04)
+
+
+def slipped(readings, angle):
+    """The left probe turned in its mount by ``angle`` [rad] from configuration 43 on."""
+    own = readings["left"]
+    rotations = Rotation.from_quat(own.quaternion_M, scalar_first=True)
+    turned = rotations * Rotation.from_rotvec(
+        np.where(own.configuration[:, None] < 43, 0.0, angle / np.sqrt(3.0)) * np.ones(3)
+    )
+    return {**readings, "left": replace(own, quaternion_M=turned.as_quat(scalar_first=True))}
+
+
+def exchanged(readings, *names):
+    left, right = readings.values()
+    return {
+        "left": replace(left, **{name: getattr(right, name) for name in names}),
+        "right": replace(right, **{name: getattr(left, name) for name in names}),
+    }
+
+
+EXCHANGED = "the probes of arms 'left' and 'right' are exchanged: the {} of each follow the other arm"
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        (lambda its: exchanged(its, "quaternion_M"), EXCHANGED.format("orientations")),
+        (lambda its: exchanged(its, "quaternion_M", "p_M"), EXCHANGED.format("positions and orientations")),
+        (lambda its: slipped(its, 0.1), "arm 'left': the probe slipped in its mount before configuration 43"),
+    ],
+)
+def test_probes_that_are_not_as_they_were_are_named(six, changed, words):
+    profile, readings = six
+    with pytest.raises(InputError, match=words):
+        calibrate_readings(profile, changed(readings))
+
+
+def test_a_probe_of_one_arm_alone_gives_no_orientation_of_the_pair(six):
+    profile, readings = six
+    one = {**readings, "right": replace(readings["right"], quaternion_M=None, sigma_rad=None)}
+    calibration = calibrate_readings(profile, one)
+    assert any("orientations were measured of arm 'left' alone" in note for note in calibration.notes)
+    assert all(method.cooperative_mrad is None for method in calibrate_result(calibration).pair.values())
+
+
+def test_a_small_slip_of_a_probe_is_found_with_its_stop(six):
+    profile, readings = six
+    readings = slipped(readings, 3e-4)
+    found = discover_cell(profile, calibrate_readings(profile, readings).model, readings).arms["left"].result
+    slip = next(one for one in found.accepted if one.effect == "target_slip")
+    assert 42 * 30.0 < slip.law.constants["onset_s"] < 43 * 30.0
+    size = np.linalg.norm([slip.parameters[f"turn_{axis}"].value for axis in "xyz"])
+    assert size == pytest.approx(3e-4, rel=0.15)

@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.plan import plan_stops
@@ -18,7 +19,7 @@ from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.kinematics.transforms import Array, quaternions_of
 from cellapp.robot.model import ArmModel
 from drivers.plant import Plant
 from tests.evidence.skeleton import ROOT
@@ -93,14 +94,21 @@ def measured_by(
 ) -> dict[str, Readings]:
     """Simulate readings of all arms of a plant at ``plan``, without splits; see ``measured_plan``.
 
-    Without ``noise`` the points are exact.
+    Without ``noise`` points and orientations of probes are exact.
     """
-    readings = {}
+    readings, configs = {}, {config.name: config for config in plant.config.arms}
     for place, (name, q) in enumerate(plan.items()):
         approach = np.sign(np.diff(np.vstack([homes[name], q]), axis=0)).astype(np.int8)
         others = {other: rows for other, rows in plan.items() if other != name}
         exact = plant.smr_positions(name, q, approach=approach.astype(np.float64), others=others)
         points, covariance = plant.measure_positions(exact, np.random.default_rng([seed, place]))
+        turns: dict[str, Array] = {}
+        if configs[name].probe is not None:
+            R_M_S = plant.probe_rotations(name, q, approach=approach.astype(np.float64), others=others)
+            sigma_rad = np.full(len(q), configs[name].probe_sigma)
+            off = noise * sigma_rad[:, None] * np.random.default_rng([seed, place, 6]).standard_normal((len(q), 3))
+            R_M_S = Rotation.from_rotvec(off).as_matrix() @ R_M_S
+            turns = {"quaternion_M": quaternions_of(R_M_S), "sigma_rad": sigma_rad}
         readings[name] = Readings(
             configuration=np.arange(len(q)),
             time_s=np.full(len(q), np.nan),
@@ -108,6 +116,7 @@ def measured_by(
             approach=approach,
             p_M=points if noise else exact,
             covariance_M=covariance,
+            **turns,
         )
     return readings
 
