@@ -168,7 +168,10 @@ class TargetVisit:
 
         A refused motion, measurement or correction becomes a note; what stops the cell raises an exception.
         """
-        found = Findings({command.arm: command for command in commands}, corrected=self.rounds > 0)
+        held = commands[0].target.holds_first
+        found = Findings({command.arm: command for command in commands}, corrected=self.rounds > 0 and not held)
+        if self.rounds and held:
+            found.note([commands[0].arm], "not corrected by measuring: the first arm keeps its command")
         for name, command in found.commands.items():
             partners = [f"arm {one.arm}: {one.refusal}" for one in commands if one is not command and one.refusal]
             if command.refusal:
@@ -200,7 +203,8 @@ class TargetVisit:
         found.rounds.append(self._measure("compensated", found, states, sent))
         if not found.rounds[0]:  # the nominal command, a millimetre away, would not be measured either
             return
-        self._correct(found, states)
+        if found.corrected:
+            self._correct(found, states)
         if all(command.q_nominal is not None for command in found.commands.values()):
             found.nominal = self._measure("nominal", found, *self._go("nominal", found))
 

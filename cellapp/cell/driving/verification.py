@@ -12,7 +12,13 @@ import numpy as np
 
 from cellapp.cell.driving.motion import Mover, PointAtRest
 from cellapp.cell.targets.prediction import Command
-from cellapp.cell.targets.records import ArmVerification, MeasuredPair, MeasuredTarget, MeasuredTurn
+from cellapp.cell.targets.records import (
+    ArmVerification,
+    MeasuredPair,
+    MeasuredRelative,
+    MeasuredTarget,
+    MeasuredTurn,
+)
 from cellapp.cell.targets.targets import target_record
 from cellapp.estimation.calibration.quantities import summarise
 from cellapp.estimation.uncertainty.budget import Judge, expanded_mrad, turn_budget
@@ -203,6 +209,45 @@ class Findings:
             rounds_mm=tuple(off for off in rounds_mm if off is not None) if self.corrected else (),
             corrected_mm=rounds_mm[self.best] if self.best else None,
             note="; ".join(dict.fromkeys(notes)),
+            orientation_tolerance_mrad=first.target.orientation_tolerance_mrad,
+            relative=self._relative(expanded, judge),
+        )
+
+    def _relative(self, expanded_mm: float | None, judge: Judge) -> MeasuredRelative | None:
+        """Return the errors of the second flange's pose in the first one's frame; None if they were not measured.
+
+        ``expanded_mm`` is that of the distance; a lever adds the uncertainty of the first flange's rotation.
+        """
+        first, second = self.commands.values()
+        kept = self.rounds[self.best] if self.rounds else {}
+        off = [_relative_error(rest, first.arm, second.arm) for rest in (self.nominal, *self.rounds[:1], kept)]
+        if len(off) < 3 or off[1] is None or off[2] is None:
+            return None
+        (nominal_mm, nominal_mrad), (mm, mrad) = off[0] or (None, None), off[2]
+        stated, target, predicted = (first.turn, second.turn), first.target, second.relative
+        expanded = None
+        if stated[0] is not None and stated[1] is not None:
+            budgets = [
+                turn_budget(judge.profile, command.arm, turn.model_mrad, turn.noise_mrad)
+                for command, turn in ((first, stated[0]), (second, stated[1]))
+            ]
+            expanded, lever = expanded_mrad([*budgets[0], *budgets[1]]), expanded_mrad(budgets[0])
+            apart_m = float(np.linalg.norm(kept[second.arm].point.p_M - kept[first.arm].point.p_M))
+            if expanded_mm is not None:
+                expanded_mm = None if lever is None else math.hypot(expanded_mm, apart_m * lever)
+        return MeasuredRelative(
+            nominal_mm=nominal_mm,
+            compensated_mm=off[1][0],
+            final_mm=mm,
+            within_mm=None if predicted is None else predicted.within_mm,
+            expanded_mm=expanded_mm,
+            position_verdict=judge.verdict(mm, expanded_mm, target.tolerance_mm),
+            nominal_mrad=nominal_mrad,
+            compensated_mrad=off[1][1],
+            final_mrad=mrad,
+            within_mrad=None if predicted is None else predicted.within_mrad,
+            expanded_mrad=expanded,
+            verdict=judge.verdict(mrad, expanded, target.orientation_tolerance_mrad),
         )
 
     def _expanded_mm(self, rest: Rest, judge: Judge) -> float | None:
@@ -262,6 +307,21 @@ def _turn(
 
 def _turn_mrad(measured: Measured | None) -> float | None:
     return None if measured is None or measured.turn_M is None else float(np.linalg.norm(measured.turn_M)) * 1e3
+
+
+def _relative_error(rest: Rest, first: str, second: str) -> tuple[float, float | None] | None:
+    """Return by how much the second SMR [mm] and flange [mrad] are off, seen from the first flange.
+
+    None without both measurements or the first flange's rotation; no angle without the second one's.
+    """
+    if len(rest) != 2 or (turn_M := rest[first].turn_M) is None:
+        return None
+    back, other_M = rotation_from_vector(-turn_M), rest[second].turn_M
+    seen = rest[second].point.p_M - rest[first].point.p_M
+    off_mm = float(np.linalg.norm(back @ seen - (rest[second].wanted_M - rest[first].wanted_M))) * 1e3
+    if other_M is None:
+        return off_mm, None
+    return off_mm, float(np.linalg.norm(rotation_vectors((back @ rotation_from_vector(other_M))[None]))) * 1e3
 
 
 def measured_turn(arm: ArmModel, point: Point, wanted_M: Array | None) -> Array | None:
@@ -387,7 +447,7 @@ def summary_of(measured: Sequence[MeasuredTarget | MeasuredPair]) -> ArmVerifica
         nominal_mm=summarise(of(lambda one: one.nominal_mm)),
         compensated_mm=summarise(of(lambda one: one.compensated_mm)),
         corrected_mm=summarise(of(lambda one: one.final_mm)) if corrected else None,
-        **_turn_summaries([one.orientation for one in both if isinstance(one, MeasuredTarget)]),
+        **_turn_summaries([one.orientation for one in both]),
     )
 
 

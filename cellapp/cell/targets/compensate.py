@@ -32,13 +32,22 @@ from cellapp.cell.targets.invert import (
 )
 from cellapp.cell.targets.prediction import (
     Command,
+    Predicted,
     command_record,
     outside_notes,
+    predicted_relative,
     predicted_turns,
     predictions,
     refused,
 )
-from cellapp.cell.targets.ranges import ConditionRanges, beside, conditions_payload, sided_commands, stated_conditions
+from cellapp.cell.targets.ranges import (
+    ConditionRanges,
+    beside,
+    conditions_payload,
+    from_home,
+    sided_commands,
+    stated_conditions,
+)
 from cellapp.cell.targets.records import CompensateResult
 from cellapp.cell.targets.targets import Target
 from cellapp.ground.errors import InputError
@@ -156,13 +165,38 @@ class _Group:
     def solve(self, rows: NDArray[np.intp], nominal: Positions) -> dict[str, Inverted]:
         """Return solutions of the calibrated model for the targets ``rows``, near nominal ones (k, N) [rad]."""
         at, found = dict(nominal), {}
+        goals = self.held(rows, nominal).goals
         for _ in range(_TOGETHER_ROUNDS if len(at) > 1 else 1):
             for name in nominal:
-                goal, arm = self.goals[name], self.model.arms[name]
+                goal, arm = goals[name], self.model.arms[name]
                 conditions = self.conditions(name, rows, at)
                 found[name] = invert(arm, goal.position_M[rows], goal.rotation_M[rows], at[name], conditions)
                 at[name] = found[name].q
         return found
+
+    def held(self, rows: NDArray[np.intp], nominal: Positions) -> _Group:
+        """Return the group with the goals of targets ``rows`` whose first arm keeps its nominal command (k, N) [rad].
+
+        Its goal is where the calibrated model puts it then; that of its partner follows, relative to it.
+        """
+        picked = np.array([k for k, row in enumerate(rows.tolist()) if self.targets[row].holds_first], dtype=np.intp)
+        if not len(picked):
+            return self
+        (first, own), (second, other) = self.goals.items()
+        at, q = rows[picked], nominal[first][picked]
+        here = from_home(self.conditions(first, rows, nominal).take(picked), q, self.homes[first])
+        rotation_M, _ = self.model.arms[first].flange(q, here)
+        turn = rotation_M @ own.rotation_M[at].swapaxes(1, 2)
+        p_M = self.model.arms[first].predict(q, conditions=here)
+        apart = np.einsum("nij,nj->ni", turn, other.position_M[at] - own.position_M[at])
+
+        def moved(goal: ArmGoals, position_M: Array, rotation_M: Array) -> ArmGoals:
+            positions, rotations = goal.position_M.copy(), goal.rotation_M.copy()
+            positions[at], rotations[at] = position_M, rotation_M
+            return replace(goal, position_M=positions, rotation_M=rotations)
+
+        goals = {first: moved(own, p_M, rotation_M), second: moved(other, p_M + apart, turn @ other.rotation_M[at])}
+        return replace(self, goals=goals)
 
     def conditions(self, name: str, rows: NDArray[np.intp], at: Positions) -> MeasurementConditions:
         """Return an arm's conditions at the targets ``rows``; the other arm of two is ``at`` (k, N) [rad] or home."""
@@ -182,13 +216,25 @@ def _commands(group: _Group) -> dict[str, list[Command]]:
     reasons = _refusals(group, chosen)
     rows = np.flatnonzero(chosen.accepted)
     at = {name: found.q[rows] for name, found in chosen.compensated.items()}
-    return {name: _of_arm(group, chosen, name, rows, at, reasons) for name in chosen.compensated}
+    group = group.held(rows, {name: q[rows] for name, q in chosen.nominal.items()})
+    each = {name: _of_arm(group, chosen, name, rows, at, reasons) for name in chosen.compensated}
+    found = {name: commands for name, (commands, _) in each.items()}
+    if len(found) == 2:
+        targets = [group.targets[k] for k in rows.tolist()]
+        tolerances = [one.tolerance_mm for one in targets], [one.orientation_tolerance_mrad for one in targets]
+        relative = predicted_relative(*(predicted for _, predicted in each.values()), *tolerances)
+        for k, one in zip(rows.tolist(), relative, strict=True):
+            found[group.targets[k].arms[1]][k] = replace(found[group.targets[k].arms[1]][k], relative=one)
+    return found
 
 
 def _of_arm(
     group: _Group, chosen: Chosen, name: str, rows: NDArray[np.intp], at: Positions, reasons: Mapping[int, str]
-) -> list[Command]:
-    """Return the commands of one arm; the targets ``rows`` are accepted, with all arms at positions ``at``."""
+) -> tuple[list[Command], Predicted]:
+    """Return the commands of one arm, and what is predicted of the targets ``rows``, which are accepted.
+
+    All arms are at positions ``at``.
+    """
     goal, arm, home = group.goals[name], group.model.arms[name], group.homes[name]
     count = np.count_nonzero(group.branches[name].within, axis=1).tolist()
     commands = [refused(target, name, reasons.get(k, ""), count[k]) for k, target in enumerate(group.targets)]
@@ -223,7 +269,7 @@ def _of_arm(
             rotation_M=goal.rotation_M[k],
             nominal_rotation_M=goal.nominal_rotation_M[k],
         )
-    return commands
+    return commands, Predicted(arm, found.q, conditions, home, predicted, turns)
 
 
 def _seen(group: _Group, name: str, at: Positions) -> NDArray[np.bool_]:

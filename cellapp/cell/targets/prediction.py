@@ -22,7 +22,7 @@ from cellapp.cell.targets.ranges import (
     unknown_conditions,
     unknown_records,
 )
-from cellapp.cell.targets.records import PredictedTurn, TargetCommand, UnknownCondition
+from cellapp.cell.targets.records import PredictedRelative, PredictedTurn, TargetCommand, UnknownCondition
 from cellapp.cell.targets.targets import Target, target_record
 from cellapp.estimation.uncertainty.budget import TARGET_WORDS, decided
 from cellapp.estimation.uncertainty.records import ToleranceVerdict, UncertaintyParts
@@ -356,6 +356,84 @@ def _component_mrad(covariance: Array) -> float:
     return float(np.sqrt(np.trace(covariance) / 3.0) * 1e3)
 
 
+# -- Pose of one flange in another's frame: both arms' uncertainties, and the lever of the first one's rotation --------
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """What is predicted of one arm at n commands ``q`` (n, N) [rad]; the way to them begins at ``home`` (N,)."""
+
+    arm: ArmModel
+    q: Array
+    conditions: MeasurementConditions
+    home: Array
+    positions: Sequence[Prediction | None]
+    turns: Sequence[PredictedTurn | None]
+
+    def draws(self) -> tuple[Array, Array, Array]:
+        """Return SMR positions (n, 3) [m], and draws (S, n, 3) of their errors [m] and of the orientations' [rad]."""
+        assert self.arm.posterior is not None
+        came = from_home(self.conditions, self.q, self.home)
+        turned = replace(came, R_M_S=self.arm.orientation(self.q, came))
+        moved = [
+            self.arm.posterior.displacements(
+                self.arm.geometry, self.arm.effects, self.arm.context(self.q, conditions=its)
+            )
+            for its in (came, turned)
+        ]
+        return self.arm.predict(self.q, conditions=came), moved[0], moved[1]
+
+    def others(self) -> Array:
+        """Return the variances (2, n) of a coordinate [m^2] and of a component of rotation [rad^2] beside the draws."""
+        found = [
+            (
+                one.uncertainty_mm**2 - one.parts.parameters**2 - one.parts.effects**2,
+                turn.uncertainty_mrad**2 - turn.model_mrad**2,
+            )
+            for one, turn in zip(self.positions, self.turns, strict=True)
+            if one is not None and turn is not None
+        ]
+        return np.maximum(np.array(found).reshape(-1, 2).T, 0.0) * 1e-6
+
+
+def predicted_relative(
+    first: Predicted, second: Predicted, tolerances_mm: Sequence[float | None], tolerances_mrad: Sequence[float | None]
+) -> list[PredictedRelative | None]:
+    """Return predictions of the second flange's pose in the first one's frame; None for all without two probes."""
+    if not len(first.q) or None in (*first.turns, *second.turns, *first.positions, *second.positions):
+        return [None] * len(first.q)
+    model, measured = relative_covariances(first, second)
+    low, high = ([length_bounds(one)[side] * 1e3 for one in its] for side, its in ((0, model), (1, measured)))
+    return [
+        PredictedRelative(
+            within_mm=float(high[0][k]),
+            within_mrad=float(high[1][k]),
+            verdict=predicted_verdict(float(low[0][k]), float(high[0][k]), tolerances_mm[k]),
+            turn_verdict=predicted_verdict(float(low[1][k]), float(high[1][k]), tolerances_mrad[k]),
+        )
+        for k in range(len(first.q))
+    ]
+
+
+def relative_covariances(first: Predicted, second: Predicted) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return the covariances (n, 3, 3) of the relative position [m^2] and rotation [rad^2]: model, and as measured.
+
+    Seen from the first flange, its rotation by w moves the other SMR, at the vector d from its own, by ``-w x d``.
+    """
+    (p_1, moved_1, turned_1), (p_2, moved_2, turned_2) = first.draws(), second.draws()
+    d = p_2 - p_1
+    moved_1 = moved_1 + np.cross(turned_1, d)
+
+    def of(*draws: Array) -> Array:
+        return np.asarray(sum(np.einsum("sna,snb->nab", one, one, optimize=True) / len(one) for one in draws))
+
+    model = of(moved_1, moved_2), of(turned_1, turned_2)
+    own, (noise_m2, noise_rad2) = first.others()[1], first.others() + second.others()
+    lever = np.einsum("na,na->n", d, d)[:, None, None] * np.eye(3) - d[:, :, None] * d[:, None]
+    added = noise_m2[:, None, None] * np.eye(3) + own[:, None, None] * lever, noise_rad2[:, None, None] * np.eye(3)
+    return model, (model[0] + added[0], model[1] + added[1])
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Prediction:
     """Uncertainty of the SMR's position at a command. Distances in mm, for people.
@@ -414,6 +492,8 @@ class Command:
         None if the model states no uncertainty.
     turn : PredictedTurn or None
         None if no orientation of the arm was measured.
+    relative : PredictedRelative or None
+        Of the partner of a cooperative target, where orientations of both arms were measured.
     rotation_M, nominal_rotation_M : array, shape (3, 3), or None
         Rotation of the flange at ``expected_M`` and ``nominal_M``; NaN if any will do.
     """
@@ -435,6 +515,7 @@ class Command:
     payload_kg: float | None = None
     prediction: Prediction | None = None
     turn: PredictedTurn | None = None
+    relative: PredictedRelative | None = None
     rotation_M: Array | None = None
     nominal_rotation_M: Array | None = None
 

@@ -63,6 +63,20 @@ class PredictedTurn(Record):
     verdict: ToleranceVerdict = ""
 
 
+class PredictedRelative(Record):
+    """The pose of a partner's flange in the first one's frame at compensated commands, where both have a probe.
+
+    ``within_mm`` and ``within_mrad`` are what a measurement of both arms keeps with 95 % probability: the distance of
+    the SMR from where it should be seen from the first flange, and the angle between both flanges from the wanted one.
+    ``verdict`` and ``turn_verdict`` are of these against the target's tolerances.
+    """
+
+    within_mm: float
+    within_mrad: float
+    verdict: ToleranceVerdict = ""
+    turn_verdict: ToleranceVerdict = ""
+
+
 class MeasuredTurn(Record):
     """Angle between the measured and the wanted rotation of the flange at one target [mrad].
 
@@ -115,6 +129,8 @@ class TargetCommand(TargetRecord):
         By the one decision rule, of an error of zero with ``within_mm`` as its uncertainty.
     orientation : PredictedTurn, optional
         Where orientations of this arm were measured.
+    relative : PredictedRelative, optional
+        Of the partner's command, where orientations of both arms were measured.
     """
 
     refusal: str
@@ -134,6 +150,8 @@ class TargetCommand(TargetRecord):
     holds_for: str = ""
     verdict: ToleranceVerdict = ""
     orientation: PredictedTurn | None = None
+    relative: PredictedRelative | None = None
+    omitted_when_none = TargetRecord.omitted_when_none | {"relative"}
 
 
 class CompensateResult(Result, schema="cellapp-compensate"):
@@ -206,11 +224,26 @@ class MeasuredTarget(TargetRecord):
         return self.compensated_mm if self.corrected_mm is None else self.corrected_mm
 
 
+class MeasuredRelative(MeasuredTurn):
+    """The measured pose of the partner's flange in the first one's frame against the wanted one.
+
+    ``..._mm`` are of the vector to the partner's SMR, ``..._mrad`` of the angle between both flanges, None where the
+    partner's rotation is free; the others are as in ``MeasuredTarget``, ``verdict`` that of the angle.
+    """
+
+    nominal_mm: float | None
+    compensated_mm: float | None
+    final_mm: float | None
+    within_mm: float | None = None
+    expanded_mm: float | None = None
+    position_verdict: ToleranceVerdict = ""
+
+
 class MeasuredPair(Record):
     """A cooperative target as measured: by how much the distance between both SMRs is off [mm].
 
     ``wanted_mm`` is the wanted distance; ``rounds_mm``, ``corrected_mm``, ``expanded_mm`` and ``verdict`` are as in
-    ``MeasuredTarget``.
+    ``MeasuredTarget``. ``relative`` is there where the first flange has a probe.
     """
 
     name: str
@@ -224,6 +257,14 @@ class MeasuredPair(Record):
     corrected_mm: float | None = None
     expanded_mm: float | None = None
     note: str = ""
+    orientation_tolerance_mrad: float | None = None
+    relative: MeasuredRelative | None = None
+    omitted_when_none = frozenset({"orientation_tolerance_mrad", "relative"})
+
+    @property
+    def orientation(self) -> MeasuredRelative | None:
+        """The angle between both flanges; None if it was not measured."""
+        return None if self.relative is None or self.relative.compensated_mrad is None else self.relative
 
     @property
     def final_mm(self) -> float | None:
@@ -282,9 +323,23 @@ class VerifyResult(Result, schema="cellapp-verify"):
         return [
             *found,
             *_out_of_tolerance("targets", self.targets),
-            *_turned_out_of_tolerance(self.targets),
+            *_turned_out_of_tolerance("targets", self.targets),
             *_out_of_tolerance("pairs", self.pairs),
+            *_turned_out_of_tolerance("pairs", self.pairs),
+            *_named_out("pairs with a tolerance, one SMR seen from the other flange,", *self._off_seen()),
         ]
+
+    def _off_seen(self) -> tuple[list[tuple[str, ToleranceVerdict]], list[ToleranceVerdict]]:
+        """Return what is out of tolerance of the partner's SMR as seen from the first flange, and all verdicts."""
+        judged = [(one, one.relative) for one in self.pairs if one.relative is not None]
+        out = [
+            (f"{one.name} ({off.final_mm:.3f} mm, tolerance {one.tolerance_mm:g} mm)", off.position_verdict)
+            for one, off in judged
+            if one.tolerance_mm is not None
+            and off.final_mm is not None
+            and (off.position_verdict == "out" or off.final_mm > one.tolerance_mm)
+        ]
+        return out, [off.position_verdict for _, off in judged]
 
 
 def _no_better(subject: str, errors: ArmVerification) -> list[str]:
@@ -305,8 +360,8 @@ def _out_of_tolerance(what: str, measured: Sequence[MeasuredTarget | MeasuredPai
     return _named_out(f"{what} with a tolerance", out, [one.verdict for one in measured])
 
 
-def _turned_out_of_tolerance(measured: Sequence[MeasuredTarget]) -> list[str]:
-    """Return the same for the flange's rotation."""
+def _turned_out_of_tolerance(what: str, measured: Sequence[MeasuredTarget | MeasuredPair]) -> list[str]:
+    """Return the same for the flange's rotation, or that of one flange in the other's frame."""
     turned = [(one, one.orientation) for one in measured if one.orientation is not None]
     out = [
         (f"{one.name} ({angle:.3f} mrad, tolerance {limit:g} mrad)", turn.verdict)
@@ -315,7 +370,7 @@ def _turned_out_of_tolerance(measured: Sequence[MeasuredTarget]) -> list[str]:
         and (limit := one.orientation_tolerance_mrad) is not None
         and (turn.verdict == "out" or angle > limit)
     ]
-    return _named_out("targets with a tolerance of orientation", out, [turn.verdict for _, turn in turned])
+    return _named_out(f"{what} with a tolerance of orientation", out, [turn.verdict for _, turn in turned])
 
 
 def _named_out(what: str, out: Sequence[tuple[str, ToleranceVerdict]], judged: Sequence[ToleranceVerdict]) -> list[str]:

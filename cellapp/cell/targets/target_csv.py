@@ -36,6 +36,7 @@ _WORDS: Mapping[str, KeyPath] = {
     "arm": ("arm",),
     "frame": ("frame",),
     "partner_arm": ("partner", "arm"),
+    "partner_moves": ("partner", "moves"),
 }
 
 

@@ -200,6 +200,7 @@ def _add_conditions(values: dict[str, object], before: Target | None, listed: Se
         had = None if before is None else before.partner
         same = had is not None and had.arm == partner["arm"]
         partner["conditions"] = had.conditions if had and same else usual.get(partner["arm"], WorkingConditions())
+        partner["moves"] = had.moves if had and same else "both"
 
 
 def _problems(error: ValidationError) -> dict[str, str]:
@@ -257,7 +258,8 @@ def _target_keys(target: Target, usual: Mapping[str, WorkingConditions]) -> dict
     if target.approach is not None:
         keys["approach"] = list(target.approach)
     if target.partner is not None:
-        keys["partner"] = {"arm": target.partner.arm} | _part_keys(target.partner, usual)
+        moves = {"moves": target.partner.moves} if target.holds_first else {}
+        keys["partner"] = {"arm": target.partner.arm} | _part_keys(target.partner, usual) | moves
     return keys
 
 

@@ -216,13 +216,16 @@ class Partner(Section):
     """The second arm of a cooperative target: where its SMR is, seen from the first arm's SMR.
 
     ``position`` [m] and ``rpy`` are in the frame with its origin at the first arm's SMR centre and the axes of the
-    first arm's flange. Without ``rpy`` the rotation of the second flange is free.
+    first arm's flange. Without ``rpy`` the rotation of the second flange is free. ``moves`` says which arms are
+    compensated: "both", or "partner": the first arm keeps the command of its published geometry, and the partner makes
+    up for the errors of both.
     """
 
     arm: str
     position: tuple[ArmLength, ArmLength, ArmLength]
     rpy: tuple[Turn, Turn, Turn] | None = None
     conditions: WorkingConditions = WorkingConditions()
+    moves: Literal["both", "partner"] = "both"
 
     _rotation = model_validator(mode="before")(with_rpy)
 
@@ -249,7 +252,7 @@ class Target(Section):
     conditions : WorkingConditions
         Of ``arm``.
     partner : Partner or None
-        The other arm of a cooperative target.
+        The other arm of a cooperative target, whose pose relative to the first one keeps the tolerances, too.
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -275,6 +278,11 @@ class Target(Section):
     def orientation_tolerance_mrad(self) -> float | None:
         """Tolerance of the flange's rotation [mrad]."""
         return None if self.orientation_tolerance is None else self.orientation_tolerance * 1e3
+
+    @property
+    def holds_first(self) -> bool:
+        """Whether the first arm keeps the command of its published geometry."""
+        return self.partner is not None and self.partner.moves == "partner"
 
     @property
     def arms(self) -> tuple[str, ...]:
@@ -418,7 +426,11 @@ def partner_of(target: Target, arm: str) -> str:
 
 def definition(target: Target) -> str:
     """Return a digest of everything that a target states, including frame, partner and conditions."""
-    later = {"orientation_tolerance"} if target.orientation_tolerance is None else set()
+    later: dict[str, bool | dict[str, bool]] = {}
+    if target.orientation_tolerance is None:
+        later["orientation_tolerance"] = True
+    if target.partner is not None and not target.holds_first:
+        later["partner"] = {"moves": True}
     return hashlib.sha256(target.model_dump_json(exclude=later).encode()).hexdigest()[:_DIGEST]
 
 

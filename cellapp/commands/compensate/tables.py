@@ -80,7 +80,26 @@ def predicted_tables(result: CompensateResult) -> list[Table]:
         ("tolerance met", lambda target: target.refusal or target.verdict),
         count=len(judged),
     )
-    return [*([table] if judged else []), *turn_tables(result)]
+    return [*([table] if judged else []), *turn_tables(result), *_relative_tables(result)]
+
+
+def _relative_tables(result: CompensateResult) -> list[Table]:
+    """Show what is predicted of the partner's flange seen from the first one; empty without two probes."""
+    known = [target for target in result.targets if target.relative is not None]
+    table = table_of(
+        "Predicted: the partner's flange seen from the first one",
+        known[:MOST_ROWS],
+        ("target", "name"),
+        ("arms", lambda one: arms_words((one.partner, one.arm))),
+        ("95 % bound [mm]", "relative.within_mm", MM),
+        ("tolerance [mm]", lambda one: shown_tolerance(one.tolerance_mm), "g"),
+        ("met", "relative.verdict"),
+        ("95 % bound [mrad]", "relative.within_mrad", MM),
+        ("tolerance [mrad]", lambda one: shown_tolerance(one.orientation_tolerance_mrad), "g"),
+        ("angle met", "relative.turn_verdict"),
+        count=len(known),
+    )
+    return [without_empty(table)] if known else []
 
 
 def turn_tables(result: CompensateResult) -> list[Table]:
@@ -171,7 +190,22 @@ def pair_tables(verify: VerifyResult) -> list[Table]:
         *_MET,
         count=len(measured),
     )
-    return [without_empty(table)] if measured else []
+    seen = [pair for pair in measured if pair.relative is not None]
+    relative = table_of(
+        "Cooperative targets: the partner's flange seen from the first one",
+        seen[:MOST_ROWS],
+        ("target", "name"),
+        ("before [mm]", "relative.nominal_mm", MM),
+        ("after [mm]", "relative.final_mm", MM),
+        ("95 % bound [mm]", "relative.within_mm", MM),
+        ("met", "relative.position_verdict"),
+        ("before [mrad]", "relative.nominal_mrad", MM),
+        ("after [mrad]", "relative.final_mrad", MM),
+        ("95 % bound [mrad]", "relative.within_mrad", MM),
+        ("angle met", "relative.verdict"),
+        count=len(seen),
+    )
+    return [*([without_empty(table)] if measured else []), *([without_empty(relative)] if seen else [])]
 
 
 def not_measured_tables(verify: VerifyResult) -> list[Table]:
@@ -232,7 +266,7 @@ def verification_tables(result: VerifyResult) -> list[Table]:
     columns = columns_of("arm, command", *ERROR_COLUMNS)
     turned = [
         (f"{name}, {label}", *error_cells(summary))
-        for name, arm in result.arms.items()
+        for name, arm in measured.items()
         for label, summary in (("uncompensated", arm.nominal_mrad), ("compensated", arm.compensated_mrad))
         if summary is not None
     ]

@@ -70,10 +70,17 @@ class TargetState:
     def verdict(self) -> str:
         """The worst verdict on the measurements; without any, on the predictions."""
         judged: list[Measured] = [*self.measured, *([] if self.pair is None else [self.pair])]
-        turned = [one.orientation.verdict for one in self.measured if one.orientation is not None]
+        turned = [one.orientation.verdict for one in judged if one.orientation is not None]
+        turned += [] if self.pair is None or self.pair.relative is None else [self.pair.relative.position_verdict]
         words: list[str] = [word for word in (*(one.verdict for one in judged), *turned) if word]
         if not words:
             predicted = [one.orientation.verdict for one in self.commands if one.orientation is not None]
+            predicted += [
+                word
+                for one in self.commands
+                if one.relative is not None
+                for word in (one.relative.verdict, one.relative.turn_verdict)
+            ]
             words = [*(one.verdict for one in self.commands), *predicted]
         return next((word for word in ("out", "cannot say", "in") if word in words), "")
 
@@ -180,6 +187,9 @@ def _state_words(target: Target, state: TargetState) -> str:
             words.append(f"{arm}measured {mm:.4f} mm from the target{before}{_rounds_words(one)}")
     if state.pair is not None and (mm := state.pair.final_mm) is not None:
         words.append(f"distance of both SMRs off by {mm:.4f} mm{_rounds_words(state.pair)}")
+    if state.pair is not None and (seen := state.pair.relative) is not None:
+        turn = "" if seen.final_mrad is None else f" and {seen.final_mrad:.4f} mrad"
+        words.append(f"partner seen from the first flange off by {seen.final_mm:.4f} mm{turn}")
     if state.is_measured and state.verdict:
         words.append(_MEASURED_WORDS[state.verdict])
     return "; ".join([*words, *(note for note in state.notes if not state.refusals)])

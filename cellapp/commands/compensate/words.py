@@ -220,14 +220,20 @@ def verify_message(verify: VerifyResult) -> str:
         last = np.mean([mm for pair in pairs if (mm := pair.final_mm) is not None])
         at = counted(len(pairs), "cooperative target")
         parts.append(f"distance of both SMRs {nominal:.2f} -> {last:.3f} mm at {at}")
-    turned = [one.orientation for one in verify.targets if one.orientation is not None]
+    parts += _turned_words("rotation of the flange", verify.targets)
+    parts += _turned_words("rotation of one flange in the other's frame", verify.pairs)
+    return "; ".join(parts)
+
+
+def _turned_words(what: str, measured: Sequence[Measured]) -> list[str]:
+    turned = [one.orientation for one in measured if one.orientation is not None]
     was = [turn.nominal_mrad for turn in turned if turn.nominal_mrad is not None]
     left = [turn.final_mrad for turn in turned if turn.final_mrad is not None]
-    if was and left:
-        judged = [turn.verdict for turn in turned if turn.verdict]
-        met = f" ({judged.count('in')} of {len(judged)} within tolerance)" if judged else ""
-        parts.append(f"rotation of the flange {np.mean(was):.2f} -> {np.mean(left):.3f} mrad{met}")
-    return "; ".join(parts)
+    if not (was and left):
+        return []
+    judged = [turn.verdict for turn in turned if turn.verdict]
+    met = f" ({judged.count('in')} of {len(judged)} within tolerance)" if judged else ""
+    return [f"{what} {np.mean(was):.2f} -> {np.mean(left):.3f} mrad{met}"]
 
 
 def push_lines(pushed: VerifyResult) -> list[str]:

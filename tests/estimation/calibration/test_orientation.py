@@ -6,10 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cellapp.cell.driving.push import push
 from scipy.spatial.transform import Rotation
 
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
+from cellapp.cell.targets.compensate import compensate
+from cellapp.cell.targets.targets import targets_in_memory
 from cellapp.commands.calibrate.result import calibrate_result, pair_result
 from cellapp.commands.calibrate.view import cooperative_noise_mrad
 from cellapp.commands.calibrate.view import view as calibrate_view
@@ -187,10 +190,16 @@ def six():
     }
 
 
-def test_two_probes_calibrate_the_pair_in_orientation(six):
-    """After discovery the rotation of one flange in the other's frame is predicted as well as two probes measure it."""
+@pytest.fixture(scope="module")
+def learnt(six):
     profile, readings = six
     calibration = calibrate_readings(profile, readings)
+    return calibration, discover_cell(profile, calibration.model, readings)
+
+
+def test_two_probes_calibrate_the_pair_in_orientation(six, learnt):
+    """After discovery the rotation of one flange in the other's frame is predicted as well as two probes measure it."""
+    (profile, readings), (calibration, found) = six, learnt
     result = calibrate_result(calibration)
     nominal, geometry = (result.pair[method] for method in ("nominal", "method_1"))
     assert nominal.cooperative_mrad.mean > 2.0 * geometry.cooperative_mrad.mean
@@ -200,7 +209,6 @@ def test_two_probes_calibrate_the_pair_in_orientation(six):
     assert alone.cooperative_mrad is None
     for name in ("theta", "beta", "alpha"):
         assert geometry.identified[name].standard_error < 0.7 * alone.identified[name].standard_error
-    found = discover_cell(profile, calibration.model, readings)
     after = pair_result(found.pair)["effects"].cooperative_mrad
     assert after.rms < 1.2 * cooperative_noise_mrad(result) == pytest.approx(1.2 * np.sqrt(6.0) * 0.04)
 
@@ -256,3 +264,22 @@ def test_a_small_slip_of_a_probe_is_found_with_its_stop(six):
     assert 42 * 30.0 < slip.law.constants["onset_s"] < 43 * 30.0
     size = np.linalg.norm([slip.parameters[f"turn_{axis}"].value for axis in "xyz"])
     assert size == pytest.approx(3e-4, rel=0.15)
+
+
+@pytest.mark.parametrize("moves", ["both", "partner"])
+def test_the_pose_of_one_flange_in_the_others_frame_is_met_within_its_bound(six, learnt, moves):
+    """A first arm that keeps its command is millimetres off; its partner makes up for both."""
+    (profile, _), (_, found) = six, learnt
+    partner = {"arm": "right", "position": [0.0, 0.5, 0.0], "rpy": [0.0, 0.0, 0.0], "moves": moves}
+    wanted = {"frame": "tracker", "position": [3.45, -0.25, 0.0], "rpy": [0.0, -1.4, 0.0], "partner": partner}
+    wanted |= {"name": "pair", "arm": "left", "tolerance": 2e-4, "orientation_tolerance": 3e-4}
+    first, second = commands = compensate(profile, found.model, targets_in_memory([wanted], profile))
+    assert (np.abs(first.q_compensated - first.q_nominal).max() < 1e-8) == (moves == "partner")
+    assert (second.relative.verdict, second.relative.turn_verdict) == ("in", "in")
+    pushed = push(profile, found.model, commands, verify=True)
+    (pair,) = pushed.pairs
+    assert pair.relative.final_mm < pair.relative.within_mm == second.relative.within_mm < 0.1
+    assert pair.relative.final_mrad < pair.relative.within_mrad < 0.2
+    assert (pair.relative.verdict, pushed.complaints()) == ("in", [])
+    assert pair.relative.nominal_mm > 5.0
+    assert pushed.cooperative.compensated_mrad.mean == pytest.approx(pair.relative.final_mrad)

@@ -1,0 +1,87 @@
+"""The pose of one flange in the other's frame, of simulated cells with a probe on both: a plan of 80 stops is learned,
+its effects are discovered, and the model is judged at 100 stops of another plan."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import numpy as np
+
+from cellapp.cell.planning.plan import plan_stops
+from cellapp.cell.profile import load_profile
+from cellapp.cell.safety.cell_bodies import home_positions
+from cellapp.cell.targets.prediction import Predicted, predicted_relative, predicted_turns, predictions
+from cellapp.cell.targets.ranges import ConditionRanges
+from cellapp.estimation.calibration.calibrate import calibrate_readings
+from cellapp.estimation.calibration.quantities import conditions_of_arms
+from cellapp.estimation.discovery.discover import discover_cell
+from cellapp.robot.kinematics.transforms import rotation_vectors, rotations_of
+from tests.evidence.shared.cells import TWIN, drawn_cell, measured_plan
+from tests.evidence.skeleton import Evidence, Limit, Share, Table
+
+TITLE = "Two arms with probes"
+MOST_TIMES, LEAST, MOST = 1.2, 0.93, 0.97
+"""Limits: rms angle over what both probes alone would show, and share of the stated 95 % bounds that hold."""
+STOPS = 100
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--n", type=int, default=10, help="simulated cells")
+
+
+def cases(asked: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    return {f"seed {seed}": {"seed": seed} for seed in range(1, asked.n + 1)}
+
+
+def one(case: dict[str, Any]) -> dict[str, Any]:
+    """Learn one cell; compare the computed with the measured pose of the right flange seen from the left one."""
+    profile = drawn_cell(load_profile(TWIN.with_name("twin-6d.yaml")), case["seed"])
+    profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
+    readings = measured_plan(profile, plan_stops(profile), case["seed"])
+    models = discover_cell(profile, calibrate_readings(profile, readings).model, readings).model.arms
+    another = {"seed": case["seed"] + 1000, "plan": profile.plan.model_copy(update={"stops": STOPS})}
+    judged = measured_plan(profile, plan_stops(profile.model_copy(update=another)), case["seed"] + 1000)
+    conditions, homes, sides, poses = conditions_of_arms(models, judged), home_positions(profile), [], []
+    for name, its in judged.items():
+        arm, here, none = models[name], conditions[name], [None] * len(its)
+        ranges = ConditionRanges.of(readings[name], arm)
+        positions = predictions(arm, its.q, here, none, homes[name], ranges)
+        free = np.full((len(its), 3, 3), np.nan)
+        turns = predicted_turns(arm, its.q, its.q, here, free, none, homes[name], ranges)
+        sides.append(Predicted(arm, its.q, here, homes[name], positions, turns))
+        computed = arm.predict(its.q, conditions=here), arm.orientation(its.q, here)
+        poses.append(((its.p_M, rotations_of(its.quaternion_M)), computed))
+    seen, wanted = (
+        (
+            np.einsum("nji,nj->ni", first[1], second[0] - first[0]),
+            first[1].swapaxes(1, 2) @ second[1],
+        )
+        for first, second in zip(*poses, strict=True)
+    )
+    bounds = predicted_relative(sides[0], sides[1], none, none)
+    mm = 1e3 * np.linalg.norm(seen[0] - wanted[0], axis=1)
+    mrad = 1e3 * np.linalg.norm(rotation_vectors(seen[1] @ wanted[1].swapaxes(1, 2)), axis=1)
+    floor = 1e3 * np.sqrt(3.0 * sum(float(np.mean(its.sigma_rad**2)) for its in judged.values()))
+    return {
+        "floor_mrad": floor,
+        "rms_mrad": float(np.sqrt(np.mean(mrad**2))),
+        "rms_mm": float(np.sqrt(np.mean(mm**2))),
+        "held_mm": [bool(off <= bound.within_mm) for off, bound in zip(mm.tolist(), bounds, strict=True)],
+        "held_mrad": [bool(off <= bound.within_mrad) for off, bound in zip(mrad.tolist(), bounds, strict=True)],
+    }
+
+
+def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidence:
+    floor = float(np.mean([one["floor_mrad"] for one in results]))
+    times = [one["rms_mrad"] / one["floor_mrad"] for one in results]
+    rows = [["rms angle over the probes' own", f"{np.median(times):.2f}", f"{max(times):.2f}"]]
+    off = [one["rms_mm"] for one in results]
+    rows.append(["rms vector from one SMR to the other [mm]", f"{np.median(off):.4f}", f"{max(off):.4f}"])
+    limits, said = [Limit("rms angle over the probes' own, worst", max(times), MOST_TIMES)], []
+    for key in ("mm", "mrad"):
+        share = Share.of(held for one in results for held in one[f"held_{key}"])
+        said.append(f"Within the stated 95 % bound in {key}: {share}.")
+        limits.append(Limit(f"share within the bound in {key}", share.hits / share.n, MOST, LEAST))
+    title = f"The probes' own angle between both flanges is {floor:.4f} mrad rms"
+    return Evidence({}, [Table(title, ["at held-out stops", "median", "worst"], rows)], limits, said)
