@@ -41,7 +41,8 @@ from cellapp.ground.results import (
 )
 from cellapp.ground.shell import shell_word
 
-AT_TARGETS: tuple[Characteristic, ...] = ("position", "distance", "orientation", "cooperative")
+PAIR_ERRORS: tuple[Characteristic, ...] = ("cooperative", "cooperative_orientation")
+AT_TARGETS: tuple[Characteristic, ...] = ("position", "distance", "orientation", *PAIR_ERRORS)
 """Characteristics that a verification at targets measures; the others are of ISO 9283."""
 _PROPOSED_STOPS = 30
 """Stops to propose if discovery could not decide: about a quarter of an hour of measuring."""
@@ -176,14 +177,12 @@ def _targets_step(results: RunResults, missing: Sequence[Judgement], folder: str
     verify = results.verify
     listed = set() if verify is None else {one.arm for one in verify.targets}
     pairs = verify is not None and bool(verify.pairs)
-    lacking = [one for one in missing if not (pairs if one.characteristic == "cooperative" else one.where in listed)]
+    lacking = [one for one in missing if not (pairs if one.characteristic in PAIR_ERRORS else one.where in listed)]
     measure = at_targets("push", Path(results.run), " --verify")
     if not lacking:
         return Step(f"Measure {named_errors(missing)}, which has a tolerance:", measure, "push")
     of_pairs, of_arm = "cooperative targets (partner)", "targets of {}"
-    what = dict.fromkeys(
-        of_pairs if one.characteristic == "cooperative" else of_arm.format(one.where) for one in lacking
-    )
+    what = dict.fromkeys(of_pairs if one.characteristic in PAIR_ERRORS else of_arm.format(one.where) for one in lacking)
     text = (
         f"Add {' and '.join(what)} to the list, which have a tolerance and are not in it; then measure them: {measure}"
     )

@@ -3,7 +3,8 @@
 Only measurements after compensation are judged: the newest verification that holds. ``position`` is the largest
 distance of an arm's SMR from its targets, ``distance`` the largest error of the distance between any two verified
 targets of an arm, ``orientation`` the largest angle of its flange from the wanted rotation where a probe measured it,
-``cooperative`` the largest error of the distance between the SMRs of two arms. Without a verification nothing is
+``cooperative`` the largest error of the distance between the SMRs of two arms, ``cooperative_orientation`` the largest
+angle of one flange in the other's frame from the wanted one. Without a verification nothing is
 decided; ``source`` then states the calibration's held-out error, which is a prediction. The characteristics of ISO 9283
 are those that its test measured. After a check that found changed arms, no earlier measurement decides anything.
 
@@ -19,8 +20,9 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from cellapp.cell.targets.records import MeasuredTarget, VerifyResult
+from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, VerifyResult
 from cellapp.commands.run_results import RunResults, evidence_of
+from cellapp.estimation.calibration.records import PairMethodResult
 from cellapp.estimation.iso9283.norm import (
     ISO_COMMANDS,
     NORM_CYCLES,
@@ -130,43 +132,70 @@ def _cooperative(tolerances: Tolerances, results: RunResults, budgets: Mapping[s
     tested = any(one.characteristic == "cooperative" for one in _held_iso(tolerances, results))
     if len(budgets) != 2 or tested:
         return []
+    best = _best_pair(results)
+    held_out = None if best is None else best.cooperative_mm
+    return [_Measured("cooperative", _both(list(budgets)), (), _unverified(results, "cooperative", held_out))]
+
+
+def _best_pair(results: RunResults) -> PairMethodResult | None:
     calibrate = results.held.calibrate
     computed = {} if calibrate is None else calibrate.pair
-    best = next((computed[method].cooperative_mm for method in BEST_METHODS if method in computed), None)
-    return [_Measured("cooperative", _both(list(budgets)), (), _unverified(results, "cooperative", best))]
+    return next((computed[method] for method in BEST_METHODS if method in computed), None)
 
 
 def _orientations(profile: Profile, results: RunResults) -> Iterator[Judgement]:
-    """Yield each probe arm's largest error of orientation at verified targets; of every arm if none has a probe."""
-    limit, rule = profile.tolerances.orientation, profile.tolerances.decision
-    if limit is None:
-        return
+    """Yield each probe arm's largest error of orientation at verified targets; of every arm if none has a probe.
+
+    Then that of one flange in the other's frame.
+    """
     verify = held_verification(results)
     probed = [name for name, arm in profile.arms.items() if arm.smr.probe is not None]
     for arm in probed or profile.arms:
         targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
-        angles = [turn.final_mrad for one in targets if (turn := one.orientation) and turn.final_mrad is not None]
-        source = _unverified(results, "orientation", None)
-        if verify is not None and angles:
-            source = _verified(verify, len(angles), len(targets), "targets")
-        elif arm not in probed:
-            source = "not measured: the flange has no 6-D probe (smr.probe)"
-        value = max(angles, default=None)
-        expanded = None if value is None else expanded_mrad(orientation_budget(profile, results, arm))
-        yield Judgement(
-            characteristic="orientation",
-            where=arm,
-            value_mm=None,
-            expanded_mm=None,
-            tolerance_mm=None,
-            value_mrad=value,
-            expanded_mrad=expanded,
-            tolerance_mrad=limit * 1e3,
-            rule=rule,
-            conformity=conformity(value, expanded, limit * 1e3, rule),
-            source=source,
-            n=len(angles),
-        )
+        yield from _turned(profile, results, "orientation", (arm,), targets, arm in probed)
+    if len(profile.arms) == 2:
+        pairs = () if verify is None else verify.pairs
+        names = tuple(profile.arms)
+        yield from _turned(profile, results, "cooperative_orientation", names, pairs, len(probed) == 2)
+
+
+def _turned(
+    profile: Profile,
+    results: RunResults,
+    characteristic: Literal["orientation", "cooperative_orientation"],
+    arms: tuple[str, ...],
+    measured: Sequence[MeasuredTarget | MeasuredPair],
+    probed: bool,
+) -> Iterator[Judgement]:
+    """Yield the judgement of an arm's orientation, or of one flange in the other's frame, if it has a tolerance."""
+    limit, rule = getattr(profile.tolerances, characteristic), profile.tolerances.decision
+    if limit is None:
+        return
+    angles = [turn.final_mrad for one in measured if (turn := one.orientation) and turn.final_mrad is not None]
+    verify, value = held_verification(results), max(angles, default=None)
+    if verify is not None and angles:
+        what = "targets" if len(arms) == 1 else "pairs of targets"
+        source = _verified(verify, len(angles), len(measured), what)
+    elif probed:
+        source = _unverified(results, characteristic, _held_out_turns(results, arms), "mrad")
+    else:
+        source = f"not measured: {'the' if len(arms) == 1 else 'a'} flange has no 6-D probe (smr.probe)"
+    budgets = [orientation_budget(profile, results, arm) for arm in arms]
+    expanded = None if value is None or not all(budgets) else expanded_mrad([one for own in budgets for one in own])
+    yield Judgement(
+        characteristic=characteristic,
+        where=_both(arms),
+        value_mm=None,
+        expanded_mm=None,
+        tolerance_mm=None,
+        value_mrad=value,
+        expanded_mrad=expanded,
+        tolerance_mrad=limit * 1e3,
+        rule=rule,
+        conformity=conformity(value, expanded, limit * 1e3, rule),
+        source=source,
+        n=len(angles),
+    )
 
 
 def orientation_budget(profile: Profile, results: RunResults, arm: str) -> tuple[TurnContribution, ...]:
@@ -260,24 +289,41 @@ def _verified(verify: VerifyResult, measured: int, asked: int, what: str) -> str
     return f"verification, {count}" + (f" ({verify.stopped})" if verify.stopped else "")
 
 
-def _unverified(results: RunResults, characteristic: Characteristic, held_out: ErrorSummary | None) -> str:
+def _unverified(
+    results: RunResults, characteristic: Characteristic, held_out: ErrorSummary | None, unit: str = "mm"
+) -> str:
     """Say why nothing is verified, and the calibration's error at held-out stops."""
     verify = results.verify
     if (reason := _outdated(results, VERIFY, "the verification")) == "":
-        reason = "not verified" if verify is None else f"the verification measured no {characteristic} error"
+        reason = (
+            "not verified"
+            if verify is None
+            else f"the verification measured no {characteristic.replace('_', ' ')} error"
+        )
     if held_out is None:
         return _outdated(results, CALIBRATE, f"{reason}; the calibration") or f"{reason}; no held-out figure"
-    p95 = "" if held_out.p95 is None else f"95 % within {held_out.p95:.3f} mm, "
-    return f"{reason}; predicted at {held_out.n} held-out values: {p95}largest {held_out.max:.3f} mm"
+    p95 = "" if held_out.p95 is None else f"95 % within {held_out.p95:.3f} {unit}, "
+    return f"{reason}; predicted at {held_out.n} held-out values: {p95}largest {held_out.max:.3f} {unit}"
 
 
-def _held_out(results: RunResults, arm: str, error: Literal["position_mm", "distance_mm"]) -> ErrorSummary | None:
+def _held_out(
+    results: RunResults, arm: str, error: Literal["position_mm", "orientation_mrad", "distance_mm"]
+) -> ErrorSummary | None:
     calibrate = results.held.calibrate
     found = None if calibrate is None else calibrate.arms.get(arm)
     if found is None:
         return None
     stage = found.validate_[found.best_stage]
-    return stage.position_mm if error == "position_mm" else stage.distance_mm
+    summary: ErrorSummary | None = getattr(stage, error)
+    return summary
+
+
+def _held_out_turns(results: RunResults, arms: Sequence[str]) -> ErrorSummary | None:
+    """Return the held-out errors of orientation [mrad] of an arm, or of one flange in the other's frame."""
+    if len(arms) == 1:
+        return _held_out(results, arms[0], "orientation_mrad")
+    best = _best_pair(results)
+    return None if best is None else best.cooperative_mrad
 
 
 def _distance_errors_mm(targets: Sequence[MeasuredTarget]) -> list[float]:

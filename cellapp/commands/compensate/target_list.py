@@ -141,7 +141,7 @@ def target_states(targets: Sequence[Target], results: RunResults | None) -> list
             if not state.measured and found:
                 found = tuple(_turn_judged(_judged(one, target.tolerance_mm, rule), target, rule) for one in found)
                 pair = pairs.get(target.name)
-                judged = None if pair is None else _judged(pair, target.tolerance_mm, rule)
+                judged = None if pair is None else _pair_judged(pair, target, rule)
                 state = replace(state, measured=found, pair=judged)
         states.append(state)
     return states
@@ -279,6 +279,19 @@ def _turn_judged(one: MeasuredTarget, target: Target, rule: DecisionRule) -> Mea
     verdict = target_verdict(turn.final_mrad, turn.expanded_mrad, limit, rule)
     judged = turn.model_copy(update={"verdict": verdict})
     return one.model_copy(update={"orientation_tolerance_mrad": limit, "orientation": judged})
+
+
+def _pair_judged(one: MeasuredPair, target: Target, rule: DecisionRule) -> MeasuredPair:
+    """Return a measurement of both arms judged by the target's tolerances."""
+    limits, seen = (target.tolerance_mm, target.orientation_tolerance_mrad), one.relative
+    if seen is not None and (one.tolerance_mm, one.orientation_tolerance_mrad) != limits:
+        verdicts = {
+            "position_verdict": target_verdict(seen.final_mm, seen.expanded_mm, limits[0], rule),
+            "verdict": target_verdict(seen.final_mrad, seen.expanded_mrad, limits[1], rule),
+        }
+        relative = seen.model_copy(update=verdicts)
+        one = one.model_copy(update={"relative": relative, "orientation_tolerance_mrad": limits[1]})
+    return _judged(one, limits[0], rule)
 
 
 def _judged(one: J, tolerance_mm: float | None, rule: DecisionRule) -> J:

@@ -14,7 +14,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.targets.records import ArmVerification
 from cellapp.commands.certificate.judgements import judge_run
 from cellapp.commands.discover.words import verdict_sentence
-from cellapp.commands.next_step import Step, open_steps
+from cellapp.commands.next_step import PAIR_ERRORS, Step, open_steps
 from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import HERE
@@ -64,7 +64,7 @@ def judged_matrix(judgements: Sequence[Judgement], arms: Sequence[str]) -> Judge
     for one in judgements:
         label = CHARACTERISTIC_WORDS[one.characteristic]
         if one.where not in arms:
-            more = "" if one.characteristic == "cooperative" and len(arms) == 2 else f", {one.where}"
+            more = "" if one.characteristic in PAIR_ERRORS and len(arms) == 2 else f", {one.where}"
             rows.append(JudgedRow(label + more, one.tolerance, together=one))
             continue
         free = (

@@ -135,6 +135,7 @@ CHARACTERISTIC_WORDS: Mapping[Characteristic, str] = {
     "orientation": "Orientation error",
     "distance": "Distance error",
     "cooperative": "Cooperative error",
+    "cooperative_orientation": "Cooperative orientation error",
     "pose_accuracy": "Pose accuracy AP",
     "pose_repeatability": "Pose repeatability RP",
     "multidirectional": "Multi-directional variation vAP",

@@ -57,6 +57,7 @@ Characteristic = Literal[
     "orientation",
     "distance",
     "cooperative",
+    "cooperative_orientation",
     "pose_accuracy",
     "pose_repeatability",
     "multidirectional",

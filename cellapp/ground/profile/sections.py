@@ -363,8 +363,9 @@ class Tolerances(GrownSection):
 
     ``position`` is the distance of an arm's SMR from where it was commanded, at any target; ``orientation`` the angle
     of its flange from the wanted rotation, where a probe measures that; ``distance`` the error of the distance between
-    two positions of one arm; ``cooperative`` the error of the distance between the SMRs of two
-    arms. The others are the characteristics of ISO 9283. ``decision`` and ``mpe`` say how all of them are judged, and
+    two positions of one arm; ``cooperative`` the error of the distance between the SMRs of two arms,
+    ``cooperative_orientation`` the angle of one flange in the other's frame from the wanted one, where both have a
+    probe. The others are the characteristics of ISO 9283. ``decision`` and ``mpe`` say how all of them are judged, and
     the tolerances of targets and paths.
     """
 
@@ -372,6 +373,7 @@ class Tolerances(GrownSection):
     orientation: Annotated[Angle, Field(gt=0.0, le=0.02)] | None = None
     distance: Tolerance | None = None
     cooperative: Tolerance | None = None
+    cooperative_orientation: Annotated[Angle, Field(gt=0.0, le=0.02)] | None = None
     pose_accuracy: Tolerance | None = None
     pose_repeatability: Tolerance | None = None
     multidirectional: Tolerance | None = None
@@ -383,7 +385,7 @@ class Tolerances(GrownSection):
     decision: DecisionRule = "guarded"
     mpe: MpeRule = "rectangular"
 
-    later_keys = frozenset({"mpe", "orientation"})
+    later_keys = frozenset({"mpe", "orientation", "cooperative_orientation"})
 
     @property
     def covariance_factor(self) -> float:

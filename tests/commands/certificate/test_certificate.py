@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from cellapp.cell.targets.records import CompensateResult, TargetCommand, UnknownCondition
+from cellapp.cell.targets.records import CompensateResult, MeasuredRelative, TargetCommand, UnknownCondition
 from cellapp.commands.certificate.judgements import judge_characteristics, judge_run
 from cellapp.commands.certificate.statement import CertificateInput, certificate_of, used_instruments
 from cellapp.commands.certificate_result import CertificateResult
@@ -165,14 +165,18 @@ def test_distances_between_verified_targets() -> None:
 
 
 def test_pairs_are_judged_and_both_arms_count() -> None:
+    errors_mm = dict.fromkeys(("nominal_mm", "compensated_mm", "final_mm"), 0.1)
+    relative = MeasuredRelative(**errors_mm, nominal_mrad=4.0, compensated_mrad=0.4, final_mrad=0.4)
+    pairs = [pair("p", 0.06), pair("q", 0.02).model_copy(update={"relative": relative})]
     found = judged(
-        results(
-            verify=verification([*LEFT_OF_JUDGEMENTS, *RIGHT], [pair("p", 0.06), pair("q", 0.02)]),
-            **known_uncertainty(),
-        ),
+        results(verify=verification([*LEFT_OF_JUDGEMENTS, *RIGHT], pairs), **known_uncertainty()),
         cooperative=2e-4,
+        cooperative_orientation=3e-4,
         position=1e-3,
+        decision="simple",
     )
+    turned = found["cooperative_orientation", "left and right"]
+    assert (turned.value_mrad, turned.unit, turned.conformity, turned.n) == (0.4, "mrad", "does not conform", 1)
     both = found["cooperative", "left and right"]
     own = [found["position", arm].expanded_mm for arm in ("left", "right")]
     assert (both.value_mm, both.n) == (0.06, 2)
