@@ -222,7 +222,8 @@ def _commands(group: _Group) -> dict[str, list[Command]]:
     if len(found) == 2:
         targets = [group.targets[k] for k in rows.tolist()]
         tolerances = [one.tolerance_mm for one in targets], [one.orientation_tolerance_mrad for one in targets]
-        relative = predicted_relative(*(predicted for _, predicted in each.values()), *tolerances)
+        (_, first), (_, second) = each.values()
+        relative = predicted_relative(first, second, *tolerances)
         for k, one in zip(rows.tolist(), relative, strict=True):
             found[group.targets[k].arms[1]][k] = replace(found[group.targets[k].arms[1]][k], relative=one)
     return found

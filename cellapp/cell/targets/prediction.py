@@ -393,7 +393,7 @@ class Predicted:
             for one, turn in zip(self.positions, self.turns, strict=True)
             if one is not None and turn is not None
         ]
-        return np.maximum(np.array(found).reshape(-1, 2).T, 0.0) * 1e-6
+        return np.asarray(np.maximum(np.array(found).reshape(-1, 2).T, 0.0) * 1e-6)
 
 
 def predicted_relative(

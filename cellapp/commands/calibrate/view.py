@@ -173,8 +173,8 @@ def cooperative_noise_mm(result: CalibrateResult) -> float | None:
 
 def cooperative_noise_mrad(result: CalibrateResult) -> float | None:
     """Return the rms angle [mrad] between two flanges that the stated uncertainty of both probes alone would cause."""
-    lengths = [arm.probe_mrad for arm in result.arms.values()]
-    return math.hypot(*lengths) if len(lengths) == 2 and lengths[0] and lengths[1] else None
+    lengths = [arm.probe_mrad for arm in result.arms.values() if arm.probe_mrad]
+    return math.hypot(*lengths) if len(lengths) == 2 else None
 
 
 def _arm_title(name: str, arm: ArmCalibrationResult) -> str:

@@ -23,7 +23,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
-from cellapp.ground.results import BEST_METHODS, METHODS, STAGES, Estimate, Record, Result
+from cellapp.ground.results import BEST_METHODS, METHODS, STAGES, ErrorSummary, Estimate, Record, Result
 
 
 class ProfileDifference(Record):
@@ -195,8 +195,10 @@ def _of_arm(name: str, a: RunResults, b: RunResults) -> Iterator[ValueComparison
     errors = [{} if arm is None else arm.validate_ for arm in calibrated]
     for stage in STAGES:
         if any(stage in own for own in errors):
-            means = [own[stage].position_mm.mean if stage in own else None for own in errors]
-            yield _error(HELD_OUT, STAGE_WORDS[stage], *means)
+            both = [own.get(stage) for own in errors]
+            yield from _held_out(STAGE_WORDS[stage], "mm", *(one and one.position_mm for one in both))
+            turned = [one and one.orientation_mrad for one in both]
+            yield from _held_out(f"{STAGE_WORDS[stage]}, orientation", "mrad", *turned)
     verified = [None if run.verify is None else run.verify.arms.get(name) for run in (a, b)]
     if any(verified):
         yield _error(TARGETS, "uncompensated", *(None if one is None else one.nominal_mm.mean for one in verified))
@@ -212,8 +214,10 @@ def _of_pair(a: CalibrateResult | None, b: CalibrateResult | None) -> Iterator[V
         yield from _values(TRANSFORM, first[method].identified, second[method].identified)
     for method in METHODS:
         if method in first or method in second:
-            means = [own[method].cooperative_mm.mean if method in own else None for own in (first, second)]
-            yield _error(HELD_OUT, METHOD_WORDS[method], *means)
+            both = [own.get(method) for own in (first, second)]
+            yield from _held_out(METHOD_WORDS[method], "mm", *(one and one.cooperative_mm for one in both))
+            turned = [one and one.cooperative_mrad for one in both]
+            yield from _held_out(f"{METHOD_WORDS[method]}, orientation", "mrad", *turned)
 
 
 def _effects(a: Sequence[AcceptedEffect], b: Sequence[AcceptedEffect]) -> Iterator[ValueComparison]:
@@ -230,8 +234,15 @@ def _effects(a: Sequence[AcceptedEffect], b: Sequence[AcceptedEffect]) -> Iterat
             yield from _values(f"{known[0].title} ({places})", *sizes)
 
 
-def _error(of: str, name: str, a: float | None, b: float | None) -> ValueComparison:
-    return _compared(of, name, "mm", a, b, None if a is None or b is None else b - a)
+def _error(of: str, name: str, a: float | None, b: float | None, unit: str = "mm") -> ValueComparison:
+    return _compared(of, name, unit, a, b, None if a is None or b is None else b - a)
+
+
+def _held_out(name: str, unit: str, *errors: ErrorSummary | None) -> Iterator[ValueComparison]:
+    """Yield the mean held-out errors of both runs, if one has some."""
+    if any(errors):
+        first, second = (None if one is None else one.mean for one in errors)
+        yield _error(HELD_OUT, name, first, second, unit)
 
 
 def _values(of: str, a: Mapping[str, Estimate], b: Mapping[str, Estimate]) -> Iterator[ValueComparison]:

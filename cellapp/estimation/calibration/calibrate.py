@@ -437,7 +437,7 @@ def _refuse_exchanged_probes(profile: Profile, readings: Mapping[str, Readings])
     if len(readings) != 2:
         return
     stops = common_stops(*readings.values())
-    seen = np.intersect1d(*(measured_orientations(one)[0] for one in stops))
+    seen = np.intersect1d(measured_orientations(stops[0])[0], measured_orientations(stops[1])[0])
     if len(seen) < FEWEST_TURNS:
         return
     both = [one.take(seen) for one in stops]
