@@ -91,7 +91,7 @@ def invert(
     -----
     Newton iteration on the whole model, with the Jacobian of its chain at the true joint positions. The flange rotates
     by the effects' joint offsets and, if the arm was calibrated with orientations, also with elastic links and base.
-    Otherwise effects that shift the SMR change only its position, as the network does.
+    Otherwise effects that shift the SMR change only its position, as a network of positions does.
     """
     n = len(start)
     conditions = MeasurementConditions() if conditions is None else conditions
@@ -167,8 +167,8 @@ def _errors(
     if arm.effects:
         moved = arm.effect_displacement(q, conditions=conditions)
         aim, true = aim - moved.shift_M, q + moved.joints
-        if arm.geometry.probe is not None:
-            rotation_M = arm.turns(q, conditions).swapaxes(1, 2) @ rotation_M
+    if arm.turns_flange and arm.geometry.probe is not None:
+        rotation_M = arm.turns(q, conditions).swapaxes(1, 2) @ rotation_M
     if arm.network is not None:
         aim = aim - arm.network.correct(q) @ arm.geometry.T_M_B()[:3, :3].T
     return errors_and_jacobian(arm.geometry, aim, rotation_M, true)

@@ -304,6 +304,9 @@ def _covariance(arm: ArmModel, q: Array, conditions: MeasurementConditions, rang
     near = ranges.nearest_loaded(arm, q, conditions)
     moved = arm.posterior.displacements(arm.geometry, arm.effects, arm.context(q, conditions=near))
     covariance = np.einsum("sna,snb->nab", moved, moved, optimize=True) / len(moved)
+    if arm.network is not None and arm.network.turning is not None:
+        R = arm.geometry.T_M_B()[:3, :3]
+        covariance += (R * arm.network.turning.spread(q)[:, None] ** 2) @ R.T
     return np.asarray(covariance + payload_covariance(arm, q, conditions, near, ranges.elasticity))
 
 
@@ -383,17 +386,14 @@ class Predicted:
         ]
         return self.arm.predict(self.q, conditions=came), moved[0], moved[1]
 
-    def others(self) -> Array:
+    def others(self, *draws: Array) -> Array:
         """Return the variances (2, n) of a coordinate [m^2] and of a component of rotation [rad^2] beside the draws."""
-        found = [
-            (
-                one.uncertainty_mm**2 - one.parts.parameters**2 - one.parts.effects**2,
-                turn.uncertainty_mrad**2 - turn.model_mrad**2,
-            )
-            for one, turn in zip(self.positions, self.turns, strict=True)
-            if one is not None and turn is not None
+        known = zip(self.positions, self.turns, strict=True)
+        whole = [
+            (one.uncertainty_mm, turn.uncertainty_mrad) for one, turn in known if one is not None and turn is not None
         ]
-        return np.asarray(np.maximum(np.array(found).reshape(-1, 2).T, 0.0) * 1e-6)
+        drawn = np.array([np.mean(one**2, axis=(0, 2)) for one in draws])
+        return np.asarray(np.maximum((1e-3 * np.array(whole).T) ** 2 - drawn, 0.0))
 
 
 def predicted_relative(
@@ -422,15 +422,16 @@ def relative_covariances(first: Predicted, second: Predicted) -> tuple[tuple[Arr
     """
     (p_1, moved_1, turned_1), (p_2, moved_2, turned_2) = first.draws(), second.draws()
     d = p_2 - p_1
+    own, other = first.others(moved_1, turned_1), second.others(moved_2, turned_2)
     moved_1 = moved_1 + np.cross(turned_1, d)
 
     def of(*draws: Array) -> Array:
         return np.asarray(sum(np.einsum("sna,snb->nab", one, one, optimize=True) / len(one) for one in draws))
 
     model = of(moved_1, moved_2), of(turned_1, turned_2)
-    own, (noise_m2, noise_rad2) = first.others()[1], first.others() + second.others()
+    noise_m2, noise_rad2 = own + other
     lever = np.einsum("na,na->n", d, d)[:, None, None] * np.eye(3) - d[:, :, None] * d[:, None]
-    added = noise_m2[:, None, None] * np.eye(3) + own[:, None, None] * lever, noise_rad2[:, None, None] * np.eye(3)
+    added = noise_m2[:, None, None] * np.eye(3) + own[1, :, None, None] * lever, noise_rad2[:, None, None] * np.eye(3)
     return model, (model[0] + added[0], model[1] + added[1])
 
 

@@ -36,7 +36,6 @@ from cellapp.estimation.calibration.quantities import (
     FEWEST_TURNS,
     SUSPECT_RAD,
     Quantities,
-    evaluate,
     evaluate_quantities,
     measured_orientations,
     measured_quantities,
@@ -723,11 +722,40 @@ def train_arm(
     arm = with_networks(profile, arm, taught.q, left_M, taught.time_s, cancel, report)
     if arm.model.network is None:
         return arm
-    computed = arm.model.predict(held_out.q, held_out.approach, held_out.payload_kg)
-    errors = evaluate(held_out.p_M, computed, held_out.q).model_copy(
-        update={"orientation_mrad": arm.validate["geometry"].orientation_mrad}  # the network learns positions only
+    done = learning_steps(profile.network)
+    turning = turning_network(
+        profile, arm.model, measured_quantities(taught), cancel, lambda _, words: report(done, f"rotations: {words}")
     )
+    arm = replace(arm, model=replace(arm.model, network=replace(arm.model.network, turning=turning)))
+    its = measured_quantities(held_out)
+    errors = evaluate_quantities(its, arm.model.predict(its.readings.q, conditions=its.conditions))
     return replace(arm, validate={**arm.validate, "network": errors})
+
+
+def turning_network(
+    profile: Profile,
+    model: ArmModel,
+    taught: Quantities,
+    cancel: CancelToken | None = None,
+    report: Report = ignore_report,
+) -> ResidualNetwork | None:
+    """Train a network on the rotation vectors that a model leaves of measured orientations, in the base frame.
+
+    None if there are too few, or it does not predict left-out ones better than none.
+    """
+    if taught.turned is None or np.count_nonzero(taught.turned) < 2 * profile.network.folds:
+        return None
+    some, conditions = taught.readings.take(taught.turned), taught.conditions.take(taught.turned)
+    left_M = -model.predict(some.q, conditions=conditions)
+    return learn(
+        profile.network,
+        some.q,
+        left_M @ model.geometry.T_M_B()[:3, :3],
+        some.time_s,
+        seed=profile.seed,
+        cancel=cancel,
+        report=report,
+    ).network
 
 
 def with_networks(

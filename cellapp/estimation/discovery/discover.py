@@ -18,6 +18,7 @@ from cellapp.estimation.calibration.calibrate import (
     gross_errors_of_model,
     left_out_words,
     rms_length_mm,
+    turning_network,
     without,
 )
 from cellapp.estimation.calibration.learning import learn, learning_steps
@@ -469,8 +470,8 @@ def with_network(
     """
     held_out = HeldOut.of(readings, conditions)
     network = discovery.model.network
+    rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
     if discovery.terms:
-        rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
         network = _train(profile, discovery.model, readings.take(rows), conditions.take(rows), cancel, report)
     q = held_out.readings.q
     corrections = BeforeAfter(before=_correction_mm(calibrated.network, q), after=_correction_mm(network, q))
@@ -478,6 +479,8 @@ def with_network(
     discovery = replace(discovery, result=found)
     if not discovery.terms or found.verdict != "unknown effect" or network is None:
         return discovery
+    learnt = measured_quantities(readings.take(rows), conditions.take(rows))
+    network = replace(network, turning=turning_network(profile, discovery.model, learnt, cancel, report))
     model = replace(discovery.model, network=network)
     step = GapStep(what="a network for the rest", effect="", heldout_mm=held_out.position_mm(model).rms)
     return discovery.with_model(model, held_out, steps=(*found.steps, step))

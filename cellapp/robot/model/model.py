@@ -75,6 +75,9 @@ class ResidualNetwork:
         Scale of the outputs [m].
     members : tuple of layers
         For each member and layer: weights (out, in) and offsets (out,).
+    turning : ResidualNetwork or None
+        Correction of the flange's rotation in the same frame, as rotation vectors [rad]; None where positions alone
+        were measured, or it did not help.
     """
 
     inputs: Inputs
@@ -84,6 +87,7 @@ class ResidualNetwork:
     rotates_with_joint_1: bool
     scale: float
     members: tuple[Layers, ...]
+    turning: ResidualNetwork | None = None
 
     def correct(self, q: Array) -> Array:
         """Compute the correction (n, 3) [m] of SMR positions at ``q`` (n, N) [rad], in the frame of its training."""
@@ -119,7 +123,9 @@ def network_to_json(network: ResidualNetwork) -> dict[str, Any]:
     content = plain_data(vars(network))
     content["turning_with_joint_1"], content["scale_m"] = content.pop("rotates_with_joint_1"), content.pop("scale")
     members = [[{"weights": one, "offsets": other} for one, other in layers] for layers in content.pop("members")]
-    return {**content, "activation": "tanh", "members": members}
+    del content["turning"]
+    turning = {} if network.turning is None else {"turning": network_to_json(network.turning)}
+    return {**content, "activation": "tanh", "members": members, **turning}
 
 
 def network_from_json(content: Mapping[str, Any]) -> ResidualNetwork:
@@ -136,6 +142,7 @@ def network_from_json(content: Mapping[str, Any]) -> ResidualNetwork:
         rotates_with_joint_1=bool(content["turning_with_joint_1"]),
         scale=float(content["scale_m"]),
         members=tuple(tuple(one) for one in members),
+        turning=network_from_json(content["turning"]) if "turning" in content else None,
     )
 
 
@@ -185,7 +192,7 @@ class ArmModel:
     effects : tuple of EffectTerm
         Effects that discovery found.
     network : ResidualNetwork or None
-        Correction of the residual that geometry and effects leave, in the base frame B.
+        Correction of the residual pose that geometry and effects leave, in the base frame B.
     identified : tuple of str, length k
         Names of the identified parameters, effects last.
     covariance : array, shape (k, k), or None
@@ -280,23 +287,35 @@ class ArmModel:
             return p_M
         correction_M = self.network.correct(q) @ self.geometry.T_M_B()[:3, :3].T
         if conditions.turned is not None:
-            correction_M[conditions.turned] = 0.0  # the network is trained on positions only
+            correction_M[conditions.turned] = self._turning_M(q[conditions.turned])
         return np.asarray(p_M + correction_M)
 
     def orientation(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
         """Predict rotations (n, 3, 3) of the probe in the tracker frame at controller readings ``q`` (n, N) [rad].
 
-        If the model has no probe, these are rotations of the flange. The network corrects positions only.
+        If the model has no probe, these are rotations of the flange.
         """
         q = configurations(q, self.geometry.joints)
         rotations = probe_rotations(self.geometry, self.true_joints(q, conditions=conditions))
-        return self.turns(q, conditions) @ rotations if self.effects else rotations
+        return self.turns(q, conditions) @ rotations if self.turns_flange else rotations
+
+    @property
+    def turns_flange(self) -> bool:
+        """Whether effects or the network may turn the flange."""
+        return bool(self.effects) or (self.network is not None and self.network.turning is not None)
+
+    def _turning_M(self, q: Array) -> Array:
+        """Return the network's rotation vectors (n, 3) [rad] of the flange in the tracker frame."""
+        if self.network is None or self.network.turning is None:
+            return np.zeros((len(q), 3))
+        return np.asarray(self.network.turning.correct(q) @ self.geometry.T_M_B()[:3, :3].T)
 
     def turns(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
-        """Compute flange rotations (n, 3, 3), in the tracker frame, by deflection of links, bearings and base."""
+        """Compute flange rotations (n, 3, 3), in the tracker frame, by deflection of links, bearings and base, and by
+        the network."""
         turned = replace(conditions or MeasurementConditions(), R_M_S=np.tile(np.eye(3), (len(q), 1, 1)))
-        moved = self.effect_displacement(q, turned)
-        return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(moved.shift_M).as_matrix())
+        turn_M = self.effect_displacement(q, turned).shift_M + self._turning_M(q)  # both are milliradians
+        return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(turn_M).as_matrix())
 
     def uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
         """Compute the standard deviation (n,) [m] of a predicted coordinate at ``q`` (n, N) [rad], without noise.
@@ -313,7 +332,9 @@ class ArmModel:
             variance += np.mean(moved**2, axis=(0, 2))
         if self.network is not None:
             of_network = np.mean(self.network.spread(q) ** 2, axis=1)
-            variance += of_network if turned is None else np.where(turned, 0.0, of_network)
+            turning = self.network.turning
+            of_turns = 0.0 if turned is None or turning is None else np.mean(turning.spread(q) ** 2, axis=1)
+            variance += of_network if turned is None else np.where(turned, of_turns, of_network)
         return np.asarray(np.sqrt(variance))
 
     def measured_uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
@@ -333,7 +354,7 @@ class ArmModel:
         Rotations include ``turns`` only if the model has a probe: only measured orientations can confirm them.
         """
         rotations, origins = flange_poses(self.geometry, self.true_joints(q, conditions=conditions))
-        if self.geometry.probe is None or not self.effects:
+        if self.geometry.probe is None or not self.turns_flange:
             return rotations, origins
         return self.turns(q, conditions) @ rotations, origins
 

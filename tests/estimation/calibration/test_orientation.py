@@ -12,11 +12,12 @@ from scipy.spatial.transform import Rotation
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.targets.compensate import compensate
+from cellapp.cell.targets.invert import invert_model
 from cellapp.cell.targets.targets import targets_in_memory
 from cellapp.commands.calibrate.result import calibrate_result, pair_result
 from cellapp.commands.calibrate.view import cooperative_noise_mrad
 from cellapp.commands.calibrate.view import view as calibrate_view
-from cellapp.estimation.calibration.calibrate import calibrate_arm, calibrate_readings
+from cellapp.estimation.calibration.calibrate import calibrate_arm, calibrate_readings, train_arm
 from cellapp.estimation.calibration.identification import identify_with_excess, start_from_nominal
 from cellapp.estimation.calibration.quantities import measured_quantities, refuse_odd_orientations, with_probe
 from cellapp.estimation.discovery.discover import discover_cell
@@ -30,6 +31,7 @@ from cellapp.robot.kinematics.chain import (
     smr_positions,
     smr_positions_of,
 )
+from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
 from tests.approved import text_of
 from tests.arms import true_geometry
@@ -211,6 +213,20 @@ def test_two_probes_calibrate_the_pair_in_orientation(six, learnt):
         assert geometry.identified[name].standard_error < 0.7 * alone.identified[name].standard_error
     after = pair_result(found.pair)["effects"].cooperative_mrad
     assert after.rms < 1.2 * cooperative_noise_mrad(result) == pytest.approx(1.2 * np.sqrt(6.0) * 0.04)
+
+
+def test_the_network_corrects_position_and_rotation(six):
+    readings = six[1]["left"]
+    words = tuple(("identify", "train", "validate", "train")[row % 4] for row in range(len(readings)))
+    profile, readings = load_profile(TWIN.with_name("twin-6d.yaml")), replace(readings, split=words)
+    arm = train_arm(profile, calibrate_arm(profile, "left", readings)[0], readings)
+    geometry, network = (arm.validate[stage] for stage in ("geometry", "network"))
+    assert network.position_mm.mean < 0.9 * geometry.position_mm.mean
+    assert network.orientation_mrad.mean < 0.4 * geometry.orientation_mrad.mean
+    q, stored = readings.q[:5], CellModel.from_json(CellModel({"left": arm.model}).to_json()).arms["left"]
+    found, reached = invert_model(stored, arm.model.predict(q), arm.model.flange(q)[0], q + 0.01)
+    assert reached.all()
+    np.testing.assert_allclose(found, q, atol=1e-6)
 
 
 def slipped(readings, angle):
