@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cellapp.cell.driving.push import push
 from scipy.spatial.transform import Rotation
 
+from cellapp.cell.driving.target_visit import push
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.targets.compensate import compensate
