@@ -122,7 +122,7 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
             require_none(shown.failed, shown.checks or verb.checks or verb.name)
 
     own = [
-        _parameter(name, field, words)
+        _parameter(name, field, words, verb.request.option_of(words.of) if words.of else "")
         for (name, words), field in zip(verb.request.asked(), verb.request.model_fields.values(), strict=True)
         if name not in fixed
     ]
@@ -163,15 +163,16 @@ def _choose(job: Job, question: str, answers: tuple[str, ...]) -> str:
     return said if said in answers else ""
 
 
-def _parameter(name: str, field: FieldInfo, words: Asked) -> inspect.Parameter:
-    """Return the command's parameter for a field of a request."""
+def _parameter(name: str, field: FieldInfo, words: Asked, owner: str) -> inspect.Parameter:
+    """Return the command's parameter for a field of a request, which belongs to the option ``owner``, if any."""
     bounds = {
         key: getattr(one, "ge" if key == "min" else "le")
         for one in field.metadata
         for key, kind in (("min", annotated_types.Ge), ("max", annotated_types.Le))
         if isinstance(one, kind)
     }
-    settings: dict[str, Any] = {"help": words.help, **bounds, **({"metavar": words.metavar} if words.metavar else {})}
+    said = f"With {owner}: {words.help}" if owner else words.help
+    settings: dict[str, Any] = {"help": said, **bounds, **({"metavar": words.metavar} if words.metavar else {})}
     option = words.option or f"--{name.replace('_', '-')}"
     shape = typer.Argument(**settings) if words.argument else typer.Option(option, **settings)
     annotated: Any = Annotated
