@@ -15,7 +15,6 @@ The command's options, the dialog of the terminal application and the handbook's
 from __future__ import annotations
 
 import importlib.util
-import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,7 +22,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Self, get_args, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-from cellapp.commands.registry import MOVES
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
@@ -265,15 +263,6 @@ class Verb:
     def summary(self) -> str:
         """Summary in one sentence."""
         return (self.request.__doc__ or "").strip().split("\n", 1)[0]
-
-    @property
-    def help(self) -> str:
-        """Help of its command, marked if arms may move."""
-        return self.marked(inspect.getdoc(self.request) or "")
-
-    def marked(self, text: str) -> str:
-        """Return a text about the verb, marked if arms may move."""
-        return (MOVES if self.moves_arms else "") + text
 
     @property
     def results(self) -> tuple[type[Result], ...]:
