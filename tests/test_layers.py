@@ -54,7 +54,8 @@ LOADED_LATER = {
     "cellapp.commands.record": "a verb's run and view are loaded when it runs; words of errors on an error",
     "cellapp.commands.init.request": "starters are read where one has to be named",
     "cellapp.commands.calibrate.run": "the fit of recordings is loaded where some were made",
-    "cellapp.commands.docs.handbook": "chapters are read without the mathematics",
+    "cellapp.commands.init.run": "a profile is written without what the demonstration runs",
+    "cellapp.commands.docs": "chapters are read without the mathematics and the results of every verb",
     **{
         f"drivers.{module}": "a profile is read without any driver"
         for module in (

@@ -33,21 +33,27 @@ class ImportRequest(Request):
     csv: Annotated[Path | None, Asked("Readings; 'cellapp docs files' has the columns.", "CSV", argument=True)] = None
     folder: NewRun
     in_order: Annotated[
-        bool, Asked("Rows stand in the order of measurement (with time_s: by time); derive missing approach and step.")
+        bool,
+        Asked("rows stand in the order of measurement, or by time_s; derive missing approach and step.", of="csv"),
     ] = False
     reference_nests: Annotated[
-        Path | None, Asked("Nests on the floor that tie tracker stations: station, nest, x_m, y_m, z_m.", "FILE")
+        Path | None,
+        Asked("nests on the floor that tie stations: station, nest, x_m, y_m, z_m.", "FILE", of="csv"),
     ] = None
     smr: Annotated[
         str | None,
-        Asked("Take only this SMR, where several were measured at a stop; three or more give a rotation.", "NAME"),
+        Asked(
+            "take only this SMR, where several were measured at a stop; three give a rotation.",
+            "NAME",
+            of="csv",
+        ),
     ] = None
     joints: Annotated[tuple[Path, ...], Asked("Joint positions of a motion: time_s, q1, q2, ...", "FILE")] = ()
     points: Annotated[tuple[Path, ...], Asked("Points of the same motion: time_s, x_m, y_m, z_m.", "FILE")] = ()
     column: Annotated[
         tuple[str, ...], Asked("The column of recordings that counts, where two may be meant.", "NAME")
     ] = ()
-    arm: Annotated[str | None, Asked("The arm of recordings that do not say it.", "NAME")] = None
+    arm: Annotated[str | None, Asked("the arm of recordings that do not say it.", "NAME", of="joints")] = None
 
     @model_validator(mode="after")
     def _something(self) -> Self:
@@ -56,14 +62,6 @@ class ImportRequest(Request):
             raise ValueError("give a file of --joints and one of --points for each recording")
         if self.csv is None and not self.joints:
             raise ValueError("give the CSV of readings, or --joints and --points of a recording")
-        if self.arm is not None and not self.joints:
-            raise ValueError("--arm belongs to --joints and --points; a CSV of readings has a column 'arm'")
-        if self.in_order and self.csv is None:
-            raise ValueError("--in-order belongs to a CSV of readings")
-        if self.smr is not None and self.csv is None:
-            raise ValueError("--smr belongs to a CSV of readings with a column 'smr'")
-        if self.reference_nests is not None and self.csv is None:
-            raise ValueError("--reference-nests belongs to a CSV of readings with a column 'station'")
         return self
 
 

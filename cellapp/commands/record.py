@@ -15,15 +15,13 @@ The command's options, the dialog of the terminal application and the handbook's
 from __future__ import annotations
 
 import importlib.util
-import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Self, get_args, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-from cellapp.commands.registry import MOVES
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs, Writes
@@ -59,6 +57,8 @@ class Asked:
         Suffixes of the files that a dialog proposes for a path; any file if empty.
     words : mapping
         Value -> its name in a dialog, for a field with several values.
+    of : str
+        Field without which this one has no meaning: one that is given needs that one, too.
     writes : Writes or None
         How the file or folder that the path names is written.
     needed : bool
@@ -77,6 +77,7 @@ class Asked:
     simulated: bool = False
     suffixes: tuple[str, ...] = ()
     words: Mapping[str, str] = field(default_factory=dict)
+    of: str = ""
     writes: Writes | None = None
     needed: bool = False
     typed: Any = None
@@ -97,6 +98,15 @@ class Request(BaseModel):
         """Yield the name and words of each field, in the order of their declaration."""
         for name, declared in cls.model_fields.items():
             yield name, next(one for one in declared.metadata if isinstance(one, Asked))
+
+    @model_validator(mode="after")
+    def _each_with_its_own(self) -> Self:
+        """Refuse a field without the one that it belongs to."""
+        for name, words in self.asked():
+            given = getattr(self, name) != type(self).model_fields[name].default
+            if words.of and given and not getattr(self, words.of):
+                raise ValueError(f"{self.option_of(name)} belongs to {self.option_of(words.of)}; add it")
+        return self
 
     def moves(self) -> bool:
         """Return whether the arms may move for this request of a verb that moves arms."""
@@ -253,15 +263,6 @@ class Verb:
     def summary(self) -> str:
         """Summary in one sentence."""
         return (self.request.__doc__ or "").strip().split("\n", 1)[0]
-
-    @property
-    def help(self) -> str:
-        """Help of its command, marked if arms may move."""
-        return self.marked(inspect.getdoc(self.request) or "")
-
-    def marked(self, text: str) -> str:
-        """Return a text about the verb, marked if arms may move."""
-        return (MOVES if self.moves_arms else "") + text
 
     @property
     def results(self) -> tuple[type[Result], ...]:

@@ -47,7 +47,7 @@ def records(verbs: Sequence[str] = ALL) -> tuple[Verb, ...]:
 
 
 def help_of(verb: str) -> str:
-    """Return ``Verb.help`` of a verb from the source: importing all of them would be slow."""
+    """Return the help of a verb's command from the source: importing all of them would be slow."""
     source = _HERE.joinpath(*_module(verb).split(".")).with_suffix(".py").read_text(encoding="utf-8")
     declared = [node for node in ast.parse(source).body if isinstance(node, ast.ClassDef)]
     request = next(node for node in declared if any(ast.unparse(base) == "Request" for base in node.bases))

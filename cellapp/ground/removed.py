@@ -27,7 +27,9 @@ COMMANDS: Mapping[str, str] = {
     "locate": "use 'cellapp check DIR --tracker-moved'",
     "compare": "use 'cellapp show DIR --against DIR'",
     "correct": "use 'cellapp compensate DIR PROGRAM --out FILE'",
-    **{request: f"use 'cellapp job {request} DIR'" for request in ("pause", "resume", "abort")},
+    "pause": "use 'cellapp job pause DIR'",
+    "resume": "use 'cellapp job resume DIR'",
+    "abort": "use 'cellapp job abort DIR'",
     **{
         f"docs {old}": f"'cellapp docs {new}' has what it held"
         for old, new in (

@@ -37,21 +37,22 @@ class CheckRequest(Request):
     tracker_pose: Annotated[
         str | None,
         Asked(
-            "With --tracker-moved: where it stands in the cell, to about 50 mm and 1 deg: m, and roll, pitch, yaw in"
-            " deg.",
+            "where it stands in the cell, to about 50 mm and 1 deg: m, and roll, pitch, yaw in deg.",
             "X,Y,Z,R,P,Y",
             label="tracker about at",
             hint=f"{_POSE}; empty: as before",
+            of="tracker_moved",
         ),
     ] = None
     simulated_pose: Annotated[
         str | None,
         Asked(
-            "With --tracker-moved, simulated cells only: put the tracker there first.",
+            "in simulated cells only: put the tracker there first.",
             "X,Y,Z,R,P,Y",
             label="put it first to",
             hint=f"{_POSE}; may be empty",
             simulated=True,
+            of="tracker_moved",
         ),
     ] = None
     strict: Annotated[bool, Asked("Exit code 1 also if the model was out of date before the check.")] = False
@@ -76,9 +77,7 @@ class CheckRequest(Request):
 
     @model_validator(mode="after")
     def _of_a_moved_tracker(self) -> Self:
-        """Refuse words about a moved tracker without one, and words that only a check knows with one."""
-        if not self.tracker_moved and (self.tracker_pose is not None or self.simulated_pose is not None):
-            raise ValueError("--tracker-pose and --simulated-pose belong to --tracker-moved; add it")
+        """Refuse words that only a check knows where the tracker is located."""
         if self.tracker_moved and (self.strict or self.simulated_plant is not None):
             raise ValueError("--strict and --simulated-plant belong to a check without --tracker-moved")
         return self

@@ -47,11 +47,12 @@ class DoctorRequest(Request):
     run_folder: Annotated[
         Path | None,
         Asked(
-            "Run whose log is packed; left out, the newest of this cell below logs.",
+            "run whose log is packed; left out, the newest of this cell below logs.",
             "DIR",
             option="--run",
             label="log of run",
             hint="empty: the newest one",
+            of="bundle",
         ),
     ] = None
 

@@ -30,8 +30,6 @@ from drivers.findings import Finding
 
 def run(request: DoctorRequest, work: Work) -> DoctorResult:
     """Check everything that the profile names; on request write what the controllers report of themselves."""
-    if request.run_folder is not None and request.bundle is None:
-        raise InputError("--run: only with --bundle")
     profile = load_profile(request.profile)
     log = {} if request.bundle is None else run_log(request.run_folder or newest_run(profile))
     began_s = time.monotonic()

@@ -18,9 +18,9 @@ class InitRequest(Request):
 
     folder: Annotated[Path, Asked("The profile goes into FOLDER/profiles.", "FOLDER", argument=True)] = Path()
     demo: Annotated[bool, Asked("The simulated cell, everything run on it, and its report below FOLDER/logs.")] = False
-    full: Annotated[bool, Asked("With --demo: all 400 stops instead of 80.")] = False
+    full: Annotated[bool, Asked("all 400 stops instead of 80.", of="demo")] = False
     sweeps: Annotated[
-        bool, Asked("With --demo: 20 stops, and a sweep of each arm about every one: calibration in motion.")
+        bool, Asked("20 stops, and a sweep of each arm about every one: calibration in motion.", of="demo")
     ] = False
     twin: Annotated[bool, Asked("The simulated cell, to try the program without hardware.")] = False
     starter: Annotated[str | None, Asked("A copy of a profile that comes with cellapp.", "NAME", option="--from")] = (
@@ -40,38 +40,35 @@ class InitRequest(Request):
     arm: Annotated[
         str | None,
         Asked(
-            "With --readings: an arm type by name, its file, or D-H rows (CSV).",
+            "an arm type by name, its file, or D-H rows (CSV).",
             "TYPE",
             label="arm",
             hint="name of an arm type, its file, or D-H rows; empty: which would fit?",
+            of="readings",
         ),
     ] = None
-    modified: Annotated[bool, Asked("With --arm ROWS.csv: the rows are modified D-H (Craig).")] = False
+    modified: Annotated[bool, Asked("the rows are modified D-H (Craig).", of="arm")] = False
     angles: Annotated[
         Literal["rad", "deg"] | None,
-        Asked("With --readings: unit of joint positions, if it is not found.", label="joint positions in"),
+        Asked("unit of joint positions, if it is not found.", label="joint positions in", of="readings"),
     ] = None
     lengths: Annotated[
-        Literal["m", "mm"] | None, Asked("With --readings: unit of points, if it is not found.", label="points in")
+        Literal["m", "mm"] | None,
+        Asked("unit of points, if it is not found.", label="points in", of="readings"),
     ] = None
     column: Annotated[
-        tuple[str, ...], Asked("With --readings: the column that counts, where two may be meant.", "NAME")
+        tuple[str, ...],
+        Asked("the column that counts, where two may be meant.", "NAME", of="readings"),
     ] = ()
     rows: Annotated[
-        Literal["stops", "motion"] | None, Asked("With --readings: what the rows are, if it is not found.")
+        Literal["stops", "motion"] | None,
+        Asked("what the rows are, if it is not found.", of="readings"),
     ] = None
-    name: Annotated[str | None, Asked("With --readings: name of the profile.", "NAME")] = None
+    name: Annotated[str | None, Asked("name of the profile.", "NAME", of="readings")] = None
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
-        """Refuse none or several sources, and words about readings without readings."""
-        own = (self.arm, self.angles, self.lengths, self.rows, self.name, *self.column)
-        if self.readings is None and (self.modified or any(one is not None for one in own)):
-            raise ValueError(
-                "--arm, --modified, --angles, --lengths, --column, --rows and --name belong to --readings; add it"
-            )
-        if (self.full or self.sweeps) and not self.demo:
-            raise ValueError("--full and --sweeps belong to --demo; add it")
+        """Refuse none or several sources."""
         if self.demo + self.twin + sum(one is not None for one in (self.starter, self.answers, self.readings)) != 1:
             from cellapp.cell.profile.starters import starter_profiles  # late: needed only for a message
 

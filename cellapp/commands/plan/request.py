@@ -32,17 +32,17 @@ class PlanRequest(Request):
         Path | None,
         Asked("Take the plan exactly as it is written; without --run only check it.", "CSV", option="--from"),
     ] = None
-    keep: Annotated[bool, Asked("With --from: freeze its stops and design the rest around them.")] = False
+    keep: Annotated[bool, Asked("freeze its stops and design the rest around them.", of="source")] = False
     edit: Annotated[bool, Asked("Change the plan of the run --run, by the profile in it.")] = False
     add: Annotated[
         int | None,
         Field(ge=1, le=MOST_STOPS),
-        Asked("With --edit: append N stops.", "N", label="further stops", hint=f"1 to {MOST_STOPS}"),
+        Asked("append N stops.", "N", label="further stops", hint=f"1 to {MOST_STOPS}", of="edit"),
     ] = None
-    replan: Annotated[bool, Asked("With --edit: design the stops that are not measured again.")] = False
-    freeze: Annotated[
-        str | None, Asked("With --edit: configurations, as 0-9,12, that later designs leave.", "LIST")
-    ] = None
+    replan: Annotated[bool, Asked("design the stops that are not measured again.", of="edit")] = False
+    freeze: Annotated[str | None, Asked("configurations, as 0-9,12, that later designs leave.", "LIST", of="edit")] = (
+        None
+    )
 
     def job_name(self) -> str:
         if self.source is not None and self.folder is None:
@@ -51,21 +51,13 @@ class PlanRequest(Request):
 
     @model_validator(mode="after")
     def _belongs_together(self) -> Self:
-        mode = "--edit" if self.edit else "--from" if self.source is not None else ""
         if self.edit and self.source is not None:
             raise ValueError("--from and --edit do not go together; give one of them")
-        changes = {"--add": self.add is not None, "--replan": self.replan, "--freeze": self.freeze is not None}
-        for owner, words in (
-            ("--edit", changes),
-            ("--from", {"--keep": self.keep}),
-            ("", {"--sweeps": self.sweeps is not None}),
-        ):
-            if owner != mode and any(words.values()):
-                given = next(word for word, is_given in words.items() if is_given)
-                raise ValueError(f"{given} belongs to 'plan {owner or 'PROFILE --run DIR'}'")
+        if self.sweeps is not None and (self.edit or self.source is not None):
+            raise ValueError("--sweeps belongs to a new plan; give it without --from and --edit")
         if self.edit and (self.profile is not None or self.folder is None):
             raise ValueError("--edit changes the plan of a run by the profile in it: give --run DIR and no PROFILE")
-        if self.edit and sum(changes.values()) != 1:
+        if self.edit and (self.add is not None) + self.replan + (self.freeze is not None) != 1:
             raise ValueError("--edit takes one of --add N, --replan and --freeze LIST")
         if not self.edit and self.profile is None:
             raise ValueError("PROFILE is missing; name the cell's YAML file")

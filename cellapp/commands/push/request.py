@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+from typing import Annotated
 
-from pydantic import AfterValidator, model_validator
+from pydantic import AfterValidator
 
 from cellapp.commands.record import Asked, OutOfDate, Request, RunFolder, Stored, TargetsPath, Verb
 
@@ -28,22 +28,17 @@ class PushRequest(Request):
         int | None,
         AfterValidator(_few),
         Asked(
-            "Correct what remains by measuring, at most N times a target.",
+            "correct what remains, at most N times a target.",
             "N",
             label="corrections",
             hint=f"of each target by measuring it, 1 to {MOST_ROUNDS}; empty: none",
+            of="verify",
         ),
     ] = None
     out_of_date: OutOfDate = False
 
     def job_name(self) -> str:
         return "verify" if self.verify else ""
-
-    @model_validator(mode="after")
-    def _measured(self) -> Self:
-        if self.iterate is not None and not self.verify:
-            raise ValueError("--iterate corrects what was measured; add --verify. Nothing was moved")
-        return self
 
 
 VERB = Verb(

@@ -131,9 +131,14 @@ def with_force(function: Callable[..., Any]) -> Callable[..., Any]:
         return function
     options = {name: _option(signature.parameters[name]) for name in written}
 
+    parameters = signature.parameters
+    own = {
+        word: name for word, name in _NAMED.items() if name in parameters and _said(parameters[name]).metavar == word
+    }
+
     @functools.wraps(function)
     def command(*, force: bool = False, **values: Any) -> Any:
-        with _called(_outputs_of(written, options, values, force=force)):
+        with _called(_outputs_of(written, options, own, values, force=force)):
             return function(**values)
 
     replaced = [option for name, option in options.items() if written[name] not in _ADDED_TO]
@@ -142,8 +147,8 @@ def with_force(function: Callable[..., Any]) -> Callable[..., Any]:
     parameter = inspect.Parameter(
         _FORCE, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Annotated[bool, flag]
     )
-    parameters = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in signature.parameters.values()]
-    command.__signature__ = signature.replace(parameters=[*parameters, parameter])  # type: ignore[attr-defined]
+    others = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in parameters.values()]
+    command.__signature__ = signature.replace(parameters=[*others, parameter])  # type: ignore[attr-defined]
     return command
 
 
@@ -154,16 +159,16 @@ def written_by(function: Callable[..., Any]) -> dict[str, Writes]:
 
 
 def _outputs_of(
-    written: dict[str, Writes], options: dict[str, str], values: dict[str, Any], *, force: bool
+    written: dict[str, Writes], options: dict[str, str], own: dict[str, str], values: dict[str, Any], *, force: bool
 ) -> CommandOutputs:
     named: dict[Writes, dict[str, Path]] = {how: {} for how in Writes}
     for name, how in written.items():
         if values[name] is not None and str(values[name]) != "-":
             named[how][options[name]] = Path(values[name])
     inputs = [path for name, value in values.items() if name not in written for path in _paths(value)]
-    own = {word: values[name] for word, name in _NAMED.items() if isinstance(values.get(name), Path)}
+    files = {word: values[name] for word, name in own.items() if isinstance(values[name], Path)}
     allowed = Outputs(force, tuple(inputs), REMEDY)
-    return CommandOutputs(allowed, named[Writes.FILE], named[Writes.FILES], named[Writes.STORE], own)
+    return CommandOutputs(allowed, named[Writes.FILE], named[Writes.FILES], named[Writes.STORE], files)
 
 
 def _paths(value: object) -> Iterator[Path]:
@@ -190,10 +195,14 @@ def _how(annotation: object) -> Writes | None:
     return next((one for one in get_args(annotation)[1:] if isinstance(one, Writes)), None)
 
 
+def _said(parameter: inspect.Parameter) -> Any:
+    """Return typer's declaration of a parameter."""
+    return next(one for one in get_args(parameter.annotation)[1:] if hasattr(one, "param_decls"))
+
+
 def _option(parameter: inspect.Parameter) -> str:
     """Return the name of an option as it is typed; typer stores it as the default of the declaration."""
-    found = next(one for one in get_args(parameter.annotation)[1:] if hasattr(one, "param_decls"))
-    return str(found.default)
+    return str(_said(parameter).default)
 
 
 ProfilePath = Annotated[Path, typer.Argument(metavar="PROFILE", help="The cell, as YAML.")]

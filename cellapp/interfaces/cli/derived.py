@@ -22,6 +22,7 @@ from pydantic.fields import FieldInfo
 from typer.core import TyperGroup
 
 from cellapp.commands.record import Asked, Verb, View, Work
+from cellapp.commands.registry import MOVES
 from cellapp.ground.errors import InputError
 from cellapp.ground.removed import removed_command
 from cellapp.interfaces.cli.command_outputs import AllowMotion, Commands, JsonOption
@@ -91,10 +92,15 @@ def add_verb(app: Commands, verb: Verb, name: str, panel: str | None = None) -> 
 
 def group_of(verb: Verb) -> Commands:
     """Return the group of a verb with variants: one command for each word."""
-    group = Commands(cls=_FirstByDefault, no_args_is_help=True, help=verb.help)
+    group = Commands(cls=_FirstByDefault, no_args_is_help=True, help=_help(verb))
     for word, variant in verb.variants.items():
-        group.command(word, help=verb.marked(variant.help))(command_of(verb, variant.fixed))
+        group.command(word, help=_help(verb, variant.help))(command_of(verb, variant.fixed))
     return group
+
+
+def _help(verb: Verb, text: str = "") -> str:
+    """Return a text about a verb, by default what its request says; marked if arms may move."""
+    return (MOVES if verb.moves_arms else "") + (text or inspect.getdoc(verb.request) or "")
 
 
 def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> Callable[..., None]:
@@ -122,7 +128,7 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
             require_none(shown.failed, shown.checks or verb.checks or verb.name)
 
     own = [
-        _parameter(name, field, words)
+        _parameter(name, field, words, verb.request.option_of(words.of) if words.of else "")
         for (name, words), field in zip(verb.request.asked(), verb.request.model_fields.values(), strict=True)
         if name not in fixed
     ]
@@ -130,7 +136,7 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
         own.append(_keyword("allow_motion", AllowMotion, False))
     own.append(_keyword("json_file", JsonOption, None))
     command.__signature__ = inspect.Signature(own)  # type: ignore[attr-defined]
-    command.__doc__ = verb.help
+    command.__doc__ = _help(verb)
     return command
 
 
@@ -163,15 +169,16 @@ def _choose(job: Job, question: str, answers: tuple[str, ...]) -> str:
     return said if said in answers else ""
 
 
-def _parameter(name: str, field: FieldInfo, words: Asked) -> inspect.Parameter:
-    """Return the command's parameter for a field of a request."""
+def _parameter(name: str, field: FieldInfo, words: Asked, owner: str) -> inspect.Parameter:
+    """Return the command's parameter for a field of a request, which belongs to the option ``owner``, if any."""
     bounds = {
         key: getattr(one, "ge" if key == "min" else "le")
         for one in field.metadata
         for key, kind in (("min", annotated_types.Ge), ("max", annotated_types.Le))
         if isinstance(one, kind)
     }
-    settings: dict[str, Any] = {"help": words.help, **bounds, **({"metavar": words.metavar} if words.metavar else {})}
+    said = f"With {owner}: {words.help}" if owner else words.help
+    settings: dict[str, Any] = {"help": said, **bounds, **({"metavar": words.metavar} if words.metavar else {})}
     option = words.option or f"--{name.replace('_', '-')}"
     shape = typer.Argument(**settings) if words.argument else typer.Option(option, **settings)
     annotated: Any = Annotated

@@ -212,7 +212,7 @@ def test_nothing_is_written_where_a_target_cannot_be_corrected(cell: Cell, tmp_p
         ("old.script", "new.script", None, "say whose program it is: --arm left or --arm right"),
         ("old.script", "new.script", "third", "no calibrated arm 'third'"),
         ("old.script", "new.urp", "left", "written as .script"),
-        ("old.txt", "new.txt", "left", "expected a program of a UR controller"),
+        ("old.txt", "new.txt", "left", "only for a program of a UR controller"),
         ("gone.script", "new.script", "left", "cannot be read"),
         ("empty.script", "new.script", "left", "no motion with a target found"),
         ("blocks.script", "new.script", "left", "blocks.script:1: 'def' has no 'end'"),

@@ -99,8 +99,6 @@ def test_the_command_writes_one_file_and_names_it(tmp_path: Path, monkeypatch: p
         doctor(DoctorRequest(profile=profile, bundle=Path("report.zip")), work)
     with pytest.raises(InputError, match="there is no run"):
         doctor(DoctorRequest(profile=profile, bundle=Path("other.zip"), run_folder=tmp_path), work)
-    with pytest.raises(InputError, match="only with --bundle"):
-        doctor(DoctorRequest(profile=profile, run_folder=tmp_path), work)
     assert load_profile(profile).name
 
 

@@ -78,7 +78,10 @@ def test_a_message_names_the_files_of_its_call(call: Any) -> None:
     [
         ("docs backlsh", "did you mean 'backlash'?"),
         ("show FOLDER log --level foo", "foo"),
-        ("correct FOLDER a.script --out b.urp --arm left", "is written as .script, not as .urp: give --out b.script"),
+        (
+            "compensate FOLDER a.script --out b.urp --arm left",
+            "is written as .script, not as .urp: give --out b.script",
+        ),
         ("compensate FOLDER paths.yaml --out p.txt", "is written as .csv or .script, not as .txt: give --out p.csv"),
         ("export FOLDER --as dh --out arm.json", "is written as .yaml, not as .json: give --out arm.yaml"),
     ],
