@@ -172,7 +172,7 @@ def readme_part() -> str:
         for what, value, name in README_ROWS
     ]
     return "\n".join(
-        ["<!-- declared: readme -->", "| figure | value | section |", "| --- | --- | --- |", *rows, "<!-- end -->", ""]
+        ["<!--declared:readme-->", "| figure | value | section |", "| --- | --- | --- |", *rows, "<!--end-->", ""]
     )
 
 
@@ -182,7 +182,7 @@ def validation_part() -> str:
     order = [*SHOWN]
     names = sorted(results, key=lambda name: (order.index(name) if name in order else len(order), name))
     sections = "\n\n".join(_section(name, results[name]) for name in names)
-    return f"<!-- declared: validation -->\n{sections}\n<!-- end -->\n"
+    return f"<!--declared:validation-->\n{sections}\n<!--end-->\n"
 
 
 def _section(name: str, stated: dict[str, Any]) -> str:

@@ -74,7 +74,7 @@ def test_files_that_are_named_are_there(name: str) -> None:
 @pytest.mark.parametrize("name", ["README", *CHAPTERS])
 def test_keys_in_prose_are_filled_from_the_table(name: str) -> None:
     text = README.read_text("utf-8") if name == "README" else chapter_text(name)
-    prose = re.sub(r"<!-- declared.*?<!-- end -->|^```.*?^```", "", text, flags=re.S | re.M)
+    prose = re.sub(r"<!--declared.*?<!--end-->|^```.*?^```", "", text, flags=re.S | re.M)
     keys = "|".join(map(re.escape, SHOWN.values()))
     typed = re.findall(rf"\*\*([1-8]|{keys})\*\*", prose)
     typed += re.findall(r"\bkeys? (?:\*\*)?([a-zA-Z1-9])\b", prose)
@@ -114,7 +114,7 @@ def test_terms_stand_in_order_are_short_and_lead_to_a_chapter() -> None:
     entries = topic_text("glossary").strip().split("\n\n")[2:]
     terms = [re.match(r"\*\*(.+?)\*\*: ", entry) for entry in entries]
     names = [term[1].lower() for term in terms if term is not None]
-    assert len(names) == len(entries) > 50
+    assert len(names) == len(entries) > 40
     assert names == sorted(names)
     for entry in entries:
         assert re.search(r"\]\(\w+\.md", entry), entry
@@ -154,7 +154,7 @@ def test_a_section_says_what_it_is_what_imitates_it_and_what_to_do(slug: str) ->
 def test_what_the_handbook_repeats_of_declarations_is_up_to_date() -> None:
     text = chapter_text("effects")
     assert with_declarations(text) == text, "renew them: python -m tests.handbook"
-    assert text.count("<!-- declared: ") == len(EFFECTS)
+    assert text.count("<!--declared:") == len(EFFECTS)
     assert "<!--" not in topic_text("effects") + topic_text("backlash"), "people need not see the markers"
 
 
@@ -300,7 +300,7 @@ INCLUDED = re.compile(r"<!-- file: (\S+) -->\n```[\w ]+\n(.*?)```\n", re.DOTALL)
 
 def test_the_parts_of_the_example_are_printed_as_they_are() -> None:
     printed = dict(INCLUDED.findall(chapter_text("extend")))
-    assert len(printed) >= 4
+    assert len(printed) >= 3
     for name, text in printed.items():
         assert text == (EXAMPLE / name).read_text("utf-8"), f"copy {name} into the chapter again"
 
