@@ -106,7 +106,7 @@ SHOWN: Mapping[str, Shown] = {
     "paper": Shown(
         "Does cooperative accuracy follow Bai et al., ROBOT 45(3), 2023? Simulated cells whose geometry alone ends near"
         " the paper's error between the arms; method 2 has its network in the tracker frame, the proposed one in the"
-        " base's.",
+        " base frame.",
         rows=(1, 2, 3),
     ),
     "parameter_sets": Shown(
