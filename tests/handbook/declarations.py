@@ -29,11 +29,13 @@ def verbs_part() -> str:
     """Every verb, what it does, whether it moves arms, its chapter: a Markdown table with its markers."""
     verbs = dict(zip(ALL, records(), strict=True))
     others = {"stop": (REQUESTS["stop"], "faults"), "job": (JOB, "faults"), "trials": (TRIALS, "scale")}
-    rows = []
+    rows, shown = [], ""
     for word, panel in PANEL.items():
         words, chapter = others.get(word) or (verbs[word].summary, verbs[word].chapter)
-        moves = "**yes**" if word in verbs and verbs[word].moves_arms else "no"
-        rows.append(f"| {panel} | `cellapp {name_of(word)}` | {words} | {moves} | [{chapter}]({chapter}.md) |")
+        moves = "**yes**" if word in verbs and verbs[word].moves_arms else ""
+        head = f"| {panel if panel != shown else ''} | `cellapp {name_of(word)}` |"
+        rows.append(f"{head} {words} | {moves} | [{chapter}]({chapter}.md) |")
+        shown = panel
     head = ["| | command | what it does | moves the arms | chapter |", "| --- | --- | --- | --- | --- |"]
     return "\n".join(["<!--declared:verbs-->", *head, *rows, "<!--end-->", ""])
 
