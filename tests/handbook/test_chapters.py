@@ -41,6 +41,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import Profile
 from cellapp.ground.profile.sections import Tolerances
 from cellapp.ground.results import STAGE_NAMES
+from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import nominal_geometry, parallel_rows, smr_positions
 from cellapp.robot.kinematics.transforms import Array, rotation_x, rotation_z, transform
@@ -244,6 +245,11 @@ def test_the_sections_of_a_chapter_are_its_text_and_every_link_leads_somewhere(c
         there = file.removesuffix(".md") or chapter
         if "://" not in place and there in CHAPTERS:
             assert not anchor or anchor in _anchors(there), place
+
+
+def test_every_screen_has_a_section_that_its_help_shows() -> None:
+    headings = {one.heading for one in sections("terminal")}
+    assert {f"Screen {screen.title}" for screen in SCREENS} <= headings
 
 
 def test_a_picture_is_named_by_its_words_once() -> None:
