@@ -13,7 +13,7 @@ from cellapp.interfaces.cli.top import JOB, REQUESTS, TRIALS
 from cellapp.robot.effects import EFFECTS
 from tests.evidence.page import readme_part, validation_part
 
-_DECLARED = re.compile(r"<!-- declared: (\w+) -->\n.*?<!-- end -->\n", re.DOTALL)
+_DECLARED = re.compile(r"<!--declared:(\w+)-->\n.*?<!--end-->\n", re.DOTALL)
 
 
 def with_declarations(text: str) -> str:
@@ -29,23 +29,25 @@ def verbs_part() -> str:
     """Every verb, what it does, whether it moves arms, its chapter: a Markdown table with its markers."""
     verbs = dict(zip(ALL, records(), strict=True))
     others = {"stop": (REQUESTS["stop"], "faults"), "job": (JOB, "faults"), "trials": (TRIALS, "scale")}
-    rows = []
+    rows, shown = [], ""
     for word, panel in PANEL.items():
         words, chapter = others.get(word) or (verbs[word].summary, verbs[word].chapter)
-        moves = "**yes**" if word in verbs and verbs[word].moves_arms else "no"
-        rows.append(f"| {panel} | `cellapp {name_of(word)}` | {words} | {moves} | [{chapter}]({chapter}.md) |")
+        moves = "**yes**" if word in verbs and verbs[word].moves_arms else ""
+        start = f"| {panel if panel != shown else ''} | `cellapp {name_of(word)}` |"
+        rows.append(f"{start} {words} | {moves} | [{chapter}]({chapter}.md) |")
+        shown = panel
     head = ["| | command | what it does | moves the arms | chapter |", "| --- | --- | --- | --- | --- |"]
-    return "\n".join(["<!-- declared: verbs -->", *head, *rows, "<!-- end -->", ""])
+    return "\n".join(["<!--declared:verbs-->", *head, *rows, "<!--end-->", ""])
 
 
 def keys_part() -> str:
     """Every meaning of the terminal application with its key: a Markdown table with its markers."""
     rows = [f"| {key.shown} | {key.meaning} |" for key in KEYS.values()]
     head = ["| key | what it does, where a screen has it |", "| --- | --- |"]
-    return "\n".join(["<!-- declared: keys -->", *head, *rows, "<!-- end -->", ""])
+    return "\n".join(["<!--declared:keys-->", *head, *rows, "<!--end-->", ""])
 
 
 def results_part() -> str:
     """The schemas of all results of verbs, with the markers around them."""
     names = ", ".join(f"`{name}`" for name in results_by_name(written_results(records())))
-    return f"<!-- declared: results -->\n{textwrap.fill(names, WIDTH, break_on_hyphens=False)}.\n<!-- end -->\n"
+    return f"<!--declared:results-->\n{textwrap.fill(names, WIDTH, break_on_hyphens=False)}.\n<!--end-->\n"

@@ -21,7 +21,7 @@ def declared_part(effect: Effect) -> str:
         _wrapped(f"**Check or mend.** {' '.join(meaning.check)}"),
         *([_wrapped(f"**What settles it.** {' '.join(meaning.settle)}")] if meaning.settle else []),
     ]
-    return f"<!-- declared: {effect.slug} -->\n" + "\n\n".join(parts) + "\n<!-- end -->\n"
+    return f"<!--declared:{effect.slug}-->\n" + "\n\n".join(parts) + "\n<!--end-->\n"
 
 
 def _wrapped(text: str) -> str:
