@@ -689,8 +689,8 @@ def with_networks(
     q: Array,
     left_M: Array,
     time_s: Array,
-    cancel: CancelToken | None = None,
-    report: Report = ignore_report,
+    cancel: CancelToken | None,
+    report: Report,
 ) -> ArmCalibration:
     """Train networks on the geometry's residuals ``left_M`` (n, 3) [m] at ``q`` (n, N) [rad]: one in the base frame;
     for method 2 of a pair the same in the tracker frame; none if a network does not help."""

@@ -110,13 +110,12 @@ class MotionDiscovery:
 
 def effects_in_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionDiscovery:
     """Search recordings of one arm for effects of its joints. Raise as ``identify_from_motion``."""
-    return _Search(*motion_problem(arm, told), told, tuple(motion_laws(EFFECTS.values()))).run()
+    return _Search(motion_problem(arm, told), told, tuple(motion_laws(EFFECTS.values()))).run()
 
 
 @dataclass(frozen=True, eq=False)
 class _Search:
     problem: Problem
-    stop_rows: NDArray[np.intp]
     told: Told
     own: tuple[MotionLaw, ...] = ()
     """Laws of plug-ins that depend on speeds."""
@@ -446,9 +445,7 @@ class _Search:
     def _state(self, problem: Problem, start: Array | None) -> State:
         laws = list(dict.fromkeys(term.law.value for term in problem.layout.terms))
         beginning = f"with {', '.join(laws)}: " if laws else ""
-        solution = solve(
-            problem, self.stop_rows, start, lambda words: self.told(beginning + words), to_its_end=self.to_its_end
-        )
+        solution = solve(problem, start, lambda words: self.told(beginning + words), to_its_end=self.to_its_end)
         return State(problem, solution, held_out_rms_mm(problem, solution))
 
     def _extended(self, state: State, terms: tuple[JointTerm, ...]) -> State:

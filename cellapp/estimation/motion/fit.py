@@ -11,7 +11,7 @@ errors. A first fit of a subset with robust weights comes so close that one or t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from statistics import median_high, median_low
@@ -19,18 +19,13 @@ from statistics import median_high, median_low
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.least_squares import inverse_diagonal, shortened, solve_psd
 from cellapp.estimation.calibration.parameters import (
     PriorSpread,
-    SetName,
-    estimated_parameters,
-    prior_sds,
-    prior_spreads,
 )
 from cellapp.estimation.calibration.weights import MEDIAN_NORM, robust_weights
 from cellapp.estimation.motion.observe import Layout, Model, NoiseModel, Stops, Sums, noise_model, residuals, sums_of
-from cellapp.estimation.motion.terms import JointTerm, Law, Masses
+from cellapp.estimation.motion.terms import JointTerm, Masses
 from cellapp.estimation.motion.tracks import Track
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import Told, ignore_words
@@ -51,16 +46,11 @@ _END_M = 5e-7
 """Step size that ends a fit to full convergence: weights by residuals settle more slowly than the geometry."""
 GROSS = 6.0
 """Norm, in standard deviations of a coordinate, beyond which a point is a gross error: chance never reaches it."""
-_RATE_SD = 3e-4
-"""Prior standard deviation of a rate: clocks differ by 10 to 50 ppm; any recording shows larger differences."""
 _NEARBY_S = 2.0
 """Time within which points share the model errors of the arm; a gross error stands out from them."""
 _FEWEST_NEARBY = 9
 _TRACKER_M = 1e-5
 """Least standard deviation of a coordinate [m]: keeps weights finite if there is no noise."""
-_OFFSET_SD = 1.0
-"""Prior standard deviation of an offset about its start [s]: it matters only if a segment between two steps of a clock
-has no training point."""
 _MOST_WORTH = 1e6
 """Largest worth: points cannot be a thousand times better than stated, though those of a few seconds may look so."""
 _REWEIGHTED = 0.02
@@ -82,6 +72,8 @@ class Problem:
     mean: Array = field(repr=False)
     precision: Array = field(repr=False)
     spreads: tuple[PriorSpread, ...]
+    stop_rows: NDArray[np.intp]
+    """The stops in use; the others are held out."""
     masses: Masses | None = None
     whitening: tuple[Array, ...] | None = None
 
@@ -117,6 +109,12 @@ class Problem:
         return self.tracks if self.stops is None else (*self.tracks, self.stops)
 
     @property
+    def learnt(self) -> list[NDArray[np.intp]]:
+        """Rows of every source that the fit may use."""
+        rows = [np.flatnonzero(track.learnt) for track in self.tracks]
+        return rows if self.stops is None else [*rows, self.stop_rows]
+
+    @property
     def translation(self) -> int:
         """Index of a parameter that moves all points alike."""
         return self.layout.parameters.names.index("x0")
@@ -135,7 +133,7 @@ class Solution:
     information: Array = field(repr=False)
     precision: Array = field(repr=False)
     sources: tuple[Source, ...]
-    steps: tuple[float, ...]
+    steps: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,44 +154,6 @@ class Source:
         return root if robust is None else root * np.sqrt(robust)
 
 
-def problem_of(
-    nominal: Geometry,
-    tracks: Sequence[Track],
-    stops: Stops | None,
-    *,
-    tool_unknown: bool,
-    parameter_set: SetName,
-    prior_sigma: Mapping[str, float],
-    masses: Masses | None = None,
-) -> Problem:
-    """Set up the problem; the start is the nominal chain at the base that best fits the points."""
-    q, p = _subset(tracks, stops)
-    start = start_from_nominal(nominal, q, p, tool_unknown=tool_unknown)
-    parameters, priors = estimated_parameters(parameter_set, start, prior_sigma)
-    terms = tuple(JointTerm(Law.PLAY, joint) for joint in range(nominal.joints))
-    layout = Layout(parameters, terms, tuple(len(track.offsets_s) for track in tracks))
-    mean, precision = np.zeros(layout.size), np.zeros(layout.size)
-    mean[: layout.geometric] = start.vector()[list(parameters.columns)]
-    precision[: layout.geometric] = 1.0 / prior_sds(parameters, priors) ** 2
-    precision[layout.geometric : layout.arm] = [1.0 / term.prior_sd**2 for term in terms]
-    for number, track in enumerate(tracks):
-        mean[layout.offsets(number)] = track.offsets_s
-        precision[layout.offsets(number)] = 1.0 / _OFFSET_SD**2
-        precision[layout.rate(number)] = 1.0 / _RATE_SD**2
-    spreads = prior_spreads(parameters, set(priors) - set(prior_sigma))
-    masses = None if masses is None else replace(masses, geometry=start)
-    return Problem(start, layout, tuple(tracks), stops, mean, precision, spreads, masses)
-
-
-def _subset(tracks: Sequence[Track], stops: Stops | None) -> tuple[Array, Array]:
-    """Return some joint positions (n, N) and points (n, 3) of all sources, at the start values of the clocks."""
-    parts = [] if stops is None else [(stops.q, stops.p_M)]
-    for track in tracks:
-        rows = thinned(np.flatnonzero(track.learnt), 1000 // len(tracks) + 10)
-        parts.append((track.path.at(track.controller_times(rows, track.offsets_s, 0.0))[0], track.p_M[rows]))
-    return np.concatenate([q for q, _ in parts]), np.concatenate([p for _, p in parts])
-
-
 def thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
     """Return at most ``count`` of the rows, evenly spread."""
     if len(rows) <= count:
@@ -202,12 +162,7 @@ def thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
 
 
 def solve(
-    problem: Problem,
-    stop_rows: NDArray[np.intp],
-    start: Array | None = None,
-    told: Told = ignore_words,
-    *,
-    to_its_end: bool = False,
+    problem: Problem, start: Array | None = None, told: Told = ignore_words, *, to_its_end: bool = False
 ) -> Solution:
     """Fit a subset with robust weights, then all points without gross errors; with ``start``, skip the subset.
 
@@ -215,46 +170,42 @@ def solve(
     clocks and geometry settle before. A step that displaces the points by more than ``_LAST_M`` does not raise the
     sum of squares, priors included. Raise ``NotConverged`` if the steps do not end.
     """
-    values, steps = _first_fit(problem, stop_rows, told) if start is None else (start, [])
-    precision = problem.precision
+    values, steps = _first_fit(problem, told) if start is None else (start, [])
     for number in range(_STEPS):
         told(f"step {number + 1} with all points")
-        model = problem.model(values)
-        sources = _all_points(problem, model, stop_rows)
-        sums = _sums(problem, model, sources, None)
-        step, noise, worths, information, precision = _weighed_step(
-            problem, values, sums, _seconds_per_worth(problem, sources)
-        )
-        steps.append(_size(step, information, problem.translation))
-        weighed = tuple(replace(one, worth=worth) for one, worth in zip(sources, worths, strict=True))
-        if not steps[-1] < _LAST_M:
-            step = shortened(_FIT, step, partial(_loss, problem, values, weighed, precision, None))
-        values = values + step
-        if steps[-1] < (_END_M if to_its_end else _LAST_M):
-            return Solution(values, noise, information, precision, weighed, tuple(steps))
+        found, size = _stepped(problem, values, _all_points(problem, problem.model(values)), None)
+        values, steps = found.values, [*steps, size]
+        if size < (_END_M if to_its_end else _LAST_M):
+            return replace(found, steps=tuple(steps))
     raise NotConverged.of(_FIT, f"{_STEPS} steps were not enough; the last moved the points by {steps[-1]:.1e} m")
 
 
-def _first_fit(problem: Problem, stop_rows: NDArray[np.intp], told: Told) -> tuple[Array, list[float]]:
+def _first_fit(problem: Problem, told: Told) -> tuple[Array, list[float]]:
     """Fit a subset robustly; return the values and the sizes of the steps. It is a start: it need not end."""
     share = max(_FIRST_POINTS // max(len(problem.tracks), 1), 200)
-    rows = [thinned(np.flatnonzero(track.learnt), share) for track in problem.tracks]
-    rows += [] if problem.stops is None else [stop_rows]
-    values, steps = problem.mean.copy(), []
+    rows = problem.learnt
+    rows[: len(problem.tracks)] = [thinned(its, share) for its in rows[: len(problem.tracks)]]
+    values, steps = problem.mean.copy(), list[float]()
     for number in range(_FIRST_STEPS):
         told(f"step {number + 1} with some of the points")
-        model = problem.model(values)
-        sources, robust = _with_robust_weights(problem, model, rows)
-        sums, most = _sums(problem, model, sources, robust), _seconds_per_worth(problem, sources)
-        step, _, worths, information, precision = _weighed_step(problem, values, sums, most)
-        weighed = tuple(replace(one, worth=worth) for one, worth in zip(sources, worths, strict=True))
-        steps.append(_size(step, information, problem.translation))
-        if not steps[-1] < _LAST_M:
-            step = shortened(_FIT, step, partial(_loss, problem, values, weighed, precision, robust))
-        values = values + step
-        if steps[-1] < _SETTLED_M:
+        found, size = _stepped(problem, values, *_with_robust_weights(problem, problem.model(values), rows))
+        values, steps = found.values, [*steps, size]
+        if size < _SETTLED_M:
             break
     return values, steps
+
+
+def _stepped(
+    problem: Problem, values: Array, sources: Sequence[Source], robust: Sequence[Array] | None
+) -> tuple[Solution, float]:
+    """Return the solution after a step from ``values``, and the rms displacement of the points by the step [m]."""
+    sums, most = _sums(problem, problem.model(values), sources, robust), _seconds_per_worth(problem, sources)
+    step, noise, worths, information, precision = _weighed_step(problem, values, sums, most)
+    size = _size(step, information, problem.translation)
+    weighed = tuple(replace(one, worth=worth) for one, worth in zip(sources, worths, strict=True))
+    if not size < _LAST_M:
+        step = shortened(_FIT, step, partial(_loss, problem, values, weighed, precision, robust))
+    return Solution(values + step, noise, information, precision, weighed), size
 
 
 def _loss(
@@ -286,13 +237,11 @@ def normal_equations(problem: Problem, values: Array, sources: Sequence[Source])
 
 
 def _weighed_step(
-    problem: Problem, values: Array, sums: Sequence[Sums], most: Array | None = None
+    problem: Problem, values: Array, sums: Sequence[Sums], most: Array | None
 ) -> tuple[Array, NoiseModel, list[float], Array, Array]:
     """Compute a Gauss-Newton step with source weights and estimated prior spreads; return step, noise model, worths,
     information and precision of the priors. ``most`` bounds the worths, see ``_bounded``."""
-    worths, precision = [1.0] * len(sums), problem.precision
-    if most is not None:
-        worths = _bounded(worths, most)
+    worths, precision = _bounded([1.0] * len(sums), most), problem.precision
     for _ in range(_ROUNDS):
         A, b = _normal(problem, sums, worths)
         precision = _with_spreads(problem, values, A, precision)
@@ -303,9 +252,7 @@ def _weighed_step(
         levels = noise.level
         if max(abs(level - 1.0) for level in levels) < _REWEIGHTED:
             break
-        worths = [min(worth / level, _MOST_WORTH) for worth, level in zip(worths, levels, strict=True)]
-        if most is not None:
-            worths = _bounded(worths, most)
+        worths = _bounded([min(worth / level, _MOST_WORTH) for worth, level in zip(worths, levels, strict=True)], most)
     return step, noise, worths, A, precision
 
 
@@ -318,13 +265,15 @@ def _seconds_per_worth(problem: Problem, sources: Sequence[Source]) -> Array | N
     return np.array([t * s.sigma_m**2 / max(len(s.rows), 1) for t, s in zip(times, sources)])
 
 
-def _bounded(worths: Sequence[float], seconds_per_worth: Array) -> list[float]:
+def _bounded(worths: list[float], seconds_per_worth: Array | None) -> list[float]:
     """Limit the worths: no second of a recording weighs more than one of the median recording.
 
     Model errors of the arm are the same for all recordings. A recording of a few seconds has too few residuals to
     estimate its noise: a fit that follows it would raise its weight, and then follow it even more. A recording that is
     worse than others weighs less, without limit.
     """
+    if seconds_per_worth is None:
+        return worths
     recordings = len(seconds_per_worth)
     a_second = np.asarray(worths[:recordings]) / seconds_per_worth
     bounded = np.minimum(_ALIKE * a_second, median_high(a_second.tolist())) * seconds_per_worth
@@ -421,10 +370,9 @@ def _usual(norms: Sequence[Array]) -> float:
     return max(median_low([float(np.median(norm)) for norm in norms]), _TRACKER_M)
 
 
-def _all_points(problem: Problem, model: Model, stop_rows: NDArray[np.intp]) -> tuple[Source, ...]:
+def _all_points(problem: Problem, model: Model) -> tuple[Source, ...]:
     """Return all points of every source without gross errors."""
-    rows = [np.flatnonzero(track.learnt) for track in problem.tracks]
-    rows += [] if problem.stops is None else [stop_rows]
+    rows = problem.learnt
     norms = [np.linalg.norm(left, axis=1) for left in _misses(problem, model, rows)]
     usual, found = _usual(norms[: len(problem.tracks)]), []
     for number, (norm, its) in enumerate(zip(norms, rows, strict=True)):

@@ -131,12 +131,12 @@ def test_two_cycles_beside_much_more_of_one_are_of_the_same_disc():
     amplitude = np.array([15e-6, 60e-6, 0, 0, 0, 0, 0])
     arm = OffCentre(plain.rows, plain.tool, plain.base, plain.half_play, cycles=2.0, amplitude=amplitude)
     recording = record(rng, arm, sweep(rng, 6, reach=2.5), seconds=100.0, point_hz=40.0, white=5e-6, slow=0.0)
-    problem, rows = motion_problem(RecordedArm(NOMINAL, (recording,), tool_unknown=True), lambda words: None)
+    problem = motion_problem(RecordedArm(NOMINAL, (recording,), tool_unknown=True), lambda words: None)
     one_cycle = of_all_joints(Law.ONE_CYCLE, 6)
     lines = tuple(JointTerm(Law.LINE, joint, 2, sine) for joint in range(2) for sine in (False, True))
     steps = [Step(law, its, 100.0, -50.0, 1.0, 1.0) for law, its in ((Law.LINE, lines), (Law.ONE_CYCLE, one_cycle))]
     problem = problem.without_terms().with_terms((*lines, *one_cycle))
-    (gear, of_gear), (disc, of_disc) = effects_of(State(problem, solve(problem, rows), 1.0), steps)
+    (gear, of_gear), (disc, of_disc) = effects_of(State(problem, solve(problem), 1.0), steps)
     assert (gear.slug, gear.joints, gear.form) == ("transmission_error", (2,), "lines")
     assert of_gear == lines[2:]
     assert (disc.slug, disc.form, disc.at_rest) == ("encoder_eccentricity", "tilted", True)
