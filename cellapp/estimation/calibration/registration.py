@@ -192,7 +192,7 @@ def explained(nominal: Geometry, q: Array, p_M: Array) -> Explained:
     tool = np.zeros(3)
     rest = np.empty_like(p_M)
     for _ in range(_ROUNDS):
-        R_M_B = _rotation(origins + rotations @ tool, p_M)
+        R_M_B = register(p_M, origins + rotations @ tool)[:3, :3]
         turned = R_M_B @ rotations
         columns = np.concatenate([turned, np.broadcast_to(np.eye(3), turned.shape)], axis=2).reshape(-1, 6)
         wanted = (p_M - origins @ R_M_B.T).reshape(-1)
@@ -233,12 +233,6 @@ def factory_doubt(arm: Arm, readings: Readings) -> str:
 def _some(rows: Array) -> Array:
     """Return evenly spread rows, at most ``_MOST_ROWS``."""
     return rows[:: max(1, -(-len(rows) // _MOST_ROWS))]
-
-
-def _rotation(p: Array, p_M: Array) -> Array:
-    """Compute the rotation (3, 3) that best aligns ``p`` with ``p_M``."""
-    u, _, v = np.linalg.svd((p_M - p_M.mean(axis=0)).T @ (p - p.mean(axis=0)))
-    return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v)
 
 
 def _readings(q: Array) -> Iterator[tuple[str, Array]]:
