@@ -209,7 +209,9 @@ def _fit(problem: _Problem, station: Array) -> StationFit:
         L = np.linalg.cholesky(noise + drawn.T @ drawn / len(drawn))
         of_prior = [] if problem.rough is None else [np.linalg.cholesky(problem.rough.covariance)]
         with_prior: Array = np.asarray(scipy.linalg.block_diag(L, *of_prior), dtype=np.float64)
-        least_squares = LeastSquares(partial(_with_prior, problem), lambda T, step: _small_motion(step) @ T, with_prior)
+        least_squares = LeastSquares(
+            partial(_with_prior, problem), lambda T, step: small_motion(step, np.zeros(3)) @ T, with_prior
+        )
         best = least_squares.best("fit of the tracker's station", station, tolerance=_SMALL_STEP).point
         station = best.state
     _, A = best.white
@@ -295,8 +297,10 @@ def _by_arm(points: Points, stacked: Array) -> dict[str, Array]:
     return {name: part.reshape(-1, 3) for name, part in zip(points, parts, strict=True)}
 
 
-def _small_motion(twist: Array) -> Array:
-    return transform(rotation_from_vector(twist[3:]), twist[:3])
+def small_motion(twist: Array, centre: Array) -> Array:
+    """A small motion (4, 4) by a twist about a centre."""
+    rotation = rotation_from_vector(twist[3:])
+    return transform(rotation, centre - rotation @ centre + twist[:3])
 
 
 def _twist(T: Array) -> Array:

@@ -101,26 +101,9 @@ class JointAxisWobble(Effect):
                     blocks = {n: f"joint {j + 1} {n} cycles" for n in BEARING_CYCLES}
                     columns += error_motions(context, j, name, "rad", tilted, blocks, _MOST_TILT, (1,), names)
                 else:
-                    columns += _two_cycles(context, j, name, tilted)
+                    twice = error_motions(context, j, name, "rad", tilted, {2: f"joint {j + 1}"}, _MOST_TILT)
+                    columns += [replace(one, name=one.name.removesuffix("2")) for one in twice]
         return columns
-
-
-def _two_cycles(context: EffectContext, joint: int, name: str, tilted: Array) -> list[EffectColumn]:
-    """Cosine and sine of two cycles per revolution of one tilt, in the block of the joint; no count in the name."""
-    waves = (("cos", Wave(2, sine=False)), ("sin", Wave(2, sine=True)))
-    return [
-        shift_column(
-            f"{name}_{label}",
-            "rad",
-            Channel.AXIS,
-            tilted * context.wave(joint, wave)[:, None],
-            -_MOST_TILT,
-            _MOST_TILT,
-            index=joint,
-            wave=wave,
-        )
-        for label, wave in waves
-    ]
 
 
 def error_motions(
