@@ -10,8 +10,7 @@ from collections.abc import Iterable, Mapping
 from cellapp.robot.effects.backlash import Backlash, FrictionWindup
 from cellapp.robot.effects.base_motion import BaseDrift, BaseStep
 from cellapp.robot.effects.effect import Effect
-from cellapp.robot.effects.joint_axis_runout import JointAxisRunout
-from cellapp.robot.effects.joint_axis_wobble import JointAxisWobble
+from cellapp.robot.effects.joint_axis import JointAxisRunout, JointAxisWobble
 from cellapp.robot.effects.joint_compliance import JointCompliance, PayloadCompliance
 from cellapp.robot.effects.link_bending import LinkBending
 from cellapp.robot.effects.pedestal import PedestalCompliance, PedestalCoupling
