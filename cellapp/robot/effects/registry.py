@@ -13,13 +13,18 @@ from cellapp.robot.effects.effect import Effect
 from cellapp.robot.effects.joint_axis import JointAxisRunout, JointAxisWobble
 from cellapp.robot.effects.joint_compliance import JointCompliance, PayloadCompliance
 from cellapp.robot.effects.link_bending import LinkBending
+from cellapp.robot.effects.measurement import (
+    TargetIncidence,
+    TargetSlip,
+    TrackerAngleError,
+    TrackerDistanceOffset,
+    TrackerScale,
+    UnsettledMeasurement,
+)
 from cellapp.robot.effects.pedestal import PedestalCompliance, PedestalCoupling
 from cellapp.robot.effects.periodic import EncoderEccentricity, TransmissionError
-from cellapp.robot.effects.target import TargetIncidence, TargetSlip
 from cellapp.robot.effects.thermal import JointDrift, ThermalGrowth
-from cellapp.robot.effects.tracker import TrackerAngleError, TrackerDistanceOffset, TrackerScale
 from cellapp.robot.effects.unknown import Unknown
-from cellapp.robot.effects.unsettled_measurement import UnsettledMeasurement
 from drivers.plugins import Registry
 
 _DECLARED = ("slug", "title", "meaning", "variables", "forms")
