@@ -54,11 +54,11 @@ from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.ground.results import Provenance, Stage, StageErrors
 from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.effects.registry import program_of
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, register, turned_rows
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
-from cellapp.robot.plugins import program_of
 
 # Detection of gross errors: a broken beam, a wrong SMR, a disturbed arm, swapped rows. They are left out and reported.
 #
