@@ -72,8 +72,7 @@ from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, Provenance, StageName
 from cellapp.ground.times import day_of
 from cellapp.ground.version import __version__
-from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
-from cellapp.robot.kinematics.plain_dh import hayati_rows
+from cellapp.robot.kinematics.chain import hayati_rows, nominal_geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import controller_rows, published_rows
