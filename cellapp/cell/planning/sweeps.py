@@ -39,7 +39,7 @@ from cellapp.ground.results import Record
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.paths.sweep import Sweep
+from cellapp.robot.paths.joint_path import Sweep
 
 # -- The information in a sweep of an arm about its geometry and effects, in addition to that of the stops ------------
 
