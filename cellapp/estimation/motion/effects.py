@@ -25,8 +25,7 @@ import numpy as np
 import scipy
 
 from cellapp.estimation.calibration.least_squares import solve_psd
-from cellapp.estimation.motion.discrepancy import allow_for_missing
-from cellapp.estimation.motion.fit import Problem, Solution, Source, normal_equations, solve
+from cellapp.estimation.motion.fit import Problem, Solution, Source, allow_for_missing, normal_equations, solve
 from cellapp.estimation.motion.identify import MotionFit, RecordedArm, held_out_rms_mm, motion_fit, motion_problem
 from cellapp.estimation.motion.joint_path import Fading
 from cellapp.estimation.motion.observe import residuals, whitening_filter

@@ -20,8 +20,7 @@ from cellapp.estimation.calibration.parameters import (
 )
 from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult
 from cellapp.estimation.calibration.weights import MEDIAN_NORM
-from cellapp.estimation.motion.discrepancy import allow_for_missing
-from cellapp.estimation.motion.fit import GROSS, Problem, Solution, solve, thinned
+from cellapp.estimation.motion.fit import GROSS, Problem, Solution, allow_for_missing, solve, thinned
 from cellapp.estimation.motion.observe import Layout, Model, Stops, residuals
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.motion.terms import JointTerm, Law, Masses
