@@ -29,7 +29,7 @@ from cellapp.estimation.motion.identify import (
     identify_from_motion,
     no_gross_errors,
 )
-from cellapp.estimation.motion.joint_path import JointPath
+from cellapp.estimation.motion.laws import JointPath
 from cellapp.estimation.motion.observe import Stops
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.readings import SPLITS, Readings, coordinate_uncertainty, stated_uncertainty

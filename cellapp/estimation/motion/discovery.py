@@ -34,9 +34,9 @@ from cellapp.estimation.discovery.records import (
 from cellapp.estimation.motion.calibrate import recorded_arm, samples_of
 from cellapp.estimation.motion.effects import MotionDiscovery, effects_in_motion
 from cellapp.estimation.motion.identify import RecordedArm
+from cellapp.estimation.motion.laws import Law
 from cellapp.estimation.motion.steps import MotionEffect
 from cellapp.estimation.motion.streams import Recording
-from cellapp.estimation.motion.terms import Law
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import joined
 from cellapp.ground.errors import with_not_fitted

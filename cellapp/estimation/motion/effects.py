@@ -27,7 +27,7 @@ import scipy
 from cellapp.estimation.calibration.least_squares import solve_psd
 from cellapp.estimation.motion.fit import Problem, Solution, Source, allow_for_missing, normal_equations, solve
 from cellapp.estimation.motion.identify import MotionFit, RecordedArm, held_out_rms_mm, motion_fit, motion_problem
-from cellapp.estimation.motion.joint_path import Fading
+from cellapp.estimation.motion.laws import Fading, JointLaws, JointTerm, Knee, Law, of_all_joints, state_in_motion
 from cellapp.estimation.motion.observe import residuals, whitening_filter
 from cellapp.estimation.motion.steps import (
     FREQUENCIES,
@@ -56,7 +56,6 @@ from cellapp.estimation.motion.steps import (
     white_residuals,
     with_step,
 )
-from cellapp.estimation.motion.terms import JointLaws, JointTerm, Knee, Law, of_all_joints, state_in_motion
 from cellapp.ground.errors import tried
 from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw, motion_laws

@@ -42,6 +42,7 @@ from cellapp.estimation.calibration.parameters import (
     PriorSpread,
 )
 from cellapp.estimation.calibration.weights import MEDIAN_NORM, robust_weights
+from cellapp.estimation.motion.laws import JointTerm, Law, Masses
 from cellapp.estimation.motion.observe import (
     Bands,
     Layout,
@@ -56,7 +57,6 @@ from cellapp.estimation.motion.observe import (
     residuals,
     sums_of,
 )
-from cellapp.estimation.motion.terms import JointTerm, Law, Masses
 from cellapp.estimation.motion.tracks import Track
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import Told, ignore_words

@@ -21,9 +21,9 @@ from cellapp.estimation.calibration.parameters import (
 from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult
 from cellapp.estimation.calibration.weights import MEDIAN_NORM
 from cellapp.estimation.motion.fit import GROSS, Problem, Solution, allow_for_missing, solve, thinned
+from cellapp.estimation.motion.laws import JointTerm, Law, Masses
 from cellapp.estimation.motion.observe import Layout, Model, Stops, residuals
 from cellapp.estimation.motion.streams import Recording
-from cellapp.estimation.motion.terms import JointTerm, Law, Masses
 from cellapp.estimation.motion.tracks import Track, track_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Told, ignore_words

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.motion.fit import Problem, Solution
+from cellapp.estimation.motion.laws import JointState, JointTerm, Law
 from cellapp.estimation.motion.observe import residuals
-from cellapp.estimation.motion.terms import JointState, JointTerm, Law
 from cellapp.estimation.motion.tracks import Track
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw
 from cellapp.robot.effects.backlash import BELL, LOAD_BELL, LOAD_REACH, REACH

@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import TooFewReadings, start_from_nominal
-from cellapp.estimation.motion.joint_path import JointPath, joint_path
+from cellapp.estimation.motion.laws import JointPath, joint_path
 from cellapp.estimation.motion.streams import Recording, Stamps, read_stamps
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import Geometry, smr_positions

@@ -17,15 +17,15 @@ from cellapp.estimation.motion.discovery import SearchWithRecordings
 from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
-from cellapp.estimation.motion.joint_path import joint_path
-from cellapp.estimation.motion.steps import State, Step, effects_of
-from cellapp.estimation.motion.streams import JointStream
-from cellapp.estimation.motion.terms import (
+from cellapp.estimation.motion.laws import (
     JointTerm,
     Law,
+    joint_path,
     of_all_joints,
     state_in_motion,
 )
+from cellapp.estimation.motion.steps import State, Step, effects_of
+from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Discovery
 from cellapp.ground.threads import one_blas_thread
