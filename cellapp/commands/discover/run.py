@@ -32,7 +32,7 @@ from cellapp.estimation.discovery.records import (
     ProposalQuestion,
     ProposedStop,
 )
-from cellapp.estimation.motion.discovery import SearchWithRecordings
+from cellapp.estimation.motion.calibrate import SearchWithRecordings
 from cellapp.estimation.prior.discovery import SearchWithPriors
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError

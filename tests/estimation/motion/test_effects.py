@@ -12,8 +12,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.commands.discover.view import view
 from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult
-from cellapp.estimation.motion.calibrate import calibrate_with_motion
-from cellapp.estimation.motion.discovery import SearchWithRecordings
+from cellapp.estimation.motion.calibrate import SearchWithRecordings, calibrate_with_motion
 from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
