@@ -33,7 +33,7 @@ from cellapp.estimation.discovery.records import (
     ProposedStop,
 )
 from cellapp.estimation.motion.calibrate import SearchWithRecordings
-from cellapp.estimation.prior.discovery import SearchWithPriors
+from cellapp.estimation.prior.calibrate import SearchWithPriors
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
