@@ -30,6 +30,7 @@ from cellapp.estimation.calibration.learning import (
     train_network,
     training_steps,
 )
+from cellapp.estimation.calibration.least_squares import MEDIAN_NORM, NORMAL_95
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.estimation.calibration.parameters import unknown_offset
 from cellapp.estimation.calibration.quantities import (
@@ -43,7 +44,6 @@ from cellapp.estimation.calibration.quantities import (
 )
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
 from cellapp.estimation.calibration.registration import factory_doubt
-from cellapp.estimation.calibration.weights import MEDIAN_NORM, NORMAL_95
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
 from cellapp.estimation.readings.alike import first_stops, neighbours_words
 from cellapp.estimation.readings.readings import FIRST_SAMPLE

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import Identification, identify, start_from_nominal
+from cellapp.estimation.calibration.least_squares import MEDIAN_NORM, excess_variance
 from cellapp.estimation.calibration.normal_equations import EffectColumns, Observations, linearise
 from cellapp.estimation.calibration.parameters import estimated_parameters, gram_matrix, weak_priors
-from cellapp.estimation.calibration.weights import MEDIAN_NORM, excess_variance
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import StopReport

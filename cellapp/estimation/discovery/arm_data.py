@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import identify_with_excess
+from cellapp.estimation.calibration.least_squares import whitener, with_excess
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import measured_quantities
-from cellapp.estimation.calibration.weights import whitener, with_excess
 from cellapp.estimation.discovery.terms import ModelTerms
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.alike import Groups, repeats

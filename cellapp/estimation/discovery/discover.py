@@ -21,6 +21,7 @@ from cellapp.estimation.calibration.calibrate import (
     without,
 )
 from cellapp.estimation.calibration.learning import learn, learning_steps
+from cellapp.estimation.calibration.least_squares import mean_variance
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.quantities import (
     conditions_of_arms,
@@ -28,7 +29,6 @@ from cellapp.estimation.calibration.quantities import (
     measurement_conditions,
     states_nothing,
 )
-from cellapp.estimation.calibration.weights import mean_variance
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions, pictures
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData

@@ -37,11 +37,16 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.least_squares import inverse_diagonal, shortened, solve_psd
+from cellapp.estimation.calibration.least_squares import (
+    MEDIAN_NORM,
+    inverse_diagonal,
+    robust_weights,
+    shortened,
+    solve_psd,
+)
 from cellapp.estimation.calibration.parameters import (
     PriorSpread,
 )
-from cellapp.estimation.calibration.weights import MEDIAN_NORM, robust_weights
 from cellapp.estimation.motion.laws import JointTerm, Law, Masses
 from cellapp.estimation.motion.observe import (
     Bands,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import Identification, start_from_nominal
+from cellapp.estimation.calibration.least_squares import MEDIAN_NORM
 from cellapp.estimation.calibration.parameters import (
     SetName,
     determined_set,
@@ -19,7 +20,6 @@ from cellapp.estimation.calibration.parameters import (
     prior_spreads,
 )
 from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult
-from cellapp.estimation.calibration.weights import MEDIAN_NORM
 from cellapp.estimation.motion.fit import GROSS, Problem, Solution, allow_for_missing, solve, thinned
 from cellapp.estimation.motion.laws import JointTerm, Law, Masses
 from cellapp.estimation.motion.observe import Layout, Model, Stops, residuals

@@ -14,6 +14,7 @@ import numpy as np
 
 from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration, gross_errors_of_model, without
 from cellapp.estimation.calibration.identification import Identification
+from cellapp.estimation.calibration.least_squares import readings_noise
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.parameters import ParameterSet, candidate_columns, determined_set
 from cellapp.estimation.calibration.quantities import (
@@ -23,7 +24,6 @@ from cellapp.estimation.calibration.quantities import (
     measured_quantities,
 )
 from cellapp.estimation.calibration.records import ArmPriorResult
-from cellapp.estimation.calibration.weights import readings_noise
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.outcome import Discovery, HeldOut
 from cellapp.estimation.prior.belief import (
