@@ -45,8 +45,7 @@ from cellapp.estimation.calibration.quantities import (
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
 from cellapp.estimation.calibration.registration import factory_doubt
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
-from cellapp.estimation.readings.alike import first_stops, neighbours_words
-from cellapp.estimation.readings.readings import FIRST_SAMPLE
+from cellapp.estimation.readings.readings import FIRST_SAMPLE, first_stops, neighbours_words
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped

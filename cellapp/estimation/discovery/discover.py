@@ -49,7 +49,7 @@ from cellapp.estimation.discovery.search.unnamed import unnamed_record
 from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of, without_term
 from cellapp.estimation.discovery.verdict import structure_left, verdict
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.readings.alike import one_a_stop
+from cellapp.estimation.readings.readings import one_a_stop
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import NotConverged, with_not_fitted
 from cellapp.ground.profile import Profile

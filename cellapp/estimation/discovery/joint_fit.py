@@ -38,7 +38,7 @@ from cellapp.estimation.discovery.terms import (
     smoothness_of,
     whitened_displacements,
 )
-from cellapp.estimation.readings.alike import folds_of
+from cellapp.estimation.readings.readings import folds_of
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
