@@ -110,7 +110,7 @@ _REFERENCES = (
 """``R_ref`` by reference axis: rotations that map z to x, to y and to z."""
 _AT_ONCE = 8192
 """Most configurations whose frames are in memory at once if only positions are computed: some 6 MB."""
-_PARALLEL = math.sin(math.radians(5.0))
+_NEARLY_PARALLEL = math.sin(math.radians(5.0))
 """Sine of 5 degrees. Joint axes closer to parallel than that make D-H parameters nearly singular."""
 
 
@@ -232,7 +232,7 @@ def parallel_rows(geometry: Geometry) -> tuple[int, ...]:
 
     Source: Hayati, Mirmirani, J. Robotic Systems 2 (1985) 397.
     """
-    return tuple(i for i, alpha in enumerate(geometry.rows[:-1, 3].tolist()) if abs(math.sin(alpha)) < _PARALLEL)
+    return tuple(i for i, alpha in enumerate(geometry.rows[:-1, 3].tolist()) if abs(math.sin(alpha)) < _NEARLY_PARALLEL)
 
 
 @dataclass(frozen=True)
@@ -577,8 +577,6 @@ FACTORY_SOURCE = "four times the largest of the published calibrations of UR arm
 """Largest length [m] and angle [rad] by which a factory calibration changes published rows, and where that is from:
 calibration.conf files in public bug reports of drivers. On the rows of another type the same files differ by at least
 14 mm and 96 mrad."""
-_NEARLY_PARALLEL = math.sin(math.radians(5.0))
-"""Sine of the twist of a published row below which the row has Hayati's angle, as in ``chain``."""
 
 
 def plain_geometry(geometry: Geometry) -> Geometry:
