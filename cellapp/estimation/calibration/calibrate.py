@@ -43,7 +43,7 @@ from cellapp.estimation.calibration.quantities import (
     with_probe,
 )
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
-from cellapp.estimation.calibration.registration import factory_doubt
+from cellapp.estimation.calibration.station_location import factory_doubt
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
 from cellapp.estimation.readings.readings import FIRST_SAMPLE, first_stops, neighbours_words
 from cellapp.ground.counting import counted
