@@ -26,10 +26,10 @@ from cellapp.cell.profile.messages import (
     validation_message,
 )
 from cellapp.ground.errors import InputError
-from cellapp.ground.plain_data import plain_data
 from cellapp.ground.profile.device_plugins import ARM_TYPES
 from cellapp.ground.profile.schema import VERSION, ArmType, Profile
 from cellapp.ground.removed import without_removed_keys
+from cellapp.ground.results import plain_data
 from cellapp.ground.starters import starters_folder
 
 _MOST_LEVELS = 50

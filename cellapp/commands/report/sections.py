@@ -69,8 +69,7 @@ from cellapp.estimation.calibration.quantities import position_errors
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Arm, Profile
-from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, Provenance, StageName
-from cellapp.ground.times import day_of
+from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, Provenance, StageName, day_of
 from cellapp.ground.version import __version__
 from cellapp.robot.kinematics.chain import hayati_rows, nominal_geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array
