@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import LeastSquares
 from cellapp.estimation.calibration.station_location import FEWEST_POINTS, small_motion
-from cellapp.estimation.monitoring.check.belief import CheckBelief
-from cellapp.estimation.monitoring.check.linear import (
+from cellapp.estimation.monitoring.belief import CheckBelief
+from cellapp.estimation.monitoring.linear import (
     Alternative,
     Direction,
     Moments,
