@@ -36,7 +36,7 @@ from cellapp.commands.record import Work
 from cellapp.commands.report.request import ReportRequest
 from cellapp.commands.report.run import run as report
 from cellapp.commands.run_results import ReportResult
-from cellapp.estimation.monitoring.check.records import CheckResult
+from cellapp.estimation.monitoring.records import CheckResult
 from cellapp.ground.control import JobControl
 from cellapp.ground.outputs import NEW_ONLY, Outputs
 from cellapp.ground.profile import Profile

@@ -21,7 +21,7 @@ from cellapp.commands.view.words import named_errors
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.iso9283.norm import IsoTest
 from cellapp.estimation.iso9283.records import Iso9283Result
-from cellapp.estimation.monitoring.check.records import CheckResult
+from cellapp.estimation.monitoring.records import CheckResult
 from cellapp.estimation.uncertainty.budget import measured_conditions
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement, overall
 from cellapp.ground.profile import Profile

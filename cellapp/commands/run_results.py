@@ -20,7 +20,7 @@ from cellapp.commands.stored_model import joined_calibration
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.iso9283.records import Iso9283Result
-from cellapp.estimation.monitoring.check.records import CheckResult
+from cellapp.estimation.monitoring.records import CheckResult
 from cellapp.estimation.uncertainty.budget import Evidence, MeasuredConditions
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, DISCOVER, STAGE_NAMES, Result, StageName

@@ -25,7 +25,7 @@ from cellapp.cell.run.file import RunFile, former_arrays, noted_profile
 from cellapp.cell.run.measured_again import replaced_counts
 from cellapp.cell.run.recordings import recordings_digest
 from cellapp.cell.run.sqlite_file import REPORT_FILE, StageRow
-from cellapp.estimation.monitoring.check.records import CHANGES_OF_ARMS, TRACKER_MOVED
+from cellapp.estimation.monitoring.records import CHANGES_OF_ARMS, TRACKER_MOVED
 from cellapp.estimation.readings.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError

@@ -9,7 +9,7 @@ from cellapp.cell.exports.dh_tables import parameter_rows
 from cellapp.cell.run.file import RunFile
 from cellapp.commands.stages import CALIBRATION_FILE, Basis, RunStages, StoredStage, append_stage
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.estimation.calibration.registration import factory_doubt
+from cellapp.estimation.calibration.station_location import factory_doubt
 from cellapp.estimation.discovery.records import DiscoverResult, with_effects
 from cellapp.estimation.monitoring.moved import CalibratedArm
 from cellapp.ground.errors import InputError

@@ -1,8 +1,9 @@
-"""What all results share: their JSON form, names of models and stages, error statistics, estimates."""
+"""What all results share: their JSON form, names of models and stages, error statistics, estimates, times."""
 
 from __future__ import annotations
 
 import inspect
+from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, ValidationError, model_serializer
@@ -174,3 +175,36 @@ class Provenance(Record):
     torch: str | None = None
     written: str
     omitted_when_none = frozenset({"python", "numpy", "torch"})
+
+
+# -- Plain data -------------------------------------------------------------------------------------------------------
+
+
+def plain_data(value: Any) -> Any:
+    """Mappings as dict, sequences and arrays as list, numpy's numbers as those of Python; other values as they are."""
+    if isinstance(value, Mapping):
+        return {str(key): plain_data(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_data(part) for part in value]
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+# -- Times (ISO 8601 texts, in UTC) as people read them ---------------------------------------------------------------
+
+
+_DAY, _MINUTE, _SECOND = (len(example) for example in ("2026-01-02", "2026-01-02T03:04", "2026-01-02T03:04:05"))
+
+
+def day_of(time: str) -> str:
+    """The date alone, such as "2026-01-02"."""
+    return time[:_DAY]
+
+
+def minute_of(time: str) -> str:
+    """Date and time to the minute, such as "2026-01-02 03:04"."""
+    return time[:_MINUTE].replace("T", " ")
+
+
+def second_of(time: str) -> str:
+    """Date and time to the second, such as "2026-01-02 03:04:05"."""
+    return time[:_SECOND].replace("T", " ")

@@ -113,6 +113,46 @@ class Effect:
         return R_M_S
 
 
+@dataclass(frozen=True, eq=False)
+class Offset(Effect):
+    """An effect without loads and memory: ``law`` gives the deviation in a situation, for the ``values`` of it."""
+
+    law: Callable[..., Deflection]
+    values: Mapping[str, Any]
+
+    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
+        return self.law(situation, **self.values)
+
+
+@dataclass(frozen=True, eq=False)
+class Bend(Effect):
+    """An effect of loads: ``law`` gives the deviation in a posture, for the ``values`` of it."""
+
+    law: Callable[..., Deflection]
+    values: Mapping[str, Any]
+
+    def bend(self, situation: Situation, posture: Posture) -> Deflection:
+        return self.law(posture, **self.values)
+
+
+@dataclass(frozen=True, eq=False)
+class Apparent(Effect):
+    """An error of measured positions: ``law`` gives the apparent ones, for the ``values`` of it."""
+
+    law: Callable[..., Array]
+    values: Mapping[str, Any]
+
+    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
+        return self.law(p_M, normal_M, situation, **self.values)
+
+
+def by(
+    kind: Callable[[Callable[..., Any], Mapping[str, Any]], Effect], law: Callable[..., Any]
+) -> Callable[..., Effect]:
+    """Return what makes an effect of a ``kind`` from the values of its law."""
+    return lambda **values: kind(law, values)
+
+
 class Parameters:
     """Configured parameters of one effect. An invalid one raises ``ValueError`` with its place and what is expected."""
 

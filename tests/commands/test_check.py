@@ -24,7 +24,7 @@ from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import stage_in_force
-from cellapp.estimation.monitoring.check.records import CheckResult
+from cellapp.estimation.monitoring.records import CheckResult
 from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile

@@ -23,7 +23,7 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
 from cellapp.commands.plan.run import new_planned_run
-from cellapp.estimation.monitoring.check.records import TRACKER, CheckResult
+from cellapp.estimation.monitoring.records import TRACKER, CheckResult
 from cellapp.estimation.prior.update import parameter_words
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS

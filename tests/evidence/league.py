@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from cellapp.estimation.calibration.calibrate import calibrate_arm
+from cellapp.estimation.calibration.least_squares import NORMAL_95
 from cellapp.estimation.calibration.quantities import measured_quantities, measurement_conditions
-from cellapp.estimation.calibration.weights import NORMAL_95
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.grouping import grouped

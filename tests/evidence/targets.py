@@ -35,8 +35,8 @@ from cellapp.commands.plan.run import new_planned_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.commands.trials.blind import with_hidden
+from cellapp.estimation.calibration.least_squares import NORMAL_95
 from cellapp.estimation.calibration.pair_calibration import distances
-from cellapp.estimation.calibration.weights import NORMAL_95
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
 from cellapp.ground.results import CALIBRATE

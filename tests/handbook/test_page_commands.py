@@ -24,7 +24,7 @@ from cellapp.commands.compensate.words import PART_WORDS, advice
 from cellapp.commands.docs.handbook import chapter_text
 from cellapp.commands.iso9283 import run as verb
 from cellapp.estimation.iso9283.norm import ISO_TESTS
-from cellapp.estimation.monitoring.check.records import CheckVerdict
+from cellapp.estimation.monitoring.records import CheckVerdict
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile.schema import Plant
 from cellapp.interfaces.tui.screens import SCREENS

@@ -33,10 +33,10 @@ from cellapp.ground.profile import SAME_PAYLOAD_KG, Profile
 from cellapp.ground.profile import Arm as ArmProfile
 from cellapp.ground.profile.device_plugins import plugins_of_devices
 from cellapp.ground.shell import shell_word
-from cellapp.robot.kinematics.plain_dh import same_chain
+from cellapp.robot.effects.registry import program_of
+from cellapp.robot.kinematics.chain import same_chain
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import controller_rows, published_rows
-from cellapp.robot.plugins import program_of
 from drivers.arms.protocol import Arm, ArmError, stale
 
 

@@ -21,7 +21,7 @@ from cellapp.cell.driving.supervision import MovingCell, Opened, moving_cell
 from cellapp.cell.driving.target_visit import Driver
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import clear_stops, visible_stops
-from cellapp.estimation.monitoring.check.belief import SequentialState
+from cellapp.estimation.monitoring.belief import SequentialState
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted

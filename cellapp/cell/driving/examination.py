@@ -26,8 +26,7 @@ from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Arm, Profile
-from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
-from cellapp.robot.kinematics.plain_dh import hayati_rows, off_published, same_chain
+from cellapp.robot.kinematics.chain import hayati_rows, nominal_geometry, off_published, same_chain, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import controller_rows, published_rows
 from drivers.arms.registry import ARMS

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 import scipy
 
-from cellapp.estimation.calibration.online import NO_GEOMETRY_M, Innovation, OnlineFit, Residuals, online_fit
+from cellapp.estimation.calibration.online import NO_GEOMETRY_M, Innovation, OnlineFit, Residuals
 from cellapp.estimation.readings import Reading, Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -65,7 +65,7 @@ class LiveModel:
         self._latest: dict[str, StopReport] = {}
         for name, q in planned.items():
             try:
-                self._fits[name] = online_fit(profile, name, q)
+                self._fits[name] = OnlineFit(profile, name, q)
                 if name in stored:
                     its = stored[name]
                     report = self._fits[name].add_all(its.configuration.tolist(), its.q, its.p_M, its.covariance_M)

@@ -48,8 +48,7 @@ from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import SweepLive
 from cellapp.robot.kinematics.transforms import Array, rows_at
-from cellapp.robot.paths.joint_path import Trajectory
-from cellapp.robot.paths.sweep import Sweep
+from cellapp.robot.paths.joint_path import Sweep, Trajectory
 from drivers.arms.protocol import Arm, ArmError, PathFollower
 from drivers.arms.recording import JointRecord, RecordingArm, counts_so_far
 from drivers.clock import Clock

@@ -36,7 +36,7 @@ from cellapp.cell.targets.invert import invert_model, with_approach
 from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.ranges import conditions_of
 from cellapp.cell.targets.records import MeasuredPair, MeasuredTarget, VerifyResult
-from cellapp.estimation.calibration.weights import NORMAL_95
+from cellapp.estimation.calibration.least_squares import NORMAL_95
 from cellapp.estimation.uncertainty.budget import Judge
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError

@@ -13,8 +13,7 @@ import yaml
 
 from cellapp.cell.exports.arm_export import ArmExport, hashed
 from cellapp.cell.exports.export_format import ExportFormat, smr_in_plain_flange
-from cellapp.robot.kinematics.chain import ROW_NAMES, Geometry, frame_poses, parameter_unit
-from cellapp.robot.kinematics.plain_dh import plain_geometry
+from cellapp.robot.kinematics.chain import ROW_NAMES, Geometry, frame_poses, parameter_unit, plain_geometry
 from cellapp.robot.kinematics.transforms import Array, transform
 from cellapp.robot.model import ArmModel
 

@@ -17,8 +17,7 @@ from cellapp.cell.targets.ranges import signs_words
 from cellapp.cell.targets.records import MeasuredTarget, TargetCommand
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
-from cellapp.robot.kinematics.chain import Geometry
-from cellapp.robot.kinematics.plain_dh import plain_geometry
+from cellapp.robot.kinematics.chain import Geometry, plain_geometry
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 

@@ -29,8 +29,7 @@ from cellapp.cell.exports.arm_export import ArmExport, hashed, millimetres
 from cellapp.cell.exports.export_format import CellFormat, ExportFormat, smr_in_plain_flange
 from cellapp.cell.profile.files import controller_file_text
 from cellapp.ground.errors import InputError
-from cellapp.robot.kinematics.chain import Geometry
-from cellapp.robot.kinematics.plain_dh import plain_geometry
+from cellapp.robot.kinematics.chain import Geometry, plain_geometry
 from cellapp.robot.kinematics.transforms import (
     Array,
     rotation_vectors,

@@ -21,17 +21,17 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, Gate, allowed_apart_m, refuse_motion, refuse_paths, visible
 from cellapp.estimation.calibration.parameters import EXPECTED_SCATTER_M, ParameterSet
 from cellapp.estimation.discovery.plan_forecast import nominal_model, tracker_covariance
-from cellapp.estimation.motion.joint_path import joint_path
-from cellapp.estimation.motion.steps import foreseen_terms, motion_information
-from cellapp.estimation.motion.streams import JointStream
-from cellapp.estimation.motion.terms import (
+from cellapp.estimation.motion.laws import (
     JointState,
     JointTerm,
     Masses,
+    joint_path,
     state_at_rest,
     state_in_motion,
     torques_in_motion,
 )
+from cellapp.estimation.motion.steps import foreseen_terms, motion_information
+from cellapp.estimation.motion.streams import JointStream
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
@@ -39,7 +39,7 @@ from cellapp.ground.results import Record
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.paths.sweep import Sweep
+from cellapp.robot.paths.joint_path import Sweep
 
 # -- The information in a sweep of an arm about its geometry and effects, in addition to that of the stops ------------
 

@@ -9,7 +9,7 @@ import numpy as np
 from cellapp.cell.profile.messages import KeyPath, Place
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import ArmType, Profile
-from cellapp.robot.kinematics.plain_dh import FACTORY_SOURCE, MOST_FACTORY, of_one_type
+from cellapp.robot.kinematics.chain import FACTORY_SOURCE, MOST_FACTORY, of_one_type
 from cellapp.robot.kinematics.transforms import Array
 
 

@@ -26,10 +26,10 @@ from cellapp.cell.profile.messages import (
     validation_message,
 )
 from cellapp.ground.errors import InputError
-from cellapp.ground.plain_data import plain_data
 from cellapp.ground.profile.device_plugins import ARM_TYPES
 from cellapp.ground.profile.schema import VERSION, ArmType, Profile
 from cellapp.ground.removed import without_removed_keys
+from cellapp.ground.results import plain_data
 from cellapp.ground.starters import starters_folder
 
 _MOST_LEVELS = 50
@@ -277,7 +277,7 @@ def _described(path: Path, arm_type: object) -> dict[str, object]:
     """Return a section ``factory`` from a ``default_kinematics.yaml`` of UR's ROS description: poses of joints."""
     import numpy as np  # late: profiles without such a file load without numerics
 
-    from cellapp.robot.kinematics.plain_dh import plain_rows_of
+    from cellapp.robot.kinematics.chain import plain_rows_of
     from cellapp.robot.kinematics.transforms import rotation_zyx, transform
 
     joints, found = _parse_yaml(_read_text(path), path).data, []

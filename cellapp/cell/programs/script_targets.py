@@ -46,7 +46,7 @@ from cellapp.cell.programs.urscript import (
     parts_of,
 )
 from cellapp.ground.errors import InputError
-from cellapp.robot.kinematics.plain_dh import of_one_type, same_chain
+from cellapp.robot.kinematics.chain import of_one_type, same_chain
 from cellapp.robot.kinematics.transforms import Array
 
 _MOTIONS = {

@@ -30,7 +30,7 @@ from cellapp.cell.run.stations import (
     twice_at_a_stop,
 )
 from cellapp.estimation.calibration.quantities import repeats_words
-from cellapp.estimation.calibration.registration import COMPUTED, explained, factory_doubt
+from cellapp.estimation.calibration.station_location import COMPUTED, explained, factory_doubt
 from cellapp.estimation.readings.columns import COLUMNS, CONFIGURATION, OF_SOCKETS
 from cellapp.estimation.readings.readings import Readings, lost_points, one_pose_a_stop, smr_names
 from cellapp.ground.errors import InputError

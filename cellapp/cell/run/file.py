@@ -66,7 +66,7 @@ from cellapp.ground.outputs import try_folder
 from cellapp.ground.profile import Profile
 from cellapp.ground.removed import removed_readings
 from cellapp.ground.shell import shell_word
-from cellapp.robot.plugins import program_of
+from cellapp.robot.effects.registry import program_of
 
 
 def insert_readings(connection: sqlite3.Connection, arm: str, readings: Readings) -> None:

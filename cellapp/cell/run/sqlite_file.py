@@ -27,7 +27,7 @@ from cellapp.estimation.readings.columns import COLUMNS
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.shell import shell_word
-from cellapp.robot.plugins import program_of
+from cellapp.robot.effects.registry import program_of
 
 
 @dataclass(frozen=True)

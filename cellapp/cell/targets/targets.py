@@ -31,8 +31,8 @@ from cellapp.cell.targets.target_csv import read_csv, source_of_table
 from cellapp.cell.targets.target_source import TargetSource, checked, placed_error, read_yaml, refusal, sentences
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import CORRECTED
-from cellapp.ground.plain_data import plain_data
 from cellapp.ground.profile import CellPoint, Profile
+from cellapp.ground.results import plain_data
 from cellapp.robot.kinematics.transforms import Array, apply, register, rotation_from_vector, rotations_of, zyx_angles
 from drivers.quantities import Angle, ArmLength, Length, Mass, Temperature, Time, Turn
 from drivers.settings import Section

@@ -16,9 +16,8 @@ from cellapp.estimation.calibration.records import ArmPriorResult, CalibrateResu
 from cellapp.estimation.prior.belief import Belief
 from cellapp.estimation.prior.calibrate import Earlier, believed
 from cellapp.ground.errors import InputError
-from cellapp.ground.results import CALIBRATE, ModelStage
+from cellapp.ground.results import CALIBRATE, ModelStage, day_of
 from cellapp.ground.shell import shell_word
-from cellapp.ground.times import day_of
 from cellapp.robot.model.nominal import nominal_arm
 
 _MOST_EARLIER = 20

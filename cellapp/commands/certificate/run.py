@@ -34,7 +34,7 @@ from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import CALIBRATE, CERTIFICATE, ISO9283, VERIFY, StageName
 from cellapp.ground.shell import shell_word
-from cellapp.robot.plugins import program_of
+from cellapp.robot.effects.registry import program_of
 
 PAGE_FILE = "certificate.html"
 SUMS_FILE = "SHA256SUMS"

@@ -33,8 +33,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Instrument
-from cellapp.ground.results import BEST_METHODS, CERTIFICATE, VERIFY
-from cellapp.ground.times import day_of
+from cellapp.ground.results import BEST_METHODS, CERTIFICATE, VERIFY, day_of
 
 _METHOD = (
     "Each target is driven with the command of the published geometry and with the compensated one. While the arm"

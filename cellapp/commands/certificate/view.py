@@ -22,8 +22,7 @@ from cellapp.estimation.uncertainty.budget import COVERAGE, combined_mm
 from cellapp.estimation.uncertainty.records import UncertaintyContribution
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
-from cellapp.ground.results import ErrorSummary
-from cellapp.ground.times import day_of, minute_of
+from cellapp.ground.results import ErrorSummary, day_of, minute_of
 
 NOT_GIVEN = "not given"
 _COMPLETE = "Every entry of this certificate that a person gives was given."

@@ -27,16 +27,16 @@ from cellapp.commands.record import Work
 from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_on_model, read_stages
 from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
 from cellapp.estimation.calibration.station_location import predicted_points
-from cellapp.estimation.monitoring.check.belief import CheckBelief, check_belief
-from cellapp.estimation.monitoring.check.naming import Design
-from cellapp.estimation.monitoring.check.records import (
+from cellapp.estimation.monitoring.belief import CheckBelief, check_belief
+from cellapp.estimation.monitoring.naming import Design
+from cellapp.estimation.monitoring.records import (
     CHANGES_OF_ARMS,
     CheckedPoint,
     CheckedStop,
     CheckResult,
     CheckVerdict,
 )
-from cellapp.estimation.monitoring.check.sequential import SequentialTest, choose_stops, design_of
+from cellapp.estimation.monitoring.sequential import SequentialTest, choose_stops, design_of
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

@@ -12,7 +12,7 @@ from cellapp.commands.record import View
 from cellapp.commands.view.charts import Axis, Chart, Limit, mm, series
 from cellapp.commands.view.parts import Part
 from cellapp.commands.view.table import Cell, Table, columns_of, table_of, with_rows
-from cellapp.estimation.monitoring.check.records import TRACKER, CheckedStop, CheckResult, FoundChange
+from cellapp.estimation.monitoring.records import TRACKER, CheckedStop, CheckResult, FoundChange
 from cellapp.ground.counting import counted
 
 _VERDICTS = {

@@ -16,7 +16,7 @@ from cellapp.commands.view.charts import Chart, mm
 from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Cell, Table, columns_of, table_of, with_rows
 from cellapp.ground.counting import counted
-from cellapp.ground.times import second_of
+from cellapp.ground.results import second_of
 
 _MOST_LISTED = 10
 """Most missing readings that are printed one by one; ``show DIR collection`` has all."""

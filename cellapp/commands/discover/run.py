@@ -32,8 +32,8 @@ from cellapp.estimation.discovery.records import (
     ProposalQuestion,
     ProposedStop,
 )
-from cellapp.estimation.motion.discovery import SearchWithRecordings
-from cellapp.estimation.prior.discovery import SearchWithPriors
+from cellapp.estimation.motion.calibrate import SearchWithRecordings
+from cellapp.estimation.prior.calibrate import SearchWithPriors
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped

@@ -23,7 +23,7 @@ from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.device_plugins import device_plugins
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.plugins import in_words
+from cellapp.robot.effects.registry import in_words
 from drivers.arms.protocol import ArmError
 from drivers.findings import Finding
 

@@ -18,7 +18,7 @@ from cellapp.cell.profile.loader import checked_profile, load_text
 from cellapp.cell.profile.messages import Document, KeyPath, dotted, value_message
 from cellapp.cell.profile.starters import FOLDER, SurveyPoint, arm_type_files, copies
 from cellapp.commands.init.own_data import InitResult
-from cellapp.estimation.calibration.registration import BaseFit, base_from_points
+from cellapp.estimation.calibration.station_location import BaseFit, base_from_points
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Pose, Profile
 from cellapp.ground.profile.schema import VERSION

@@ -35,7 +35,7 @@ from cellapp.cell.run.csv_text import (
 from cellapp.cell.run.recorded_csv import Choose, Recorded, converted, nobody, read_recorded
 from cellapp.commands.init.request import TABLES, InitRequest
 from cellapp.estimation.calibration.quantities import repeats_words
-from cellapp.estimation.calibration.registration import COMPUTED, Explained, better_reading, explained
+from cellapp.estimation.calibration.station_location import COMPUTED, Explained, better_reading, explained
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, Outputs

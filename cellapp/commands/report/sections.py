@@ -71,11 +71,9 @@ from cellapp.estimation.calibration.quantities import position_errors
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Arm, Profile
-from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, Provenance, StageName
-from cellapp.ground.times import day_of
+from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, Provenance, StageName, day_of
 from cellapp.ground.version import __version__
-from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
-from cellapp.robot.kinematics.plain_dh import hayati_rows
+from cellapp.robot.kinematics.chain import hayati_rows, nominal_geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import controller_rows, published_rows

@@ -34,8 +34,7 @@ from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryRes
 from cellapp.estimation.uncertainty.records import Conformity, Judgement, overall
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
-from cellapp.ground.results import BEST_METHODS, CALIBRATE, CHECK, DISCOVER, ErrorSummary, Method
-from cellapp.ground.times import day_of
+from cellapp.ground.results import BEST_METHODS, CALIBRATE, CHECK, DISCOVER, ErrorSummary, Method, day_of
 
 # -- Errors against their tolerances, as shown on the page's first screen ---------------------------------------------
 

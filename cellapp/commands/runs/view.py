@@ -27,8 +27,8 @@ from cellapp.commands.view.words import display_unit
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
+from cellapp.ground.results import day_of, minute_of
 from cellapp.ground.shell import shell_word
-from cellapp.ground.times import day_of, minute_of
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,8 @@ from cellapp.commands.show.result import (
 from cellapp.commands.view.table import Table, table_of, with_rows
 from cellapp.ground.profile import Profile
 from cellapp.ground.removed import VERSION
+from cellapp.ground.results import second_of
 from cellapp.ground.shell import shell_word
-from cellapp.ground.times import second_of
 
 
 def overview_tables(state: OverviewResult) -> list[Table]:

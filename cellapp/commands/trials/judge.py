@@ -40,7 +40,7 @@ from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.discovery.outcome import Discovery, HeldOut
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter
 from cellapp.estimation.discovery.terms import UNKNOWN
-from cellapp.estimation.motion.discovery import SearchWithRecordings
+from cellapp.estimation.motion.calibrate import SearchWithRecordings
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.executors import Work, gather

@@ -20,8 +20,7 @@ from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
-from cellapp.ground.results import Record, Result
-from cellapp.ground.times import day_of
+from cellapp.ground.results import Record, Result, day_of
 from cellapp.robot.effects import EFFECTS
 
 EVERY, STATED, ACCEPTED = "every effect that the plan can show", "effects with a stated probability", "accepted names"

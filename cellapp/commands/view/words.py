@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import get_args
 
 from cellapp.commands.view.table import Interval, Number, Table, table_of
-from cellapp.estimation.calibration.weights import NORMAL_95
+from cellapp.estimation.calibration.least_squares import NORMAL_95
 from cellapp.estimation.discovery.records import LawRecord, Place
 from cellapp.estimation.uncertainty.records import Characteristic, Conformity, Judgement, overall
 from cellapp.ground.counting import counted

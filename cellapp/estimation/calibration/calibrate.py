@@ -30,6 +30,7 @@ from cellapp.estimation.calibration.learning import (
     train_network,
     training_steps,
 )
+from cellapp.estimation.calibration.least_squares import MEDIAN_NORM, NORMAL_95
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair, common_stops
 from cellapp.estimation.calibration.parameters import unknown_offset
 from cellapp.estimation.calibration.quantities import (
@@ -46,11 +47,9 @@ from cellapp.estimation.calibration.quantities import (
     with_probe,
 )
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
-from cellapp.estimation.calibration.registration import factory_doubt
-from cellapp.estimation.calibration.weights import MEDIAN_NORM, NORMAL_95
+from cellapp.estimation.calibration.station_location import factory_doubt
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
-from cellapp.estimation.readings.alike import first_stops, neighbours_words
-from cellapp.estimation.readings.readings import FIRST_SAMPLE
+from cellapp.estimation.readings.readings import FIRST_SAMPLE, first_stops, neighbours_words
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
@@ -58,11 +57,11 @@ from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
 from cellapp.ground.results import Provenance, Stage, StageErrors
 from cellapp.robot.effects import MeasurementConditions
+from cellapp.robot.effects.registry import program_of
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, register, turned_rows
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
-from cellapp.robot.plugins import program_of
 
 # Detection of gross errors: a broken beam, a wrong SMR, a disturbed arm, swapped rows. They are left out and reported.
 #
@@ -764,8 +763,8 @@ def with_networks(
     q: Array,
     left_M: Array,
     time_s: Array,
-    cancel: CancelToken | None = None,
-    report: Report = ignore_report,
+    cancel: CancelToken | None,
+    report: Report,
 ) -> ArmCalibration:
     """Train networks on the geometry's residuals ``left_M`` (n, 3) [m] at ``q`` (n, N) [rad]: one in the base frame;
     for method 2 of a pair the same in the tracker frame; none if a network does not help."""

@@ -24,10 +24,15 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import (
     Minimum,
+    RobustName,
     damped_step,
+    excess_of_kinds,
     inverse_diagonal,
     inverse_psd,
     minimise,
+    robust_weights,
+    whitener,
+    with_excess,
 )
 from cellapp.estimation.calibration.normal_equations import (
     EffectColumns,
@@ -48,7 +53,6 @@ from cellapp.estimation.calibration.parameters import (
     unknown_offset,
 )
 from cellapp.estimation.calibration.quantities import with_probe
-from cellapp.estimation.calibration.weights import RobustName, excess_of_kinds, robust_weights, whitener, with_excess
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile.schema import Calibration
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, JointAngles, parameter_names, smr_positions

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import inverse_diagonal, solve_psd
-from cellapp.estimation.readings.alike import Groups, folds_of, repeats, undivided
+from cellapp.estimation.readings.readings import Groups, folds_of, repeats, undivided
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
 from cellapp.ground.progress import CancelToken, Report, Told, ignore_report

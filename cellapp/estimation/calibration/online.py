@@ -12,7 +12,7 @@ half a millimetre, which hide a loose SMR.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import Identification, identify, start_from_nominal
+from cellapp.estimation.calibration.least_squares import MEDIAN_NORM, excess_variance
 from cellapp.estimation.calibration.normal_equations import EffectColumns, Observations, linearise
-from cellapp.estimation.calibration.parameters import SetName, estimated_parameters, gram_matrix, weak_priors
-from cellapp.estimation.calibration.weights import MEDIAN_NORM, RobustName, excess_variance
+from cellapp.estimation.calibration.parameters import estimated_parameters, gram_matrix, weak_priors
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import StopReport
@@ -34,7 +34,7 @@ from cellapp.robot.kinematics.chain import (
     frame_poses,
     jacobian,
 )
-from cellapp.robot.kinematics.statics import Bodies, gravity_loads
+from cellapp.robot.kinematics.statics import gravity_loads
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import OFF_AXIS, bodies_of, nominal_arm, prior_sigmas, up_in_tracker
 
@@ -126,14 +126,6 @@ class Residuals:
 
 
 @dataclass(frozen=True)
-class Gravity:
-    """Masses of the arm and the direction (3,) against gravity in the tracker frame, for its joint compliance."""
-
-    bodies: Bodies
-    up_M: Array
-
-
-@dataclass(frozen=True)
 class _Fit:
     """A fit, the excess variance of a coordinate that follows from it, the mean of the stated variances [m^2], and
     chi-square per degree of freedom."""
@@ -150,22 +142,6 @@ class _Fit:
         return math.sqrt(self.variance * (self.excess + self.mean_stated))
 
 
-def online_fit(profile: Profile, name: str, planned_q: Array) -> OnlineFit:
-    """Create an arm's fit by the profile's calibration section; ``planned_q`` (n, N) [rad] are the planned stops."""
-    arm, settings = profile.arms[name], profile.calibration
-    nominal = nominal_arm(arm)
-    return OnlineFit(
-        name,
-        nominal,
-        planned_q,
-        parameter_set=settings.parameter_set,
-        prior_sigma=prior_sigmas(nominal, settings.priors),
-        robust=settings.robust,
-        tool_unknown=arm.smr.offset == "unknown",
-        gravity=Gravity(bodies_of(arm), up_in_tracker(profile)),
-    )
-
-
 class OnlineFit:
     """Geometry of one arm, fitted while its stops are measured. There is no model until ``ready``.
 
@@ -174,22 +150,12 @@ class OnlineFit:
 
     Parameters
     ----------
+    profile : Profile
+        Its calibration section says what is fitted; priors hold the redundant parameters of the set ``full``.
     arm : str
-        Name, for the reports.
-    nominal : Geometry
-        Nominal chain; its base is not used.
+        Name.
     planned_q : array, shape (n, N)
         Joint positions [rad] of the planned stops, over which the uncertainty of a prediction is averaged.
-    parameter_set : str
-        ``auto``, ``paper`` or ``full``. Priors hold the redundant parameters of ``full``.
-    prior_sigma : mapping, optional
-        Parameter -> standard deviation about its nominal value, instead of those of ``estimated_parameters``.
-    robust : str
-        ``none``, ``huber`` or ``tukey``.
-    tool_unknown : bool
-        Whether the SMR offset is unknown.
-    gravity : Gravity, optional
-        Masses and direction of gravity; without them, predictions ignore joint compliance.
 
     Raises
     ------
@@ -197,38 +163,30 @@ class OnlineFit:
         If the parameter set is not for this arm.
     """
 
-    def __init__(
-        self,
-        arm: str,
-        nominal: Geometry,
-        planned_q: Array,
-        *,
-        parameter_set: SetName = "auto",
-        prior_sigma: Mapping[str, float] | None = None,
-        robust: RobustName = "none",
-        tool_unknown: bool = False,
-        gravity: Gravity | None = None,
-    ) -> None:
+    def __init__(self, profile: Profile, arm: str, planned_q: Array) -> None:
         self.arm = arm
         self.innovation: Innovation | None = None
         """Innovation of the newest reading; None if there was no model before it."""
-        self._nominal, self._tool_unknown, self._gravity = nominal, tool_unknown, gravity
+        its, settings = profile.arms[arm], profile.calibration
+        nominal, self._tool_unknown = nominal_arm(its), its.smr.offset == "unknown"
+        self._nominal, self._bodies, self._up_M = nominal, bodies_of(its), up_in_tracker(profile)
         self._planned = JointAngles.of(planned_q)
-        typical = replace(nominal, tool=OFF_AXIS) if tool_unknown else nominal
+        typical = replace(nominal, tool=OFF_AXIS) if self._tool_unknown else nominal
+        stated = prior_sigmas(nominal, settings.priors)
         try:
-            parameters, _ = estimated_parameters(parameter_set, typical, prior_sigma or {})
+            parameters, _ = estimated_parameters(settings.parameter_set, typical, stated)
         except ValueError as error:
             raise InputError(f"arm '{arm}': calibration.parameter_set: {error}") from None
         # The base has no prior: four points determine it.
-        priors = dict.fromkeys(TOOL_NAMES, _UNKNOWN_TOOL_PRIOR_M if tool_unknown else _TOOL_PRIOR_M)
-        if parameter_set != "auto":
+        priors = dict.fromkeys(TOOL_NAMES, _UNKNOWN_TOOL_PRIOR_M if self._tool_unknown else _TOOL_PRIOR_M)
+        if settings.parameter_set != "auto":
             priors |= weak_priors(nominal.joints)
         self._identify = partial(
             identify,
-            parameter_set="auto" if parameter_set == "auto" else parameters,
-            prior_sigma=priors | dict(prior_sigma or {}),
+            parameter_set="auto" if settings.parameter_set == "auto" else parameters,
+            prior_sigma=priors | stated,
             prior_mean=nominal,
-            robust=robust,
+            robust=settings.robust,
             tolerance=_STEP_M,
         )
         self._q, self._p_M = np.empty((0, nominal.joints)), np.empty((0, 3))
@@ -353,12 +311,9 @@ class OnlineFit:
 
     def _errors(self, q: Array) -> EffectColumns:
         """Return the joint errors at ``q`` (n, N) [rad]: a cosine and a sine of the joint angle, and the compliance
-        under gravity if that is known. What they leave in the geometry is alike at neighbouring stops, and would look
-        like a fault."""
-        offsets, sds = [np.cos(q).T, np.sin(q).T], [_WAVE_SD, _WAVE_SD]
-        if self._gravity is not None:
-            loads = gravity_loads(frame_poses(self._nominal, q), self._gravity.bodies, self._gravity.up_M)
-            offsets, sds = [*offsets, loads.joint_torques().T], [*sds, _COMPLIANCE_SD]
+        under gravity. What they leave in the geometry is alike at neighbouring stops, and would look like a fault."""
+        loads = gravity_loads(frame_poses(self._nominal, q), self._bodies, self._up_M)
+        offsets, sds = [np.cos(q).T, np.sin(q).T, loads.joint_torques().T], [_WAVE_SD, _WAVE_SD, _COMPLIANCE_SD]
         joints, kinds = q.shape[1], len(sds)
         names = tuple(f"error {k + 1}" for k in range(joints * kinds))
         of_joints = np.tile(np.arange(joints), kinds)

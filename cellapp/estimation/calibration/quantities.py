@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.records import Repeatability
 from cellapp.estimation.readings import Readings, stated_uncertainty
-from cellapp.estimation.readings.alike import repeats
+from cellapp.estimation.readings.readings import repeats
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import ErrorSummary, StageErrors

@@ -44,7 +44,7 @@ from cellapp.robot.effects import (
     term_to_json,
 )
 from cellapp.robot.effects.data_driven import FIELD_LENGTH, DataChannel, Quantity, Variable, data_driven_form
-from cellapp.robot.effects.effect import contradicted_effect, is_borrowed, is_contradiction, is_unnamed
+from cellapp.robot.effects.effect import is_borrowed, is_contradiction, is_unnamed, lent_effect
 from cellapp.robot.effects.unknown import channel_directions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
@@ -152,7 +152,7 @@ def contradictions(terms: Sequence[EffectTerm], accepted: Sequence[AcceptedEffec
     """Return the accepted effects that look like an effect of the library with impossible values."""
     return tuple(
         Contradiction(
-            effect=contradicted_effect(term.law).slug,
+            effect=lent_effect(term.law).slug,
             joints=effect.where.joints,
             size_um=math.nan if effect.description is None else effect.description.size_um,
             sentence=term.note,
@@ -688,71 +688,46 @@ def axes_of(data: ArmData, term: ModelTerm, joint: int | None, beside: int | Non
     """
     if term.slug != UNKNOWN or is_borrowed(term.law):
         return [_axis_of_effect(data, term, joint, beside)]
-    found = []
-    for variable in data_driven_form(term.law).drivers:
-        values = variable.values(data.context)
-        label, factor = _LABELS[variable.quantity]
-        if variable.joint is not None:
-            label = label.format(variable.joint + 1)
-        if np.isfinite(values).any():
-            found.append((label, values * factor))
-    return found
+    axes = (_axis(data, variable) for variable in data_driven_form(term.law).drivers)
+    return [(label, values) for label, values in axes if np.isfinite(values).any()]
+
+
+def _axis(data: ArmData, variable: Variable) -> Axis:
+    label, factor = _LABELS[variable.quantity]
+    return label.format((variable.joint or 0) + 1), variable.values(data.context) * factor
 
 
 def _axis_of_effect(data: ArmData, term: ModelTerm, joint: int | None, beside: int | None) -> Axis:
     """Return the axis of a library effect: the first that applies of motion, time, temperature, field, load, angle."""
     variables = term.law.form.variables or EFFECTS[term.slug].variables
-    axis = None if joint is None else _motion_axis(data, variables, joint)
-    axis = axis or _time_or_temperature_axis(data, variables, joint) or _field_axis(data, variables)
-    if axis is not None:
-        return axis
-    context = data.context
-    if joint is None and DriverVariable.TORQUE in variables:
-        loaded = min(_LOADED_JOINT, context.joints - 1)
-        return f"gravity torque on joint {loaded + 1} [Nm]", context.torques[:, loaded]
-    number = (beside or 0) if joint is None else joint
-    return f"joint {number + 1} [deg]", np.degrees(data.readings.q[:, number])
-
-
-def _motion_axis(data: ArmData, variables: frozenset[DriverVariable], joint: int) -> Axis | None:
-    """Return last step, gravity torque or approach direction of a joint; None if none applies."""
-    context = data.context
-    if DriverVariable.STEP in variables and data.conditions.step is not None:
-        return f"last step of joint {joint + 1} [deg]", np.degrees(context.step[:, joint])
-    if DriverVariable.TORQUE in variables:
-        label = f"gravity torque on joint {joint + 1} [Nm]"
-        if DriverVariable.APPROACH in variables:
-            return f"{label}, signed by the approach", context.torques[:, joint] * context.approach[:, joint]
-        return label, context.torques[:, joint]
-    if DriverVariable.APPROACH in variables:
-        return f"approach direction of joint {joint + 1}", context.approach[:, joint]
-    return None
-
-
-def _time_or_temperature_axis(data: ArmData, variables: frozenset[DriverVariable], joint: int | None) -> Axis | None:
-    """Return time, or temperature of the air or of joints; None if none applies."""
-    conditions = data.conditions
-    if DriverVariable.TIME in variables and conditions.time_s is not None and np.isfinite(conditions.time_s).any():
-        return "time [h]", conditions.time_s / 3600.0
-    if DriverVariable.AIR_TEMPERATURE in variables and conditions.air_c is not None:
-        return "air temperature [degC]", conditions.air_c
-    if DriverVariable.JOINT_TEMPERATURE in variables and conditions.joints_c is not None:
+    context, now = data.context, data.conditions
+    torque = DriverVariable.TORQUE in variables
+    if joint is not None and (torque or variables & {DriverVariable.STEP, DriverVariable.APPROACH}):
+        approach = context.approach[:, joint] if DriverVariable.APPROACH in variables else None
+        if DriverVariable.STEP in variables and now.step is not None:
+            return _axis(data, Variable(Quantity.STEP, joint))
+        if torque:
+            label, load = _axis(data, Variable(Quantity.TORQUE, joint))
+            return (label, load) if approach is None else (f"{label}, signed by the approach", load * approach)
+        if approach is not None:
+            return f"approach direction of joint {joint + 1}", approach
+    if DriverVariable.TIME in variables and now.time_s is not None and np.isfinite(now.time_s).any():
+        return _axis(data, Variable(Quantity.TIME))
+    if DriverVariable.AIR_TEMPERATURE in variables and now.air_c is not None:
+        return _axis(data, Variable(Quantity.TEMPERATURE))
+    if DriverVariable.JOINT_TEMPERATURE in variables and now.joints_c is not None:
         if joint is None:
-            return "mean temperature of the joints [degC]", conditions.joints_c.mean(axis=1)
-        return f"temperature of joint {joint + 1} [degC]", conditions.joints_c[:, joint]
-    return None
-
-
-def _field_axis(data: ArmData, variables: frozenset[DriverVariable]) -> Axis | None:
-    """Return the other arm's load, or the place in the tracker's field; None if none applies."""
-    context, conditions = data.context, data.conditions
-    if DriverVariable.OTHER_ARM in variables and conditions.other_moment_M is not None:
-        return "moment of the other arm [Nm]", np.linalg.norm(conditions.other_moment_M, axis=1)
+            return "mean temperature of the joints [degC]", now.joints_c.mean(axis=1)
+        return f"temperature of joint {joint + 1} [degC]", now.joints_c[:, joint]
+    if DriverVariable.OTHER_ARM in variables and now.other_moment_M is not None:
+        return "moment of the other arm [Nm]", np.linalg.norm(now.other_moment_M, axis=1)
     if DriverVariable.BEAM in variables:
-        return "distance from the tracker [m]", context.beam[0]
+        return _axis(data, Variable(Quantity.RANGE))
     if DriverVariable.INCIDENCE in variables and context.smr_normal is not None:
-        return "incidence [deg]", np.degrees(Variable(Quantity.INCIDENCE).values(context))
-    return None
+        return _axis(data, Variable(Quantity.INCIDENCE))
+    if joint is None and torque:
+        return _axis(data, Variable(Quantity.TORQUE, min(_LOADED_JOINT, context.joints - 1)))
+    return _axis(data, Variable(Quantity.JOINT_ANGLE, (beside or 0) if joint is None else joint))
 
 
 # -- One picture of a term: measured and computed values against the variable of the term, thinned and sorted ---------

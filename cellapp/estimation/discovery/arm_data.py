@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import identify_with_excess
+from cellapp.estimation.calibration.least_squares import whitener, with_excess
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import measured_quantities
-from cellapp.estimation.calibration.weights import whitener, with_excess
 from cellapp.estimation.discovery.terms import ModelTerms
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.readings.alike import Groups, repeats
+from cellapp.estimation.readings.readings import Groups, repeats
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law, MeasurementConditions
 from cellapp.robot.effects.law import with_prior_sd

@@ -22,6 +22,7 @@ from cellapp.estimation.calibration.calibrate import (
     without,
 )
 from cellapp.estimation.calibration.learning import learn, learning_steps
+from cellapp.estimation.calibration.least_squares import mean_variance
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.quantities import (
     conditions_of_arms,
@@ -29,7 +30,6 @@ from cellapp.estimation.calibration.quantities import (
     measurement_conditions,
     states_nothing,
 )
-from cellapp.estimation.calibration.weights import mean_variance
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions, pictures
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
 from cellapp.estimation.discovery.arm_data import ArmData
@@ -50,7 +50,7 @@ from cellapp.estimation.discovery.search.unnamed import unnamed_record
 from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of, without_term
 from cellapp.estimation.discovery.verdict import structure_left, verdict
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.readings.alike import one_a_stop
+from cellapp.estimation.readings.readings import one_a_stop
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import NotConverged, with_not_fitted
 from cellapp.ground.profile import Profile

@@ -17,9 +17,15 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import Identification, excess_of, identify
-from cellapp.estimation.calibration.least_squares import PIVOT, cholesky, inverse_psd, solve_psd
+from cellapp.estimation.calibration.least_squares import (
+    PIVOT,
+    cholesky,
+    inverse_psd,
+    readings_noise,
+    solve_psd,
+    with_excess,
+)
 from cellapp.estimation.calibration.normal_equations import EffectColumns
-from cellapp.estimation.calibration.weights import readings_noise, with_excess
 from cellapp.estimation.design.information import SMALLEST, NuisanceProjector, visible_squares
 from cellapp.estimation.discovery.arm_data import LEAST_SCATTER_M, TOLERANCE, ArmData, whitening
 from cellapp.estimation.discovery.terms import (
@@ -32,7 +38,7 @@ from cellapp.estimation.discovery.terms import (
     smoothness_of,
     whitened_displacements,
 )
-from cellapp.estimation.readings.alike import folds_of
+from cellapp.estimation.readings.readings import folds_of
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Law
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import TooFewReadings
-from cellapp.estimation.calibration.least_squares import covariance_with_priors
+from cellapp.estimation.calibration.least_squares import covariance_with_priors, with_excess
 from cellapp.estimation.calibration.parameters import (
     EXPECTED_SCATTER_M,
     ParameterSet,
@@ -27,7 +27,6 @@ from cellapp.estimation.calibration.parameters import (
     typical_spreads,
 )
 from cellapp.estimation.calibration.quantities import conditions_of_arms
-from cellapp.estimation.calibration.weights import with_excess
 from cellapp.estimation.design.information import VISIBLE
 from cellapp.estimation.discovery.arm_data import ArmData, whitening
 from cellapp.estimation.discovery.joint_fit import fit_terms

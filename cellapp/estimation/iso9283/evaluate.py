@@ -9,7 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cellapp.estimation.iso9283.characteristics import (
+    DIRECTIONAL_POSES,
+    DIRECTIONS,
     FEWEST_CYCLES,
+    POSES,
     Cycles,
     accuracy_value,
     accuracy_vector,
@@ -28,7 +31,6 @@ from cellapp.estimation.iso9283.characteristics import (
     velocity_fluctuation,
     velocity_repeatability,
 )
-from cellapp.estimation.iso9283.cube import DIRECTIONAL_POSES, DIRECTIONS, POSES
 from cellapp.estimation.iso9283.norm import IsoCommands, IsoTest
 from cellapp.estimation.iso9283.records import (
     DirectionalCharacteristics,

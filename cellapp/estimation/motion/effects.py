@@ -23,13 +23,11 @@ from typing import TypeVar
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import solve_psd
-from cellapp.estimation.motion.discrepancy import allow_for_missing
-from cellapp.estimation.motion.fit import Problem, Solution, Source, normal_equations, solve
+from cellapp.estimation.motion.fit import Problem, Solution, Source, allow_for_missing, normal_equations, solve
 from cellapp.estimation.motion.identify import MotionFit, RecordedArm, held_out_rms_mm, motion_fit, motion_problem
-from cellapp.estimation.motion.joint_path import Fading
+from cellapp.estimation.motion.laws import Fading, JointLaws, JointTerm, Knee, Law, of_all_joints, state_in_motion
 from cellapp.estimation.motion.observe import residuals, whitening_filter
 from cellapp.estimation.motion.steps import (
     FREQUENCIES,
@@ -55,14 +53,14 @@ from cellapp.estimation.motion.steps import (
     terms_of,
     tested,
     values_of,
+    white_residuals,
     with_step,
 )
-from cellapp.estimation.motion.terms import JointLaws, JointTerm, Knee, Law, of_all_joints, state_in_motion
 from cellapp.ground.errors import tried
 from cellapp.ground.progress import Told, ignore_words
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw, motion_laws
 from cellapp.robot.effects.joint_compliance import SOFTER
-from cellapp.robot.kinematics.chain import JointAngles, joint_jacobian
+from cellapp.robot.effects.periodic import angle_powers
 from cellapp.robot.kinematics.transforms import Array
 
 Found = TypeVar("Found")
@@ -110,13 +108,12 @@ class MotionDiscovery:
 
 def effects_in_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionDiscovery:
     """Search recordings of one arm for effects of its joints. Raise as ``identify_from_motion``."""
-    return _Search(*motion_problem(arm, told), told, tuple(motion_laws(EFFECTS.values()))).run()
+    return _Search(motion_problem(arm, told), told, tuple(motion_laws(EFFECTS.values()))).run()
 
 
 @dataclass(frozen=True, eq=False)
 class _Search:
     problem: Problem
-    stop_rows: NDArray[np.intp]
     told: Told
     own: tuple[MotionLaw, ...] = ()
     """Laws of plug-ins that depend on speeds."""
@@ -446,9 +443,7 @@ class _Search:
     def _state(self, problem: Problem, start: Array | None) -> State:
         laws = list(dict.fromkeys(term.law.value for term in problem.layout.terms))
         beginning = f"with {', '.join(laws)}: " if laws else ""
-        solution = solve(
-            problem, self.stop_rows, start, lambda words: self.told(beginning + words), to_its_end=self.to_its_end
-        )
+        solution = solve(problem, start, lambda words: self.told(beginning + words), to_its_end=self.to_its_end)
         return State(problem, solution, held_out_rms_mm(problem, solution))
 
     def _extended(self, state: State, terms: tuple[JointTerm, ...]) -> State:
@@ -591,44 +586,23 @@ def line_powers(problem: Problem, solution: Solution, joints: Sequence[int]) -> 
     A line of c cycles has the slowly varying frequency ``c qd / 2 pi``: whitening multiplies it by the filter's
     response there.
     """
-    from scipy.signal import lfilter  # it loads scipy.stats: commands without recordings need not wait for that
-
-    model, own, shape = problem.model(solution.values), list(joints), (len(joints), _MOST_CYCLES + 1)
+    own, shape = list(joints), (len(joints), _MOST_CYCLES + 1)
     sums, energy = np.zeros(shape, dtype=np.complex128), np.zeros(shape)
     low, high = np.full(len(own), np.inf), np.full(len(own), -np.inf)
-    for number, (track, source) in enumerate(zip(problem.tracks, solution.sources)):
-        whitening = np.ones(1) if problem.whitening is None else problem.whitening[number]
-        left = lfilter(whitening, [1.0], residuals(model, track, number, source.rows), axis=0)
+    for track, whitening, u, scale, turned, weight in white_residuals(problem, solution):
         response = np.conj(np.fft.fft(whitening, _RESPONSE))
-        scale, step = 1.0 / float(np.mean(left**2)), track.stamps.period_s * _RESPONSE / (2.0 * math.pi)
-        for first in range(0, len(left), _CHUNK):
+        step = track.stamps.period_s * _RESPONSE / (2.0 * math.pi)
+        q, qd = (one[:, own] for one in track.path.at(u))
+        low, high = np.minimum(low, q.min(axis=0)), np.maximum(high, q.max(axis=0))
+        for joint, first in product(range(len(own)), range(0, len(u), _CHUNK)):
             part = slice(first, first + _CHUNK)
-            u = track.controller_times(source.rows[part], *model.clock(number))
-            q, qd = track.path.at(u)
-            _, J = joint_jacobian(model.geometry, JointAngles.of(q))
-            q, qd, J = q[:, own], qd[:, own], J[:, own]
-            turned, weight = np.einsum("ajn,na->nj", J, left[part]) * scale, np.einsum("ajn,ajn->nj", J, J) * scale
-            low, high = np.minimum(low, q.min(axis=0)), np.maximum(high, q.max(axis=0))
-            for joint in range(len(own)):
-                place = np.rint(np.outer(_COUNTS, qd[:, joint] * step)).astype(np.intp) % _RESPONSE
-                gain = response[place]
-                sums[joint] += np.einsum("cn,cn,n->c", np.conj(_powers(q[:, joint])), gain, turned[:, joint])
-                energy[joint] += (gain.real**2 + gain.imag**2) @ weight[:, joint]
+            gain = response[np.rint(np.outer(_COUNTS, qd[part, joint] * step)).astype(np.intp) % _RESPONSE]
+            powers = np.conj(angle_powers(q[part, joint], _MOST_CYCLES))
+            sums[joint] += np.einsum("cn,cn,n->c", powers, gain, turned[part, own[joint]] * scale)
+            energy[joint] += (gain.real**2 + gain.imag**2) @ (weight[part, own[joint]] * scale)
     raw = np.abs(sums) ** 2 / np.maximum(energy, 1e-300)
     floor = scipy.ndimage.median_filter(raw, (1, _NEIGHBOURS), mode="nearest") / _LOG_2
     return raw / np.maximum(floor, 1e-300), (high - low) / (2.0 * math.pi)
-
-
-def _powers(angle: Array) -> NDArray[np.complex128]:
-    """Return ``exp(i c angle)`` for counts c from 0 to the largest, (counts + 1, n), by doubling."""
-    powers = np.empty((_MOST_CYCLES + 1, len(angle)), dtype=np.complex128)
-    powers[0], powers[1] = 1.0, np.cos(angle) + 1j * np.sin(angle)
-    have = 1
-    while have < _MOST_CYCLES:
-        more = min(have, _MOST_CYCLES - have)
-        np.multiply(powers[1 : more + 1], powers[have], out=powers[have + 1 : have + more + 1])
-        have += more
-    return powers
 
 
 # -- Refining parts of a law of all joints, with a non-linear constant chosen from the residuals of a fit -------------

@@ -10,15 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.identification import Identification
-from cellapp.estimation.calibration.parameters import SetName, determined_set
+from cellapp.estimation.calibration.identification import Identification, start_from_nominal
+from cellapp.estimation.calibration.least_squares import MEDIAN_NORM
+from cellapp.estimation.calibration.parameters import (
+    SetName,
+    determined_set,
+    estimated_parameters,
+    prior_sds,
+    prior_spreads,
+)
 from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult
-from cellapp.estimation.calibration.weights import MEDIAN_NORM
-from cellapp.estimation.motion.discrepancy import allow_for_missing
-from cellapp.estimation.motion.fit import GROSS, Problem, Solution, problem_of, solve
-from cellapp.estimation.motion.observe import Model, Stops, residuals
+from cellapp.estimation.motion.fit import GROSS, Problem, Solution, allow_for_missing, solve, thinned
+from cellapp.estimation.motion.laws import JointTerm, Law, Masses
+from cellapp.estimation.motion.observe import Layout, Model, Stops, residuals
 from cellapp.estimation.motion.streams import Recording
-from cellapp.estimation.motion.terms import Law, Masses
 from cellapp.estimation.motion.tracks import Track, track_of
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Told, ignore_words
@@ -117,7 +122,11 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
 
 
-_LEAST_POINTS = 50
+_RATE_SD = 3e-4
+"""Prior standard deviation of a rate: clocks differ by 10 to 50 ppm; any recording shows larger differences."""
+_OFFSET_SD = 1.0
+"""Prior standard deviation of an offset about its start [s]: it matters only if a segment between two steps of a clock
+has no training point."""
 _STILL_RAD = 0.02
 """Range of a joint below which a motion contains almost no information on it."""
 _FAR_MM = 10.0
@@ -173,51 +182,52 @@ def identify_from_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionF
     InputError
         If a recording is at rest, its clocks do not overlap, its points are not of this arm, or too few are left.
     """
-    problem, stop_rows = motion_problem(arm, told)
-    solution = solve(problem, stop_rows, told=told)
+    problem = motion_problem(arm, told)
+    solution = solve(problem, told=told)
     told("clocks")
     return motion_fit(problem, allow_for_missing(problem, solution))
 
 
-def motion_problem(arm: RecordedArm, told: Told) -> tuple[Problem, NDArray[np.intp]]:
-    """Set up the problem of ``identify_from_motion`` (raises the same); return it and the usable stops."""
+def motion_problem(arm: RecordedArm, told: Told) -> Problem:
+    """Set up the problem of ``identify_from_motion`` (raises the same); the start is the nominal chain at the base that
+    best fits the points."""
     if not arm.recordings:
         raise InputError("no recordings of motion")
     tracks = []
     for number, recording in enumerate(arm.recordings):
         told(f"start of the clocks of recording '{recording.name}'")
-        tracks.append(_track(recording, arm.nominal, arm.tool_unknown, arm.seed + number))
-    stop_rows = np.arange(0 if arm.stops is None else len(arm.stops.q))
-    if arm.held_out_stops is not None:
-        stop_rows = np.flatnonzero(~arm.held_out_stops)
+        tracks.append(track_of(recording, arm.nominal, tool_unknown=arm.tool_unknown, seed=arm.seed + number))
+    start = start_from_nominal(arm.nominal, *_some_points(tracks, arm.stops), tool_unknown=arm.tool_unknown)
     masses = None if arm.bodies is None or arm.up_M is None else Masses(arm.nominal, arm.bodies, arm.up_M)
     if masses is not None:
         tracks = [replace(track, path=replace(track.path, inertia=masses.matrix)) for track in tracks]
-    problem = problem_of(
-        arm.nominal,
-        tracks,
-        arm.stops,
-        tool_unknown=arm.tool_unknown,
-        parameter_set=arm.parameter_set,
-        prior_sigma=arm.prior_sigma or {},
-        masses=masses,
-    )
-    return problem, stop_rows
+        masses = replace(masses, geometry=start)
+    stated = arm.prior_sigma or {}
+    parameters, priors = estimated_parameters(arm.parameter_set, start, stated)
+    terms = tuple(JointTerm(Law.PLAY, joint) for joint in range(start.joints))
+    layout = Layout(parameters, terms, tuple(len(track.offsets_s) for track in tracks))
+    mean, precision = np.zeros(layout.size), np.zeros(layout.size)
+    mean[: layout.geometric] = start.vector()[list(parameters.columns)]
+    precision[: layout.geometric] = 1.0 / prior_sds(parameters, priors) ** 2
+    precision[layout.geometric : layout.arm] = [1.0 / term.prior_sd**2 for term in terms]
+    for number, track in enumerate(tracks):
+        mean[layout.offsets(number)] = track.offsets_s
+        precision[layout.offsets(number)] = 1.0 / _OFFSET_SD**2
+        precision[layout.rate(number)] = 1.0 / _RATE_SD**2
+    spreads = prior_spreads(parameters, set(priors) - set(stated))
+    stop_rows = np.arange(0 if arm.stops is None else len(arm.stops.q))
+    if arm.held_out_stops is not None:
+        stop_rows = np.flatnonzero(~arm.held_out_stops)
+    return Problem(start, layout, tuple(tracks), arm.stops, mean, precision, spreads, stop_rows, masses)
 
 
-def _track(recording: Recording, nominal: Geometry, tool_unknown: bool, seed: int) -> Track:
-    if recording.joints.joints != nominal.joints:
-        raise InputError(
-            f"recording '{recording.name}' of arm '{recording.arm}': {recording.joints.joints} joints, but the arm has"
-            f" {nominal.joints}"
-        )
-    track = track_of(recording, nominal, tool_unknown=tool_unknown, seed=seed)
-    if track.learnt.sum() < _LEAST_POINTS:
-        raise InputError(
-            f"recording '{recording.name}' of arm '{recording.arm}': {int(track.learnt.sum())} points lie at times at"
-            f" which the joints are known and are not held out; at least {_LEAST_POINTS} are needed"
-        )
-    return track
+def _some_points(tracks: Sequence[Track], stops: Stops | None) -> tuple[Array, Array]:
+    """Return some joint positions (n, N) and points (n, 3) of all sources, at the start values of the clocks."""
+    parts = [] if stops is None else [(stops.q, stops.p_M)]
+    for track in tracks:
+        rows = thinned(np.flatnonzero(track.learnt), 1000 // len(tracks) + 10)
+        parts.append((track.path.at(track.controller_times(rows, track.offsets_s, 0.0))[0], track.p_M[rows]))
+    return np.concatenate([q for q, _ in parts]), np.concatenate([p for _, p in parts])
 
 
 def motion_fit(problem: Problem, solution: Solution) -> MotionFit:

@@ -16,7 +16,7 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet
-from cellapp.estimation.motion.terms import CHUNK, JointState, JointTerm, Masses, state_at_rest, state_in_motion
+from cellapp.estimation.motion.laws import CHUNK, JointState, JointTerm, Masses, state_at_rest, state_in_motion
 from cellapp.estimation.motion.tracks import Track
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, Workspace, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.motion.fit import Problem, Solution
+from cellapp.estimation.motion.laws import JointState, JointTerm, Law
 from cellapp.estimation.motion.observe import residuals
-from cellapp.estimation.motion.terms import JointState, JointTerm, Law
+from cellapp.estimation.motion.tracks import Track
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw
 from cellapp.robot.effects.backlash import BELL, LOAD_BELL, LOAD_REACH, REACH
 from cellapp.robot.effects.joint_compliance import SECOND_KNEE
@@ -418,18 +419,11 @@ def strongest_vibration(
 def _matched(problem: Problem, solution: Solution, free: Sequence[int]) -> tuple[Array, Array]:
     """Return the products of residuals and unit responses by joint and frequency (N, F), and of the responses with
     themselves, in units of the noise; zero for joints that are not ``free``."""
-    from scipy.signal import freqz, lfilter  # it loads scipy.stats: not for commands without recordings
+    from scipy.signal import freqz  # it loads scipy.stats: not for commands without recordings
 
-    joints, model = problem.layout.parameters.joints, problem.model(solution.values)
-    product, square = np.zeros((2, joints, len(FREQUENCIES)))
-    for number, (track, source) in enumerate(zip(problem.tracks, solution.sources)):
-        filtered = np.ones(1) if problem.whitening is None else problem.whitening[number]
-        left = lfilter(filtered, [1.0], residuals(model, track, number, source.rows), axis=0)
-        scale = 1.0 / max(float(np.mean(left**2)), 1e-300)
-        left = lfilter(filtered, [1.0], left[::-1], axis=0)[::-1]  # backwards: as if columns passed it
-        _, gain = freqz(filtered, 1.0, 2.0 * math.pi * FREQUENCIES * track.stamps.period_s)
-        u = track.controller_times(source.rows, *model.clock(number))
-        turned, weight = _turned(model.geometry, track.path.at(u)[0], left)
+    product, square = np.zeros((2, problem.layout.parameters.joints, len(FREQUENCIES)))
+    for track, white, u, scale, turned, weight in white_residuals(problem, solution, twice=True):
+        _, gain = freqz(white, 1.0, 2.0 * math.pi * FREQUENCIES * track.stamps.period_s)
         even = track.path.even
         for joint in free:
             for place, frequency in enumerate(FREQUENCIES.tolist()):
@@ -437,6 +431,24 @@ def _matched(problem: Problem, solution: Solution, free: Sequence[int]) -> tuple
                 product[joint, place] += scale * float(turned[:, joint] @ answer)
                 square[joint, place] += scale * abs(gain[place]) ** 2 * float(weight[:, joint] @ answer**2)
     return product, square
+
+
+def white_residuals(
+    problem: Problem, solution: Solution, *, twice: bool = False
+) -> Iterator[tuple[Track, Array, Array, float, Array, Array]]:
+    """Yield each recording, its whitening filter, times (n,) of its points, the inverse of the variance of its filtered
+    residuals, and ``_turned`` of these; ``twice``: filtered once more, backwards, as if columns passed the filter."""
+    from scipy.signal import lfilter  # as in ``_matched``
+
+    model = problem.model(solution.values)
+    for number, (track, source) in enumerate(zip(problem.tracks, solution.sources)):
+        white = np.ones(1) if problem.whitening is None else problem.whitening[number]
+        filtered = lfilter(white, [1.0], residuals(model, track, number, source.rows), axis=0)
+        scale = 1.0 / max(float(np.mean(filtered**2)), 1e-300)
+        if twice:
+            filtered = lfilter(white, [1.0], filtered[::-1], axis=0)[::-1]
+        u = track.controller_times(source.rows, *model.clock(number))
+        yield track, white, u, scale, *_turned(model.geometry, track.path.at(u)[0], filtered)
 
 
 def _turned(geometry: Geometry, q: Array, left: Array) -> tuple[Array, Array]:

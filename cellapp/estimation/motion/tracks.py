@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import TooFewReadings, start_from_nominal
-from cellapp.estimation.motion.joint_path import JointPath, joint_path
+from cellapp.estimation.motion.laws import JointPath, joint_path
 from cellapp.estimation.motion.streams import Recording, Stamps, read_stamps
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
@@ -209,6 +209,8 @@ _SEGMENT_S = 5.0
 _BAD_START = 5.0
 """Ratio of median distances from the nominal arm above which a segment does not fit."""
 _MOST_SEGMENTS = 40
+_LEAST_POINTS = 50
+"""Least training points of a recording."""
 _FEWEST_OF_SEGMENT = 20
 """Least training points for the offset of a segment; with fewer, its held-out points are not used."""
 _SPIKE_M = 0.01
@@ -268,9 +270,11 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
     Raises
     ------
     InputError
-        If it is at rest, the clocks do not overlap, or the points do not belong to these joints.
+        If it is at rest, the clocks do not overlap, the points do not belong to these joints, or too few are left.
     """
     where = f"recording '{recording.name}' of arm '{recording.arm}'"
+    if recording.joints.joints != nominal.joints:
+        raise InputError(f"{where}: {recording.joints.joints} joints, but the arm has {nominal.joints}")
     try:
         path, stamps = joint_path(recording.joints), read_stamps(recording.points.time_s, recording.points.p_M)
     except ValueError as error:
@@ -307,6 +311,11 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
         _drawn(time, known, seed) if held_out is None else (held_out[stamps.rows], np.zeros(len(time), bool))
     )
     learnt = known & ~validate & ~guard
+    if learnt.sum() < _LEAST_POINTS:
+        raise InputError(
+            f"{where}: {int(learnt.sum())} points lie at times at which the joints are known and are not held out; at"
+            f" least {_LEAST_POINTS} are needed"
+        )
     clock_known = np.bincount(segment[learnt], minlength=len(track.offsets_s)) >= _FEWEST_OF_SEGMENT
     return replace(track, learnt=learnt, held_out=known & validate & clock_known[segment])
 

@@ -15,11 +15,10 @@ from functools import cached_property, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.least_squares import inverse_psd, shortened, solve_psd
+from cellapp.estimation.calibration.least_squares import excess_of_kinds, inverse_psd, shortened, solve_psd, with_excess
 from cellapp.estimation.calibration.parameters import candidate_columns, typical_spreads
 from cellapp.estimation.calibration.quantities import NOT_STATED, measured_quantities
 from cellapp.estimation.calibration.records import SignaturePart
-from cellapp.estimation.calibration.weights import excess_of_kinds, with_excess
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.joint_fit import LinearModel, NormalMatrix
 from cellapp.estimation.readings import Readings

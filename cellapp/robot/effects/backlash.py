@@ -129,16 +129,12 @@ class Backlash(Effect):
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per joint; zero where the side of approach is unknown."""
         lag = -context.approach
-        if law.form == GRADUAL:
-            return [
-                column
-                for j in range(context.joints)
-                for column in _gradual(context, law, (REACH, BELL), j, "half_play", "rad", lag[:, j], _MOST_PLAY)
-            ]
-        if law.form != CONSTANT:
+        if law.form in (SATURATING, SMALL):
             lag = lag * np.tanh(_step_sizes(context, law) / law.constants[WIDTH.name])
         columns = [
-            joint_column(f"half_play{j + 1}", "rad", j, lag[:, j], 0.0, _MOST_PLAY) for j in range(context.joints)
+            column
+            for j in range(context.joints)
+            for column in _gradual(context, law, (REACH, BELL), j, "half_play", "rad", lag[:, j], _MOST_PLAY)
         ]
         if law.form == SMALL:
             return [with_prior_sd(column, law.constants[AMPLITUDE.name]) for column in columns]
@@ -239,15 +235,11 @@ class FrictionWindup(Effect):
         loaded = -context.approach * np.abs(context.torques)
         columns: list[EffectColumn] = []
         for j in range(context.joints):
-            if law.form == BOTH_GRADUAL:
-                dry, under = -context.approach[:, j], loaded[:, j]
+            if law.form != LOAD:
+                dry = -context.approach[:, j]
                 columns += _gradual(context, law, (REACH, BELL), j, "dry", "rad", dry, _MOST_PLAY)
-                of_load = (LOAD_REACH, LOAD_BELL)
-                columns += _gradual(context, law, of_load, j, "windup", "rad/Nm", under, _MOST_WINDUP)
-                continue
-            if law.form == BOTH:
-                columns.append(joint_column(f"dry{j + 1}", "rad", j, -context.approach[:, j], 0.0, _MOST_PLAY))
-            columns.append(joint_column(f"windup{j + 1}", "rad/Nm", j, loaded[:, j], 0.0, _MOST_WINDUP))
+            of_load = (LOAD_REACH, LOAD_BELL)
+            columns += _gradual(context, law, of_load, j, "windup", "rad/Nm", loaded[:, j], _MOST_WINDUP)
         return columns
 
 

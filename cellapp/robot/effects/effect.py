@@ -282,12 +282,6 @@ def lent_effect(law: Law) -> Effect:
     return law.form.effect
 
 
-def contradicted_effect(law: Law) -> Effect:
-    """Return the library effect that a contradiction behaves like."""
-    assert isinstance(law.form, ContradictionForm)
-    return law.form.effect
-
-
 def is_contradiction(law: Law) -> bool:
     """Return whether a law is a library law with impossible values."""
     return isinstance(law.form, ContradictionForm)

@@ -93,13 +93,8 @@ class LinkBending(Effect):
         longest = context.link_lengths.max()
         columns = []
         for i in range(context.joints):
-            wanted = names is not None and {
-                f"flexibility{i + 1}",
-                f"torsion{i + 1}",
-                f"own_weight{i + 1}",
-                f"shear{i + 1}",
-            } & {*names}
-            if context.link_lengths[i] >= _LONG * longest or wanted:
+            own = {f"{name}{i + 1}" for name in ("flexibility", "torsion", "own_weight", "shear")}
+            if context.link_lengths[i] >= _LONG * longest or own & {*(names or ())}:
                 columns += _link_columns(context, law.form, i)
         return columns
 
@@ -110,34 +105,24 @@ def _link_columns(context: EffectContext, form: LawForm, i: int) -> list[EffectC
     force, moment = context.loads.beyond(i + 1)
     bent, twisted = beam.bent(force, moment, np.ones(len(context))), beam.twisted(moment)
 
-    def column(name: str, shift_M: Array, block: str | None = None, *, refines: bool = False) -> EffectColumn:
-        full = f"{name}{i + 1}"
-        return shift_column(full, _UNIT, Channel.LINK, shift_M, 0.0, _MOST_FLEXIBILITY, block, index=i, refines=refines)
+    def column(name: str, shift_M: Array, part: str = "", unit: str = _UNIT, most: float = _MOST_FLEXIBILITY) -> None:
+        block, refines = f"link {i + 1}{part}", bool(part)
+        made = shift_column(f"{name}{i + 1}", unit, Channel.LINK, shift_M, 0.0, most, block, index=i, refines=refines)
+        columns.append(made)
 
-    columns = []
+    columns: list[EffectColumn] = []
     if form in (OWN_WEIGHT, TORSION_OWN_WEIGHT, FREE_WEIGHT):
         own_force, own_moment, fraction = beam.own_weight(i)
         bent_by_own = beam.bent(own_force, own_moment, fraction)
         twisted = twisted + beam.twisted(own_moment, fraction)
         if form == FREE_WEIGHT:
-            columns.append(column("own_weight", bent_by_own, f"link {i + 1} own weight", refines=True))
+            column("own_weight", bent_by_own, " own weight")
         else:
             bent = bent + bent_by_own
-    columns.append(column("flexibility", bent))
-    sheared = shift_column(
-        f"shear{i + 1}",
-        _SHEAR_UNIT,
-        Channel.LINK,
-        beam.sheared(force),
-        0.0,
-        _MOST_SHEAR,
-        f"link {i + 1} shear",
-        index=i,
-        refines=True,
-    )
-    columns.append(sheared)
+    column("flexibility", bent)
+    column("shear", beam.sheared(force), " shear", _SHEAR_UNIT, _MOST_SHEAR)
     if form in (TORSION, TORSION_OWN_WEIGHT, FREE_WEIGHT):
-        columns.append(column("torsion", twisted))
+        column("torsion", twisted)
     return columns
 
 

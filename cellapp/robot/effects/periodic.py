@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cellapp.robot.effects.context import EffectColumn, EffectContext, Wave, joint_column
 from cellapp.robot.effects.data_driven import Quantity
@@ -252,19 +253,25 @@ def _waves(
 def _harmonics(angle: Array, counts: Sequence[int]) -> Array:
     """Cosines and sines (len(counts), 2, n) of multiples of an angle (n,) [rad].
 
-    Many of them come from powers of exp(i angle), doubled in number at each step: a product costs a tenth of a cosine,
-    and rounding grows only with the logarithm of the count.
+    Many of them come from powers of exp(i angle).
     """
     if len(counts) < _MANY:
         phases = np.multiply.outer(np.asarray(counts, dtype=np.float64), angle)
         return np.stack([np.cos(phases), np.sin(phases)], axis=1)
-    most = max(counts)
-    powers = np.empty((most, len(angle)), dtype=np.complex128)
-    powers[0] = np.cos(angle) + 1j * np.sin(angle)
+    chosen = angle_powers(angle, max(counts))[np.asarray(counts)]
+    return np.stack([chosen.real, chosen.imag], axis=1)
+
+
+def angle_powers(angle: Array, most: int) -> NDArray[np.complex128]:
+    """Powers (most + 1, n) of exp(i angle) from 0, doubled in number at each step.
+
+    A product costs a tenth of a cosine, and rounding grows only with the logarithm of the count.
+    """
+    powers = np.empty((most + 1, len(angle)), dtype=np.complex128)
+    powers[0], powers[1] = 1.0, np.cos(angle) + 1j * np.sin(angle)
     have = 1
     while have < most:
         more = min(have, most - have)
-        np.multiply(powers[:more], powers[have - 1], out=powers[have : have + more])
+        np.multiply(powers[1 : more + 1], powers[have], out=powers[have + 1 : have + more + 1])
         have += more
-    chosen = powers[np.asarray(counts) - 1]
-    return np.stack([chosen.real, chosen.imag], axis=1)
+    return powers

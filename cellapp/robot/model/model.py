@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
-from cellapp.ground.plain_data import plain_data
+from cellapp.ground.results import plain_data
 from cellapp.robot.effects import (
     EFFECTS,
     Displacement,

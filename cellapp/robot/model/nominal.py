@@ -8,8 +8,7 @@ import numpy as np
 
 from cellapp.ground.profile import Arm, Pose, Priors, Profile
 from cellapp.ground.profile.sections import Placement
-from cellapp.robot.kinematics.chain import Geometry, nominal_geometry, parameter_names, parameter_unit
-from cellapp.robot.kinematics.plain_dh import hayati_rows
+from cellapp.robot.kinematics.chain import Geometry, hayati_rows, nominal_geometry, parameter_names, parameter_unit
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import Array, rotation_zyx, transform
 

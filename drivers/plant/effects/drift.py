@@ -15,6 +15,7 @@ from drivers.plant.effect import (
     VECTOR,
     Effect,
     Factory,
+    Offset,
     Parameters,
     Read,
     Situation,
@@ -76,15 +77,9 @@ class Slip:
         return shares
 
 
-@dataclass(frozen=True, eq=False)
-class BaseDrift(Effect):
-    """The base drifts from its pose at time 0. Sizes: 10 to 50 um in a run (an estimate)."""
-
-    twist: Array
-    course: Course
-
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        return Deflection(base=_scaled(self.course.share(situation.time_s), self.twist))
+def _base_moves(situation: Situation, twist: Array, course: Course | Slip) -> Deflection:
+    """Return the deviation of a base that drifts or slips from its pose. Sizes: 10 to 50 um in a run (an estimate)."""
+    return Deflection(base=_scaled(course.share(situation.time_s), twist))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,27 +102,10 @@ class TrackerDrift(Effect):
         return rigid(_scaled(-self.course.share(situation.time_s), self.twist))
 
 
-@dataclass(frozen=True, eq=False)
-class BaseStep(Effect):
-    """The base slips to another pose. Sizes: 10 to 50 um (an estimate)."""
-
-    twist: Array
-    slip: Slip
-
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        return Deflection(base=self.slip.share(situation.time_s)[:, None] * self.twist)
-
-
-@dataclass(frozen=True, eq=False)
-class TargetSlip(Effect):
+def _seat_slips(situation: Situation, shift: Array, slip: Slip) -> Deflection:
     """The SMR's seat slips on the flange. Sizes: 20 to 200 um (an estimate)."""
-
-    shift: Array
-    slip: Slip
-
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        slipped = self.slip.share(situation.time_s)[:, None] * self.shift
-        return Deflection(tool=np.concatenate([slipped, np.zeros_like(slipped)], axis=1))
+    slipped = slip.share(situation.time_s)[:, None] * shift
+    return Deflection(tool=np.concatenate([slipped, np.zeros_like(slipped)], axis=1))
 
 
 def _course(parameters: Parameters) -> tuple[Array, Course]:
@@ -145,7 +123,7 @@ def base_drift(parameters: Parameters) -> Effect:
 
     ``law`` is linear, exponential, creep, sinusoidal (with ``phase`` [rad]) or wandering (with ``seed``).
     """
-    return BaseDrift(*_course(parameters))
+    return Offset(_base_moves, dict(zip(("twist", "course"), _course(parameters), strict=True)))
 
 
 def tracker_drift(parameters: Parameters) -> Effect:
@@ -160,9 +138,11 @@ def _slips(effect: Callable[..., Effect], **sizes: Read) -> Factory:
 
 
 base_step = _slips(
-    lambda shift, turn, **slip: BaseStep(np.append(shift, turn), Slip(**slip)), shift=VECTOR, turn=VECTOR
+    lambda shift, turn, **slip: Offset(_base_moves, {"twist": np.append(shift, turn), "course": Slip(**slip)}),
+    shift=VECTOR,
+    turn=VECTOR,
 )
 """``shift`` (3) [m] and ``turn`` (3) [rad] in B at ``time`` [s]; or ``law`` creeping."""
 
-target_slip = _slips(lambda shift, **slip: TargetSlip(shift, Slip(**slip)), shift=VECTOR)
+target_slip = _slips(lambda shift, **slip: Offset(_seat_slips, {"shift": shift, "slip": Slip(**slip)}), shift=VECTOR)
 """``shift`` (3) in the flange frame [m] at ``time`` [s]; ``law`` as of ``base_step``."""

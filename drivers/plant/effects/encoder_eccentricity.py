@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,10 +11,11 @@ from drivers.plant.effect import (
     JOINTS,
     NOT_NEGATIVES,
     NUMBERS,
-    Effect,
+    Offset,
     Parameters,
     Read,
     Situation,
+    by,
     by_law,
     made,
     on_joints,
@@ -23,8 +23,15 @@ from drivers.plant.effect import (
 from drivers.plant.mechanism import Deflection
 
 
-@dataclass(frozen=True, eq=False)
-class EncoderEccentricity(Effect):
+def _off_axis(
+    situation: Situation,
+    joints: np.ndarray,
+    eccentricity: Array,
+    radius: Array,
+    phase: Array,
+    tilt: Array | float = 0.0,
+    tilt_phase: Array | float = 0.0,
+) -> Deflection:
     """The servo drives the encoder reading to the commanded angle, so the shaft angle has the error.
 
     The axis is the origin, the head is at distance r from it. With the shaft at angle s the disc's centre is at
@@ -34,20 +41,11 @@ class EncoderEccentricity(Effect):
     ``h = e sin(reading + phase)``. A disc that is also tilted by t against the shaft looks elliptic to the head: its
     reading has an error of two cycles per revolution with amplitude ``tan^2(t / 2)``.
     """
-
-    joints: np.ndarray
-    eccentricity: Array
-    radius: Array
-    phase: Array
-    tilt: Array | float = 0.0
-    tilt_phase: Array | float = 0.0
-
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        joint = situation.q[:, self.joints]
-        height = self.eccentricity * np.sin(joint + self.phase)
-        ellipse = np.tan(self.tilt / 2.0) ** 2 * np.sin(2.0 * joint + self.tilt_phase)
-        angles = -np.arctan2(height, np.sqrt(self.radius**2 - height**2)) - ellipse
-        return on_joints(situation, self.joints, angles)
+    joint = situation.q[:, joints]
+    height = eccentricity * np.sin(joint + phase)
+    ellipse = np.tan(tilt / 2.0) ** 2 * np.sin(2.0 * joint + tilt_phase)
+    angles = -np.arctan2(height, np.sqrt(radius**2 - height**2)) - ellipse
+    return on_joints(situation, joints, angles)
 
 
 def _radius(parameters: Parameters, key: str) -> Array:
@@ -60,8 +58,8 @@ def _radius(parameters: Parameters, key: str) -> Array:
 _CENTRED: Mapping[str, Read] = {"joints": JOINTS, "eccentricity": NOT_NEGATIVES, "radius": _radius, "phase": NUMBERS}
 
 encoder_eccentricity = by_law(
-    centred=made(EncoderEccentricity, **_CENTRED),
-    tilted=made(EncoderEccentricity, **_CENTRED, tilt=NUMBERS, tilt_phase=NUMBERS),
+    centred=made(by(Offset, _off_axis), **_CENTRED),
+    tilted=made(by(Offset, _off_axis), **_CENTRED, tilt=NUMBERS, tilt_phase=NUMBERS),
 )
 """``joints``: numbers from 1; for each ``eccentricity``, ``radius`` [m], ``phase`` [rad].
 

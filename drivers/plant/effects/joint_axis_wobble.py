@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,12 @@ from drivers.plant.effect import (
     SEED,
     Effect,
     Factory,
+    Offset,
     Parameters,
     Read,
     Situation,
     before_joints,
+    by,
     by_law,
     made,
 )
@@ -47,46 +48,39 @@ def tilt_of_two_lobes() -> float:
     return float(np.sqrt((slopes**2).sum(axis=0).mean()))
 
 
-@dataclass(frozen=True, eq=False)
-class JointAxisWobble(Effect):
+def _lobes(
+    situation: Situation, joints: np.ndarray, radius: Array, two_lobes: Array, three_lobes: Array, phase: Array
+) -> Deflection:
     """A race with two and three lobes rotates on balls and takes the plane of least strain energy.
 
     The seat is not equally stiff all round; otherwise the lobes would lift the race without tilting it. One lobe would
     be a constant tilt of the axis, which belongs to the geometry. Sizes: a tilt of 5 to 20 urad (an estimate).
     """
-
-    joints: np.ndarray
-    radius: Array
-    two_lobes: Array
-    three_lobes: Array
-    phase: Array
-
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        angles = _BALLS - (situation.q[:, self.joints] + self.phase)[..., None]
-        heights = self.two_lobes[:, None] * np.cos(2.0 * angles) + self.three_lobes[:, None] * np.cos(3.0 * angles)
-        rise, x, y = np.moveaxis(heights @ _plane_fit().T, -1, 0)
-        none = np.zeros_like(rise)  # the axis is z of the previous frame
-        twists = np.stack([none, none, rise, y / self.radius, -x / self.radius, none], axis=-1)
-        return before_joints(situation, self.joints, twists)
+    angles = _BALLS - (situation.q[:, joints] + phase)[..., None]
+    heights = two_lobes[:, None] * np.cos(2.0 * angles) + three_lobes[:, None] * np.cos(3.0 * angles)
+    rise, x, y = np.moveaxis(heights @ _plane_fit().T, -1, 0)
+    none = np.zeros_like(rise)  # the axis is z of the previous frame
+    twists = np.stack([none, none, rise, y / radius, -x / radius, none], axis=-1)
+    return before_joints(situation, joints, twists)
 
 
-@dataclass(frozen=True, eq=False)
-class HarmonicWobble(Effect):
-    """The axis tilts with any harmonics of its own angle, with different phases about x and y.
+def waving(
+    situation: Situation, joints: np.ndarray, sizes: Array, waves: tuple[RandomWaves, ...], part: slice
+) -> Deflection:
+    """Return the deviation by axes that move with harmonics of their own angle, in a ``part`` of the twist of each."""
+    twists = np.zeros((len(situation.q), len(joints), 6))
+    for k, (joint, own) in enumerate(zip(joints, waves, strict=True)):
+        twists[:, k, part] = sizes[k] * own.at(situation.q[:, joint])
+    return before_joints(situation, joints, twists)
+
+
+def _harmonic(joints: np.ndarray, tilt: Array, waves: tuple[RandomWaves, ...]) -> Effect:
+    """Make an axis that tilts with any harmonics of its own angle, with different phases about x and y.
 
     About each of the two perpendicular axes the tilt is ``tilt`` [rad] times a sum of harmonics with random phases. One
     cycle per revolution is therefore an ellipse; only its circular part belongs to the geometry.
     """
-
-    joints: np.ndarray
-    tilt: Array
-    waves: tuple[RandomWaves, ...]
-
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        twists = np.zeros((len(situation.q), len(self.joints), 6))
-        for k, (joint, waves) in enumerate(zip(self.joints, self.waves, strict=True)):
-            twists[:, k, 3:5] = self.tilt[k] * waves.at(situation.q[:, joint])
-        return before_joints(situation, self.joints, twists)
+    return Offset(waving, {"joints": joints, "sizes": tilt, "waves": waves, "part": slice(3, 5)})
 
 
 def _own_length(parameters: Parameters, key: str) -> Array:
@@ -112,8 +106,8 @@ def with_waves(effect: Callable[..., Effect], directions: int, **reads: Read) ->
 _LOBES: Mapping[str, Read] = dict.fromkeys(("two_lobes", "three_lobes"), NOT_NEGATIVES)
 
 joint_axis_wobble = by_law(
-    lobes=made(JointAxisWobble, joints=JOINTS, radius=POSITIVES, **_LOBES, phase=NUMBERS),
-    harmonics=with_waves(HarmonicWobble, directions=2, joints=JOINTS, tilt=NUMBERS),
+    lobes=made(by(Offset, _lobes), joints=JOINTS, radius=POSITIVES, **_LOBES, phase=NUMBERS),
+    harmonics=with_waves(_harmonic, directions=2, joints=JOINTS, tilt=NUMBERS),
 )
 """``joints``: from 1; for each ``radius``, ``two_lobes``, ``three_lobes`` [m], ``phase`` [rad].
 

@@ -2,56 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import JOINTS, STIFFNESSES, Effect, Situation, by_law, made
+from drivers.plant.effect import JOINTS, STIFFNESSES, Bend, by, by_law, made
 from drivers.plant.mechanism import Deflection, Posture
 from drivers.plant.transforms import inverse, rigid, transform_points
 
 _SEGMENTS = 12
 
 
-@dataclass(frozen=True, eq=False)
-class LinkBending(Effect):
-    """Each beam, from D-H origin i - 1 to origin i, is divided into segments that rotate under the local moment.
+def _bent(
+    posture: Posture, links: np.ndarray, bending: Array, torsion: Array, shear: Array | None = None
+) -> Deflection:
+    """Return the deviation by beams, each from D-H origin i - 1 to origin i, in segments that rotate under the local
+    moment.
 
     The moment at the middle of a segment is that of all weight beyond it in the deflected posture: bodies and load
     beyond the link, and the link's own mass, distributed along the beam such that its centre of mass is correct. A
     segment of length s rotates by ``s M / EI`` across the beam (Euler-Bernoulli) and by ``s M / GJ`` about it; the
     tip's twist is the product of these rotations. Size: ``EI`` about 1e5 Nm^2 for a UR10 (an estimate).
+
+    With ``shear``, the product kappa G A [N], the transverse force of all weight beyond the middle of the link shifts
+    the tip by ``force length / shear`` as well (Timoshenko), as in short tubes with openings.
     """
-
-    links: np.ndarray
-    bending: Array
-    torsion: Array
-
-    def bend(self, situation: Situation, posture: Posture) -> Deflection:
-        n, joints = posture.q.shape
-        twists = np.zeros((n, joints, 6))
-        for link, bending, torsion in zip(self.links, self.bending, self.torsion, strict=True):
-            twists[:, link] = _tip_twist(posture, int(link), bending, torsion)
-        return Deflection(links=twists)
-
-
-@dataclass(frozen=True, eq=False)
-class ShearingLinkBending(LinkBending):
-    """Beams that bend and also shear (Timoshenko), as short tubes with openings do.
-
-    In addition to bending, the transverse force, of all weight beyond the middle of the link, shifts the tip by
-    ``force length / shear``. ``shear`` is the product kappa G A [N].
-    """
-
-    shear: Array
-
-    def bend(self, situation: Situation, posture: Posture) -> Deflection:
-        twists = super().bend(situation, posture).links
-        assert twists is not None
-        for link, shear in zip(self.links, self.shear, strict=True):
-            twists[:, link, :3] += _shear_shift(posture, int(link), shear)
-        return Deflection(links=twists)
+    twists = np.zeros((len(posture.q), posture.q.shape[1], 6))
+    for k, link in enumerate(links.tolist()):
+        twists[:, link] = _tip_twist(posture, link, bending[k], torsion[k])
+        if shear is not None:
+            twists[:, link, :3] += _shear_shift(posture, link, shear[k])
+    return Deflection(links=twists)
 
 
 def _shear_shift(posture: Posture, link: int, shear: float) -> Array:
@@ -121,8 +101,8 @@ def _tip_twist(posture: Posture, link: int, bending: float, torsion: float) -> A
 
 
 link_bending = by_law(
-    slender=made(LinkBending, links=JOINTS, bending=STIFFNESSES, torsion=STIFFNESSES),
-    shear=made(ShearingLinkBending, links=JOINTS, bending=STIFFNESSES, torsion=STIFFNESSES, shear=STIFFNESSES),
+    slender=made(by(Bend, _bent), links=JOINTS, bending=STIFFNESSES, torsion=STIFFNESSES),
+    shear=made(by(Bend, _bent), links=JOINTS, bending=STIFFNESSES, torsion=STIFFNESSES, shear=STIFFNESSES),
 )
 """``links``: numbers from 1; for each ``bending`` EI and ``torsion`` GJ [Nm^2], or ``inf``.
 

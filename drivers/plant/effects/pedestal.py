@@ -2,43 +2,47 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import NOT_NEGATIVE, POSITIVE, STIFFNESS, Effect, Parameters, Situation, by_law, made
+from drivers.plant.effect import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    STIFFNESS,
+    Bend,
+    Effect,
+    Offset,
+    Parameters,
+    Situation,
+    by,
+    by_law,
+    made,
+)
 from drivers.plant.mechanism import Deflection, Posture
 
+_PARTS = 6
+"""Parts of a column that bend each under the moment about its middle."""
 
-@dataclass(frozen=True, eq=False)
-class PedestalCompliance(Effect):
+
+def _column(posture: Posture, height: float, stiffness: Array) -> Deflection:
     """A column below the base, clamped at its foot, under the weight of the deflected arm.
 
     Each part of the column bends under the moment of the arm's weight about its middle: constant along an upright
     column, growing towards the foot of a leaning one. All above a part rotates about it. Sizes: 2e6 Nm/rad (estimated).
     """
-
-    height: float
-    stiffness: Array  # (3,) about x, y and z of B
-
-    _PARTS = 6
-
-    def bend(self, situation: Situation, posture: Posture) -> Deflection:
-        place = posture.first_moments.sum(axis=0)
-        mass = posture.masses_beyond[0][:, None]
-        twist = np.zeros((len(posture.q), 6))
-        for part in range(self._PARTS):
-            below = np.array([0.0, 0.0, -self.height * (part + 0.5) / self._PARTS])
-            moment = np.cross(place - mass * below, posture.gravity)
-            turn = moment / (self.stiffness * self._PARTS)
-            twist[:, :3] += np.cross(turn, -below)
-            twist[:, 3:] += turn
-        return Deflection(base=twist)
+    place = posture.first_moments.sum(axis=0)
+    mass = posture.masses_beyond[0][:, None]
+    twist = np.zeros((len(posture.q), 6))
+    for part in range(_PARTS):
+        below = np.array([0.0, 0.0, -height * (part + 0.5) / _PARTS])
+        moment = np.cross(place - mass * below, posture.gravity)
+        turn = moment / (stiffness * _PARTS)
+        twist[:, :3] += np.cross(turn, -below)
+        twist[:, 3:] += turn
+    return Deflection(base=twist)
 
 
-@dataclass(frozen=True, eq=False)
-class PedestalCoupling(Effect):
+def _beam(situation: Situation, bending: float, torsion: float, depth: float, limit: float = np.inf) -> Deflection:
     """Both arms stand on one level beam from base to base: the moment of the other arm rotates this base too.
 
     The component along the beam causes torsion, the rest bending. The base rotates about the beam's centre line,
@@ -46,45 +50,32 @@ class PedestalCoupling(Effect):
     turn is divided by ``1 + |moment| / limit``, ``limit`` in Nm.
     Sizes: 2e6 Nm/rad, that is 28 urad from a stretched UR5 (an estimate).
     """
-
-    bending: float
-    torsion: float
-    depth: float
-    limit: float = np.inf
-
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        twist = np.zeros((len(situation.q), 6))
-        for name, other in situation.others.items():
-            to_here = situation.T_B_others[name]
-            up = -to_here[:3, :3] @ other.gravity / np.linalg.norm(other.gravity)
-            beam = to_here[:3, 3] - up * (to_here[:3, 3] @ up)
-            length = np.linalg.norm(beam)
-            # no beam direction is defined for bases above one another
-            along = beam / length if length > 1e-6 else np.zeros(3)
-            moment = other.base_moment @ to_here[:3, :3].T
-            moment = moment * (1.0 / (1.0 + np.linalg.norm(moment, axis=1, keepdims=True) / self.limit))
-            twisting = (moment @ along)[:, None] * along
-            turn = twisting / self.torsion + (moment - twisting) / self.bending
-            twist[:, :3] += np.cross(turn, self.depth * up)
-            twist[:, 3:] += turn
-        return Deflection(base=twist)
+    twist = np.zeros((len(situation.q), 6))
+    for name, other in situation.others.items():
+        to_here = situation.T_B_others[name]
+        up = -to_here[:3, :3] @ other.gravity / np.linalg.norm(other.gravity)
+        beam = to_here[:3, 3] - up * (to_here[:3, 3] @ up)
+        length = np.linalg.norm(beam)
+        # no beam direction is defined for bases above one another
+        along = beam / length if length > 1e-6 else np.zeros(3)
+        moment = other.base_moment @ to_here[:3, :3].T
+        moment = moment * (1.0 / (1.0 + np.linalg.norm(moment, axis=1, keepdims=True) / limit))
+        twisting = (moment @ along)[:, None] * along
+        turn = twisting / torsion + (moment - twisting) / bending
+        twist[:, :3] += np.cross(turn, depth * up)
+        twist[:, 3:] += turn
+    return Deflection(base=twist)
 
 
-@dataclass(frozen=True, eq=False)
-class FramePedestal(Effect):
+def _frame_turns(posture: Posture, pivot: Array, compliance: Array) -> Deflection:
     """A welded frame: a full symmetric compliance matrix, and a rotation about a pivot that is not below the base.
 
     The moment of the arm's weight about the ``pivot`` rotates everything above it: ``turn = compliance moment``.
     Off-diagonal entries turn the base about one axis under a moment about another.
     """
-
-    pivot: Array  # (3,) in B
-    compliance: Array  # (3, 3) [rad/Nm]
-
-    def bend(self, situation: Situation, posture: Posture) -> Deflection:
-        place = posture.first_moments.sum(axis=0) - posture.masses_beyond[0][:, None] * self.pivot
-        turn = np.cross(place, posture.gravity) @ self.compliance
-        return Deflection(base=np.concatenate([np.cross(turn, -self.pivot), turn], axis=1))
+    place = posture.first_moments.sum(axis=0) - posture.masses_beyond[0][:, None] * pivot
+    turn = np.cross(place, posture.gravity) @ compliance
+    return Deflection(base=np.concatenate([np.cross(turn, -pivot), turn], axis=1))
 
 
 def _frame(parameters: Parameters) -> Effect:
@@ -94,12 +85,12 @@ def _frame(parameters: Parameters) -> Effect:
     compliance += np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
     if np.linalg.eigvalsh(compliance)[0] < 0.0:
         raise parameters.error("cross", "must be smaller: under some moment the frame would turn against it")
-    return FramePedestal(parameters.numbers("pivot", 3), compliance)
+    return Bend(_frame_turns, {"pivot": parameters.numbers("pivot", 3), "compliance": compliance})
 
 
 pedestal_compliance = by_law(
     column=made(
-        lambda height, bending, torsion: PedestalCompliance(height, np.append(bending, torsion)),
+        lambda height, bending, torsion: Bend(_column, {"height": height, "stiffness": np.append(bending, torsion)}),
         height=NOT_NEGATIVE,
         bending=lambda parameters, key: parameters.stiffnesses(key, 2),
         torsion=STIFFNESS,
@@ -112,8 +103,8 @@ With ``law`` frame: ``pivot`` (3) [m] in B, ``direct`` (3) and ``cross`` (3: xy,
 """
 
 pedestal_coupling = by_law(
-    linear=made(PedestalCoupling, bending=STIFFNESS, torsion=STIFFNESS, depth=NOT_NEGATIVE),
-    hardening=made(PedestalCoupling, bending=STIFFNESS, torsion=STIFFNESS, depth=NOT_NEGATIVE, limit=POSITIVE),
+    linear=made(by(Offset, _beam), bending=STIFFNESS, torsion=STIFFNESS, depth=NOT_NEGATIVE),
+    hardening=made(by(Offset, _beam), bending=STIFFNESS, torsion=STIFFNESS, depth=NOT_NEGATIVE, limit=POSITIVE),
 )
 """``bending``, ``torsion`` [Nm/rad]; ``depth`` [m] of the beam's centre line below the base.
 

@@ -18,9 +18,11 @@ from drivers.plant.effect import (
     POSITIVES,
     SEED,
     Effect,
+    Offset,
     Parameters,
     Read,
     Situation,
+    by,
     by_law,
     made,
 )
@@ -166,51 +168,33 @@ temperature rise beyond which growth is held back.
 """
 
 
-@dataclass(frozen=True, eq=False)
-class WarmUp(Effect):
+def _warm_up(situation: Situation, drift: Array, time_constant: Array) -> Deflection:
     """The zero of each joint's encoder drifts as the joint warms up after switching on at time 0.
 
     The published drift of a small industrial arm could be removed to 90 % by a model of its temperatures; 20 to 50 urad
     and an hour are estimates.
     """
-
-    drift: Array
-    time_constant: Array
-
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        return Deflection(joints=self.drift * -np.expm1(-situation.time_s[:, None] / self.time_constant))
+    return Deflection(joints=drift * -np.expm1(-situation.time_s[:, None] / time_constant))
 
 
-@dataclass(frozen=True, eq=False)
-class ReadingHeadBracket(Effect):
+def _bracket(situation: Situation, per_kelvin: Array, reference: float) -> Deflection:
     """The bracket of each joint's reading head expands with the joint temperature: ``per_kelvin`` [rad/K]."""
-
-    per_kelvin: Array
-    reference: float
-
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        return Deflection(joints=self.per_kelvin * (situation.joints_c - self.reference))
+    return Deflection(joints=per_kelvin * (situation.joints_c - reference))
 
 
-@dataclass(frozen=True, eq=False)
-class WanderingZeros(Effect):
+def _wandering_zeros(situation: Situation, drift: Array, paths: RandomPaths) -> Deflection:
     """The zero of each joint's encoder wanders along a smooth random path of its own, scaled by ``drift``."""
-
-    drift: Array
-    paths: RandomPaths
-
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        return Deflection(joints=self.drift * self.paths.at(np.maximum(situation.time_s, 0.0)))
+    return Deflection(joints=drift * paths.at(np.maximum(situation.time_s, 0.0)))
 
 
 def _warm_up_or_bracket(parameters: Parameters) -> Effect:
     if parameters.all_or_none("per_kelvin"):
-        return made(ReadingHeadBracket, _REFERENCE, per_kelvin=NUMBERS)(parameters)
-    return made(WarmUp, drift=NUMBERS, time_constant=POSITIVES)(parameters)
+        return made(by(Offset, _bracket), _REFERENCE, per_kelvin=NUMBERS)(parameters)
+    return made(by(Offset, _warm_up), drift=NUMBERS, time_constant=POSITIVES)(parameters)
 
 
 def _wandering(drift: Array, time: float, seed: int) -> Effect:
-    return WanderingZeros(drift, RandomPaths.drawn(seed, len(drift), time))
+    return Offset(_wandering_zeros, {"drift": drift, "paths": RandomPaths.drawn(seed, len(drift), time)})
 
 
 joint_drift = by_law(warm_up=_warm_up_or_bracket, wandering=made(_wandering, drift=NUMBERS, time=POSITIVE, seed=SEED))

@@ -8,44 +8,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import NUMBER, POSITIVE, Effect, Parameters, Read, Situation, by_law, made
+from drivers.plant.effect import NUMBER, POSITIVE, Apparent, Effect, Parameters, Read, Situation, by, by_law, made
 from drivers.plant.effects.transmission_error import cardan
 
 _REFERENCE_C = 20.0
 """Air temperature for which a temperature-dependent scale is stated [degC]."""
 
 
-@dataclass(frozen=True, eq=False)
-class TrackerScale(Effect):
+def _scaled(p_M: Array, normal_M: Array, situation: Situation, ppm: float, per_kelvin: float = 0.0) -> Array:
     """Scale error of the distance from wrong air data: wavelengths are counted for the air of the weather station.
 
     About 1 ppm per kelvin and 0.27 ppm per hectopascal, of opposite signs (Edlen). It changes by ``per_kelvin`` [ppm/K]
     with the air temperature, as when the weather station is not near the beam.
     """
-
-    ppm: float
-    per_kelvin: float = 0.0
-
-    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
-        ppm = self.ppm + self.per_kelvin * (situation.air_c - _REFERENCE_C)
-        apparent: Array = p_M * (1.0 + 1e-6 * ppm[:, None])
-        return apparent
+    at_temperature = ppm + per_kelvin * (situation.air_c - _REFERENCE_C)
+    return np.asarray(p_M * (1.0 + 1e-6 * at_temperature[:, None]))
 
 
-@dataclass(frozen=True, eq=False)
-class TrackerDistanceOffset(Effect):
+def _farther(p_M: Array, normal_M: Array, situation: Situation, offset_m: float, length: float = 0.0) -> Array:
     """Zero error of the distance from the intersection of the axes. Sizes: makers permit 5 to 10 um.
 
     With a ``length`` it is ``offset_m (1 - exp(-distance / length))``, as of a receiver that depends on the signal.
     """
-
-    offset_m: float
-    length: float = 0.0
-
-    def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
-        distance = np.linalg.norm(p_M, axis=1, keepdims=True)
-        grown = -np.expm1(-distance / self.length) if self.length else 1.0
-        return np.asarray(p_M * (1.0 + self.offset_m * grown / distance))
+    distance = np.linalg.norm(p_M, axis=1, keepdims=True)
+    grown = -np.expm1(-distance / length) if length else 1.0
+    return np.asarray(p_M * (1.0 + offset_m * grown / distance))
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +80,9 @@ class TrackerAngleError(Effect):
         return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)], axis=1)
 
 
-tracker_scale = by_law(constant=made(TrackerScale, ppm=NUMBER), air=made(TrackerScale, ppm=NUMBER, per_kelvin=NUMBER))
+tracker_scale = by_law(
+    constant=made(by(Apparent, _scaled), ppm=NUMBER), air=made(by(Apparent, _scaled), ppm=NUMBER, per_kelvin=NUMBER)
+)
 """``ppm``: relative excess of measured distances, in parts per million.
 
 With ``law`` air also ``per_kelvin`` [ppm/K], by which it changes with the air that the weather station misses.
@@ -101,7 +90,7 @@ With ``law`` air also ``per_kelvin`` [ppm/K], by which it changes with the air t
 
 
 def _offset(offset: float, length: float = 0.0) -> Effect:
-    return TrackerDistanceOffset(offset, length)
+    return Apparent(_farther, {"offset_m": offset, "length": length})
 
 
 tracker_distance_offset = by_law(

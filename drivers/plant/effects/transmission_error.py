@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import JOINTS, NUMBERS, Effect, Factory, Parameters, Situation, made, on_joints
+from drivers.plant.effect import JOINTS, NUMBERS, Effect, Factory, Offset, Parameters, Situation, made, on_joints
 from drivers.plant.mechanism import Deflection
 
 
@@ -52,29 +52,23 @@ class StrainWaveGear(Effect):
         return on_joints(situation, self.joints, behind - joint)
 
 
-@dataclass(frozen=True, eq=False)
-class ErrorCurve(Effect):
+def _error_curve(situation: Situation, joints: np.ndarray, curves: Array) -> Deflection:
     """A smooth periodic error of each joint, like those measured with an autocollimator.
 
     The curve interpolates knots of a random process that contains only the configured range of cycles.
     """
-
-    joints: np.ndarray
-    curves: Array  # (joints, knots) [rad]
-
-    def offset(self, situation: Situation, memory: Array | None) -> Deflection:
-        offsets = np.zeros_like(situation.q)
-        knots = self.curves.shape[1]
-        for row, joint in zip(self.curves, self.joints, strict=True):
-            turn = (situation.q[:, joint] / (2.0 * np.pi)) % 1.0 * knots
-            first = np.floor(turn).astype(int)
-            f = turn - first
-            before, left, right, after = (row[(first + k) % knots] for k in (-1, 0, 1, 2))
-            # Catmull-Rom spline through the knots
-            square = 2.0 * before - 5.0 * left + 4.0 * right - after
-            cube = 3.0 * (left - right) + after - before
-            offsets[:, joint] = left + 0.5 * f * (right - before + f * (square + f * cube))
-        return Deflection(joints=offsets)
+    offsets = np.zeros_like(situation.q)
+    knots = curves.shape[1]
+    for row, joint in zip(curves, joints, strict=True):
+        turn = (situation.q[:, joint] / (2.0 * np.pi)) % 1.0 * knots
+        first = np.floor(turn).astype(int)
+        f = turn - first
+        before, left, right, after = (row[(first + k) % knots] for k in (-1, 0, 1, 2))
+        # Catmull-Rom spline through the knots
+        square = 2.0 * before - 5.0 * left + 4.0 * right - after
+        cube = 3.0 * (left - right) + after - before
+        offsets[:, joint] = left + 0.5 * f * (right - before + f * (square + f * cube))
+    return Deflection(joints=offsets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +126,8 @@ def _curve(parameters: Parameters) -> Effect:
     if not lowest <= highest <= _KNOTS // 10:
         raise parameters.error("highest", f"must be from lowest, {lowest}, to {_KNOTS // 10}, not {highest}")
     sizes, rng = parameters.numbers("rms", least=0.0), np.random.default_rng(parameters.integer("seed", least=0))
-    return ErrorCurve(joints, np.array([_random_curve(rng, size, lowest, highest) for size in sizes]))
+    curves = np.array([_random_curve(rng, size, lowest, highest) for size in sizes])
+    return Offset(_error_curve, {"joints": joints, "curves": curves})
 
 
 _GEARS = ("ratio", "line", "line_phase", "depth", "depth_phase", "second_cycles", "second", "second_phase")

@@ -27,7 +27,7 @@ from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import CALIBRATION_FILE, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
-from cellapp.estimation.monitoring.check.belief import SequentialState
+from cellapp.estimation.monitoring.belief import SequentialState
 from cellapp.estimation.readings import Readings
 from cellapp.ground.control import JobControl, Stopped
 from cellapp.ground.errors import HardwareError, InputError

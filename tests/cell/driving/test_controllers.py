@@ -22,8 +22,7 @@ from cellapp.cell.safety.gate import predicted_smr
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import ControllerTable
-from cellapp.robot.kinematics.chain import nominal_geometry
-from cellapp.robot.kinematics.plain_dh import plain_geometry
+from cellapp.robot.kinematics.chain import nominal_geometry, plain_geometry
 from cellapp.robot.model.nominal import published_rows
 from drivers.arms.protocol import ArmIdentity, LinkLost
 from drivers.arms.simulated import SimulatedArm

@@ -15,7 +15,7 @@ import pytest
 from cellapp.cell.driving.live_model import Suspicions
 from cellapp.cell.driving.measuring import ReferenceWatch
 from cellapp.cell.driving.tracker_watch import monitored, unwatched, watched
-from cellapp.estimation.calibration.online import online_fit
+from cellapp.estimation.calibration.online import OnlineFit
 from cellapp.ground.progress import Suspicion
 from cellapp.robot.kinematics.transforms import rotation_from_vector
 from drivers.trackers.protocol import (
@@ -189,7 +189,7 @@ def raised(
     if fault is not None:
         fault(readings)
     profile = twin()
-    fits = {name: online_fit(profile, name, one.q) for name, one in readings.items()}
+    fits = {name: OnlineFit(profile, name, one.q) for name, one in readings.items()}
     watch = Suspicions({name: np.array(arm.smr.normal) for name, arm in profile.arms.items()})
     found = []
     for stop in range(stops):

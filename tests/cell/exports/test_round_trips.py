@@ -23,8 +23,7 @@ from cellapp.cell.profile.files import controller_file_text, controller_table
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import ArmType
 from cellapp.ground.profile.sections import ControllerTable
-from cellapp.robot.kinematics.chain import Geometry, smr_positions
-from cellapp.robot.kinematics.plain_dh import plain_geometry
+from cellapp.robot.kinematics.chain import Geometry, plain_geometry, smr_positions
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import controller_rows, nominal_arm

@@ -35,7 +35,7 @@ from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken, Progress
-from cellapp.robot.paths.sweep import Sweep
+from cellapp.robot.paths.joint_path import Sweep
 from tests.twin import PROFILES, small_twin, with_arms
 
 STOPS = 24

@@ -15,7 +15,7 @@ from cellapp.cell.targets.compensate import compensate
 from cellapp.cell.targets.prediction import _with_noise, length_bounds
 from cellapp.cell.targets.target_text import targets_text
 from cellapp.cell.targets.targets import load_targets
-from cellapp.estimation.calibration.weights import readings_noise
+from cellapp.estimation.calibration.least_squares import readings_noise
 from cellapp.ground.errors import InputError
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.model import PosteriorDraws, posterior_from_json, posterior_to_json

@@ -15,7 +15,7 @@ from cellapp.commands.certificate_result import CertificateResult
 from cellapp.commands.run_results import RunResults
 from cellapp.estimation.discovery.records import DiscoverResult, Noise
 from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoValue, PoseCharacteristics
-from cellapp.estimation.monitoring.check.records import CheckResult, CheckVerdict
+from cellapp.estimation.monitoring.records import CheckResult, CheckVerdict
 from cellapp.estimation.uncertainty.budget import conformity
 from cellapp.estimation.uncertainty.records import Judgement, UncertaintyParts
 from cellapp.ground.profile.sections import Instrument, Tolerances

@@ -22,7 +22,7 @@ from cellapp.estimation.calibration.identification import (
 )
 from cellapp.estimation.calibration.least_squares import LeastSquares, Linearised, Minimum, minimise
 from cellapp.estimation.calibration.parameters import auto_set, candidate_columns, full_set, paper_set
-from cellapp.estimation.calibration.registration import better_reading, explained
+from cellapp.estimation.calibration.station_location import better_reading, explained
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import CheckFailed, InputError, NotConverged, tried, with_not_fitted
 from cellapp.robot.kinematics.chain import (

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.calibration.identification import identify_with_excess, start_from_nominal
-from cellapp.estimation.calibration.online import OnlineFit, online_fit
+from cellapp.estimation.calibration.online import OnlineFit
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import StopReport
 from cellapp.robot.kinematics.chain import JointAngles, jacobian, smr_positions
 from cellapp.robot.model.nominal import nominal_arm
-from tests.arms import OFF_AXIS, SEVEN, UR10, at_station
+from tests.arms import OFF_AXIS, UR10, at_station
 from tests.evidence.shared.estimates import merged_values
 from tests.series import Array, Series, series, twin
 
@@ -27,7 +27,7 @@ def readings() -> dict[str, Series]:
 
 def fitted(name: str, one: Series, *, stated: bool = True) -> tuple[OnlineFit, StopReport]:
     """The fit after all readings, one by one, and its last report."""
-    fit = online_fit(twin(), name, one.q)
+    fit = OnlineFit(twin(), name, one.q)
     for stop in range(len(one.q)):
         report = fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop] if stated else None)
     fit.refit()
@@ -60,7 +60,7 @@ def test_after_all_stops_it_agrees_with_the_identification_of_the_same_readings(
 
 def test_it_converges_from_centimetres_within_a_few_stops(readings):
     one = readings["right"]
-    fit = online_fit(twin(), "right", one.q)
+    fit = OnlineFit(twin(), "right", one.q)
     errors = {}
     for stop in range(40):
         report = fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop])
@@ -73,7 +73,7 @@ def test_it_converges_from_centimetres_within_a_few_stops(readings):
 
 def test_the_stated_uncertainty_of_predictions_covers_the_next_readings(readings):
     one = readings["left"]
-    fit = online_fit(twin(), "left", one.q)
+    fit = OnlineFit(twin(), "left", one.q)
     squares = []
     for stop in range(STOPS):
         fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop])
@@ -86,7 +86,7 @@ def test_the_stated_uncertainty_of_predictions_covers_the_next_readings(readings
 
 def test_residuals_of_all_readings_are_those_of_the_geometry_and_name_gross_errors(readings):
     one = readings["right"]
-    fit = online_fit(twin(), "right", one.q)
+    fit = OnlineFit(twin(), "right", one.q)
     assert fit.residuals() is None
     p_M = one.p_M.copy()
     p_M[7] += 0.05
@@ -103,7 +103,7 @@ def test_residuals_of_all_readings_are_those_of_the_geometry_and_name_gross_erro
 
 def test_a_reading_of_another_smr_has_no_weight(readings):
     one = readings["right"]
-    fit = online_fit(twin(), "right", one.q)
+    fit = OnlineFit(twin(), "right", one.q)
     for stop in range(60):
         wrong = stop in (30, 31)
         p_M = one.p_M[stop] + (np.array([0.0, 1.2, 0.3]) if wrong else 0.0)
@@ -117,20 +117,24 @@ def test_a_reading_of_another_smr_has_no_weight(readings):
 def test_points_on_one_line_and_the_same_stop_again_give_no_model():
     nominal = at_station(UR10, OFF_AXIS)
     q = np.tile(np.linspace(0.1, 0.6, 6), (8, 1))
-    fit = OnlineFit("arm", nominal, q)
+    fit = OnlineFit(twin(), "left", q)
     assert all(fit.add(stop, q[0], smr_positions(nominal, q[:1])[0]) is None for stop in range(8))
     assert not fit.ready
     assert fit.geometry is None
 
 
 def test_a_parameter_set_of_another_arm_is_refused_before_anything_moves():
-    with pytest.raises(InputError, match=r"arm 'iiwa': calibration\.parameter_set: .* use 'auto'"):
-        OnlineFit("iiwa", at_station(SEVEN, OFF_AXIS), np.zeros((3, 7)), parameter_set="paper")
+    profile = twin()
+    five = profile.arms["left"].type.model_copy(update={"joints": profile.arms["left"].type.joints[:5]})
+    arms = {"left": profile.arms["left"].model_copy(update={"type": five})}
+    paper = profile.calibration.model_copy(update={"parameter_set": "paper"})
+    with pytest.raises(InputError, match=r"arm 'left': calibration\.parameter_set: .* use 'auto'"):
+        OnlineFit(profile.model_copy(update={"arms": arms, "calibration": paper}), "left", np.zeros((3, 5)))
 
 
 def test_steps_that_do_not_end_leave_no_model_and_nothing_is_said_about_a_reading(readings, monkeypatch):
     one = readings["left"]
-    fit = online_fit(twin(), "left", one.q)
+    fit = OnlineFit(twin(), "left", one.q)
     monkeypatch.setattr("cellapp.estimation.calibration.online._STEPS", 1)
     reports = [fit.add(stop, one.q[stop], one.p_M[stop], one.covariance_M[stop]) for stop in range(5)]
     assert reports == [None] * 5

@@ -16,11 +16,11 @@ from cellapp.estimation.calibration.calibrate import station_change
 from cellapp.estimation.calibration.identification import TooFewReadings, identify
 from cellapp.estimation.calibration.least_squares import LeastSquares
 from cellapp.estimation.calibration.pair_calibration import distances, identify_pair
-from cellapp.estimation.calibration.registration import base_from_points
 from cellapp.estimation.calibration.station_location import (
     ArmPoints,
     NestPoint,
     TooFewNests,
+    base_from_points,
     fit_station,
     tie_stations,
 )

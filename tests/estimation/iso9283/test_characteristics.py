@@ -14,20 +14,18 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.iso9283 import characteristics as iso
 from cellapp.estimation.iso9283.characteristics import (
-    Cycles,
-    accuracy_value,
-    distance_values,
-    repeatability_value,
-)
-from cellapp.estimation.iso9283.coverage import NOT_ASKED, NOT_OFFERED, ONE_SMR, coverage, not_done
-from cellapp.estimation.iso9283.cube import (
     CORNERS,
     CYCLE,
     PLANES,
     POSES,
+    Cycles,
+    accuracy_value,
+    distance_values,
     lattice_cube,
     pose_positions,
+    repeatability_value,
 )
+from cellapp.estimation.iso9283.coverage import NOT_ASKED, NOT_OFFERED, ONE_SMR, coverage, not_done
 from cellapp.estimation.iso9283.records import (
     ArmIso9283,
     CommandedTests,

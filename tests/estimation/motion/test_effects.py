@@ -12,20 +12,19 @@ from cellapp.cell.profile import load_profile
 from cellapp.commands.discover.view import view
 from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, DiscoverResult
-from cellapp.estimation.motion.calibrate import calibrate_with_motion
-from cellapp.estimation.motion.discovery import SearchWithRecordings
+from cellapp.estimation.motion.calibrate import SearchWithRecordings, calibrate_with_motion
 from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
-from cellapp.estimation.motion.joint_path import joint_path
-from cellapp.estimation.motion.steps import State, Step, effects_of
-from cellapp.estimation.motion.streams import JointStream
-from cellapp.estimation.motion.terms import (
+from cellapp.estimation.motion.laws import (
     JointTerm,
     Law,
+    joint_path,
     of_all_joints,
     state_in_motion,
 )
+from cellapp.estimation.motion.steps import State, Step, effects_of
+from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Discovery
 from cellapp.ground.threads import one_blas_thread
@@ -131,12 +130,12 @@ def test_two_cycles_beside_much_more_of_one_are_of_the_same_disc():
     amplitude = np.array([15e-6, 60e-6, 0, 0, 0, 0, 0])
     arm = OffCentre(plain.rows, plain.tool, plain.base, plain.half_play, cycles=2.0, amplitude=amplitude)
     recording = record(rng, arm, sweep(rng, 6, reach=2.5), seconds=100.0, point_hz=40.0, white=5e-6, slow=0.0)
-    problem, rows = motion_problem(RecordedArm(NOMINAL, (recording,), tool_unknown=True), lambda words: None)
+    problem = motion_problem(RecordedArm(NOMINAL, (recording,), tool_unknown=True), lambda words: None)
     one_cycle = of_all_joints(Law.ONE_CYCLE, 6)
     lines = tuple(JointTerm(Law.LINE, joint, 2, sine) for joint in range(2) for sine in (False, True))
     steps = [Step(law, its, 100.0, -50.0, 1.0, 1.0) for law, its in ((Law.LINE, lines), (Law.ONE_CYCLE, one_cycle))]
     problem = problem.without_terms().with_terms((*lines, *one_cycle))
-    (gear, of_gear), (disc, of_disc) = effects_of(State(problem, solve(problem, rows), 1.0), steps)
+    (gear, of_gear), (disc, of_disc) = effects_of(State(problem, solve(problem), 1.0), steps)
     assert (gear.slug, gear.joints, gear.form) == ("transmission_error", (2,), "lines")
     assert of_gear == lines[2:]
     assert (disc.slug, disc.form, disc.at_rest) == ("encoder_eccentricity", "tilted", True)

@@ -242,10 +242,10 @@ def test_from_values_that_are_far_off_no_recording_fits_worse_than_there_and_too
     case, monkeypatch
 ):
     recording = case[2]
-    problem, stop_rows = motion_problem(
+    problem = motion_problem(
         RecordedArm(nominal_geometry(UR10, np.zeros(3)), [recording], tool_unknown=True), ignore_words
     )
-    near = solve(problem, stop_rows)
+    near = solve(problem)
     far = near.values.copy()
     base = [problem.layout.parameters.names.index(name) for name in ("x0", "y0", "z0", "alpha0", "beta0", "theta0")]
     far[base] += [0.3, -0.2, 0.2, 0.6, -0.5, 0.6]
@@ -253,8 +253,8 @@ def test_from_values_that_are_far_off_no_recording_fits_worse_than_there_and_too
     def square(values):
         return float(np.sum(residuals(problem.model(values), problem.tracks[0], 0, near.sources[0].rows) ** 2))
 
-    values = solve(problem, stop_rows, far).values
+    values = solve(problem, far).values
     assert square(values) <= square(far)
     monkeypatch.setattr("cellapp.estimation.motion.fit._STEPS", 1)
     with pytest.raises(NotConverged, match="fit of recordings of motion did not converge: 1 steps were not enough"):
-        solve(problem, stop_rows, far)
+        solve(problem, far)

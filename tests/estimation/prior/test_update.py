@@ -24,8 +24,7 @@ from cellapp.estimation.calibration.parameters import candidate_columns, weak_pr
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.prior.belief import Belief, Measured, is_own, posterior
-from cellapp.estimation.prior.calibrate import Earlier, believed, stated_model, updated_arm
-from cellapp.estimation.prior.discovery import SearchWithPriors
+from cellapp.estimation.prior.calibrate import Earlier, SearchWithPriors, believed, stated_model, updated_arm
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cellapp.estimation.readings.alike import folds_of, repeats, undivided
+from cellapp.estimation.readings.readings import folds_of, repeats, undivided
 
 
 def test_groups_are_configurations_or_neighbourhoods() -> None:

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import controller_file_text
 from cellapp.cell.run import RunFile
-from cellapp.robot.kinematics.chain import flange_poses, smr_positions
+from cellapp.robot.kinematics.chain import flange_poses, plain_geometry, smr_positions
 from cellapp.robot.kinematics.inverse import solve_pose
-from cellapp.robot.kinematics.plain_dh import plain_geometry
 from cellapp.robot.model.nominal import nominal_arm
 from tests.arms import OFF_AXIS, UR5, UR10, Array, at_station, true_geometry
 from tests.cell.programs.plain_controller import forward

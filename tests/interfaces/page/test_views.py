@@ -52,7 +52,7 @@ from cellapp.commands.stored_model import stage_in_force
 from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.words import law_words, probability_words
 from cellapp.estimation.discovery.records import DiscoverResult, LawRecord, Noise
-from cellapp.estimation.monitoring.check.records import (
+from cellapp.estimation.monitoring.records import (
     CheckedArm,
     CheckedPoint,
     CheckedStop,

@@ -22,7 +22,7 @@ from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.estimation.calibration.calibrate import provenance_of
 from cellapp.ground.profile import Profile
-from cellapp.robot.plugins import program_of
+from cellapp.robot.effects.registry import program_of
 from drivers.arms.protocol import Arm, ArmError, LimitExceeded, LinkLost, MotionStopped
 from drivers.arms.registry import ARMS
 from drivers.arms.settings import ArmSettings

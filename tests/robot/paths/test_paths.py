@@ -22,7 +22,7 @@ from cellapp.robot.kinematics.transforms import rotation_zyx
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
 from cellapp.robot.paths.cartesian import Arc, CartesianPath, cartesian_path
-from cellapp.robot.paths.sweep import Sweep
+from cellapp.robot.paths.joint_path import Sweep
 from tests.twin import PROFILES, small_twin
 
 PERIOD_S = 0.008

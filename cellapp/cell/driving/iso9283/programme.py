@@ -46,7 +46,7 @@ from cellapp.estimation.calibration.identification import identify, start_from_n
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import with_probe
 from cellapp.estimation.discovery.plan_forecast import nominal_model
-from cellapp.estimation.iso9283.cube import (
+from cellapp.estimation.iso9283.characteristics import (
     CYCLE,
     DIRECTIONAL_POSES,
     DIRECTIONS,

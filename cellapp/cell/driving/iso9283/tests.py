@@ -43,7 +43,7 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, remembered
 from cellapp.cell.targets.path import RUN_UP_RAD, PathPlan, PathPose, PathSpec, plan_path
 from cellapp.estimation.discovery.plan_forecast import tracker_covariance
-from cellapp.estimation.iso9283.cube import LARGE_CIRCLE, POSES, SMALL_CIRCLE, circle_positions
+from cellapp.estimation.iso9283.characteristics import LARGE_CIRCLE, POSES, SMALL_CIRCLE, circle_positions
 from cellapp.estimation.iso9283.evaluate import (
     ArmProgramme,
     Measured,

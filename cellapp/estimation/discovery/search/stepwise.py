@@ -18,8 +18,8 @@ from functools import partial
 import numpy as np
 
 from cellapp.estimation.calibration.identification import TooFewReadings
+from cellapp.estimation.calibration.least_squares import mean_variance
 from cellapp.estimation.calibration.quantities import states_nothing
-from cellapp.estimation.calibration.weights import mean_variance
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import (
     JointFit,

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.estimation.calibration.weights import NORMAL_95
+from cellapp.estimation.calibration.least_squares import NORMAL_95
 from cellapp.estimation.discovery.accepted import model_without, rms_length
 from cellapp.estimation.discovery.joint_fit import JointFit, left_out
 from cellapp.estimation.discovery.outcome import HeldOut

@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import candidate_columns
-from cellapp.estimation.monitoring.check.belief import CheckBelief, SequentialState, arm_belief, watching
-from cellapp.estimation.monitoring.check.linear import StopRows
-from cellapp.estimation.monitoring.check.naming import Design
-from cellapp.estimation.monitoring.check.sequential import NOTHING_YET, choose_stops, design_of, judged
+from cellapp.estimation.monitoring.belief import CheckBelief, SequentialState, arm_belief, watching
+from cellapp.estimation.monitoring.linear import StopRows
+from cellapp.estimation.monitoring.naming import Design
+from cellapp.estimation.monitoring.sequential import NOTHING_YET, choose_stops, design_of, judged
 from cellapp.estimation.prior.belief import Measured, Prior, posterior
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import MeasurementConditions

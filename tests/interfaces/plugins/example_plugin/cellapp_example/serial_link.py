@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from cellapp.cell.exports.arm_export import ArmExport
 from cellapp.cell.exports.export_format import ExportFormat, smr_in_plain_flange
-from cellapp.robot.kinematics.plain_dh import plain_geometry
+from cellapp.robot.kinematics.chain import plain_geometry
 
 
 def serial_link(export: ArmExport, sentences: Sequence[str]) -> str:

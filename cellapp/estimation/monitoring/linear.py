@@ -22,7 +22,7 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.quantities import conditions_of_arms
-from cellapp.estimation.monitoring.check.belief import (
+from cellapp.estimation.monitoring.belief import (
     LENGTH_M,
     TRACKER,
     TURN_RAD,

@@ -11,9 +11,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from cellapp.estimation.calibration.least_squares import excess_variance, mean_variance
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import conditions_of_arms, states_nothing
-from cellapp.estimation.calibration.weights import excess_variance, mean_variance
 from cellapp.estimation.prior.belief import Measured, Posterior, design, is_smooth
 from cellapp.estimation.prior.calibrate import calibration_posterior
 from cellapp.estimation.readings import Readings

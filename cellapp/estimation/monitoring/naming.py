@@ -18,9 +18,9 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import LeastSquares
-from cellapp.estimation.calibration.station_location import FEWEST_POINTS
-from cellapp.estimation.monitoring.check.belief import CheckBelief
-from cellapp.estimation.monitoring.check.linear import (
+from cellapp.estimation.calibration.station_location import FEWEST_POINTS, small_motion
+from cellapp.estimation.monitoring.belief import CheckBelief
+from cellapp.estimation.monitoring.linear import (
     Alternative,
     Direction,
     Moments,
@@ -35,9 +35,7 @@ from cellapp.robot.kinematics.transforms import (
     apply,
     invert,
     register,
-    rotation_from_vector,
     rotation_vectors,
-    transform,
 )
 
 # -- Statistics of the check: one test, after every stop and after the last one ---------------------------------------
@@ -418,7 +416,7 @@ def solve_motion(
         start = register(stops.measured[own], stops.expected[own])
     problem = LeastSquares[tuple[Array, Array]](
         lambda one: (_without(stops, one[0], moved).left.ravel() - A[:, 6:] @ one[1], A),
-        lambda one, step: (one[0] @ _small(step[:6], centre), one[1] + step[6:]),
+        lambda one, step: (one[0] @ small_motion(step[:6], centre), one[1] + step[6:]),
         stops.factor,
     )
     first = (start, np.zeros(len(linear)))
@@ -435,9 +433,3 @@ def _without(stops: StopRows, T: Array, moved: NDArray[np.bool_]) -> StopRows:
         left = scipy.spatial.transform.Rotation.from_rotvec(stops.measured[rows]).as_matrix()
         measured[rows] = rotation_vectors(T[:3, :3].T @ left)
     return replace(stops, measured=measured)
-
-
-def _small(twist: Array, centre: Array) -> Array:
-    """A small motion (4, 4) by a twist about a centre."""
-    rotation = rotation_from_vector(twist[3:])
-    return transform(rotation, centre - rotation @ centre + twist[:3])

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.monitoring.check.belief import (
+from cellapp.estimation.monitoring.belief import (
     FALSE_ALARM,
     MISS,
     MOST_STEPS,
@@ -19,7 +19,7 @@ from cellapp.estimation.monitoring.check.belief import (
     SequentialState,
     measured_vectors,
 )
-from cellapp.estimation.monitoring.check.linear import (
+from cellapp.estimation.monitoring.linear import (
     Moments,
     StopRows,
     alternatives_of,
@@ -30,7 +30,7 @@ from cellapp.estimation.monitoring.check.linear import (
     stop_rows,
     visibility,
 )
-from cellapp.estimation.monitoring.check.naming import (
+from cellapp.estimation.monitoring.naming import (
     NOT_EXPLAINED,
     Cause,
     Design,
@@ -39,7 +39,7 @@ from cellapp.estimation.monitoring.check.naming import (
     explain,
     log_valid,
 )
-from cellapp.estimation.monitoring.check.records import CheckedArm, CheckResult, CheckVerdict, FoundChange, WeakChange
+from cellapp.estimation.monitoring.records import CheckedArm, CheckResult, CheckVerdict, FoundChange, WeakChange
 from cellapp.estimation.readings import Readings, joined
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError

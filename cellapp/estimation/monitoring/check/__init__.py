@@ -1,1 +1,0 @@
-"""Mathematics of the ten-minute check: predictions of a calibration, choice of stops, a sequential test."""
