@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,18 +120,6 @@ class JobPulse:
         return own_s if waits_for is None else min(own_s, waits_for())
 
 
-class ClearanceObserver(Protocol):
-    """Smallest distances [m] that occurred in a cell; infinite before the first observation."""
-
-    @property
-    def arms_m(self) -> float:
-        """Smallest distance between the arms."""
-
-    @property
-    def floor_m(self) -> float:
-        """Smallest distance of an arm from the floor."""
-
-
 RecordSweep = Callable[[str, NDArray[np.float64], float, Mapping[str, NDArray[np.float64]]], SweepRecord]
 """Function of an arm, joint positions (n, N) [rad], their period [s], and the positions of arms that move with it; it
 returns what the devices recorded."""
@@ -141,8 +129,8 @@ returns what the devices recorded."""
 class Cell:
     """An open cell: connected devices and their common clock.
 
-    ``air`` is None without a weather station, ``clearance`` is None if distances are not observed. ``together`` calls
-    functions of several devices concurrently; ``watch_tracker`` watches the tracker while the arms move.
+    ``air`` is None without a weather station. ``together`` calls functions of several devices concurrently;
+    ``watch_tracker`` watches the tracker while the arms move.
     ``gate`` checks every motion; a trial that drives the same plan many times can pass one that caches its answers.
     ``tracker_unmet`` lists what kept the tracker from measuring when the cell was opened. ``pulse`` is the job's
     heartbeat. ``plant`` is the simulated cell; None in a real one. ``record_sweep`` lets an arm follow
@@ -154,7 +142,6 @@ class Cell:
     tracker: Tracker
     clock: Clock
     air: AirSensor | None = None
-    clearance: ClearanceObserver | None = None
     together: Together = in_threads
     watch_tracker: Watch = watched
     gate: Gate = refuse_motion
@@ -175,14 +162,11 @@ class Cell:
 
 
 @contextmanager
-def open_cell(
-    profile: Profile, *, watch_clearance: bool = False, plant: Plant | None = None, control: JobControl | None = None
-) -> Iterator[Cell]:
+def open_cell(profile: Profile, *, plant: Plant | None = None, control: JobControl | None = None) -> Iterator[Cell]:
     """Connect to all devices of a profile; disconnect them at the end, whatever happens.
 
-    ``watch_clearance`` observes the distances in a simulated cell, which takes time. ``plant`` is a simulated cell in
-    the state where an earlier job left it; if None, the profile's plant is built. A person's stop, through ``control``,
-    also ends the connecting: no program is started on a controller after it.
+    ``plant`` is a simulated cell in the state where an earlier job left it; if None, the profile's plant is built. A
+    person's stop, through ``control``, also ends the connecting: no program is started on a controller after it.
 
     Raises
     ------
@@ -195,7 +179,7 @@ def open_cell(
     """
     control = control or JobControl()
     if plant is None and _needs_plant(profile):
-        plant = build_plant(profile, watch_clearance=watch_clearance)
+        plant = build_plant(profile)
     arms = {name: _driver_of(name, arm, plant, user=control.run) for name, arm in profile.arms.items()}
     tracker = tracker_driver(profile, plant)
     air = _air_sensor(profile, plant)
@@ -217,13 +201,11 @@ def open_cell(
             monitor = stack.enter_context(monitored(tracker))
             yield Cell(arms, monitor, RealClock(), air, tracker_unmet=unmet)
         else:
-            clock, clearance = SimulatedClock(simulated), simulated.clearance
             yield Cell(
                 arms,
                 tracker,
-                clock,
+                SimulatedClock(simulated),
                 air,
-                clearance,
                 together,
                 unwatched,
                 tracker_unmet=unmet,
@@ -378,7 +360,10 @@ def _air_sensor(profile: Profile, plant: Plant | None) -> AirSensor | None:
 
 
 def build_plant(profile: Profile, *, watch_clearance: bool = False) -> Plant:
-    """Return the simulated cell that a profile describes. Raise ``InputError`` on an unknown effect or parameter."""
+    """Return the simulated cell that a profile describes; ``watch_clearance`` observes distances, which takes time.
+
+    Raise ``InputError`` on an unknown effect or parameter.
+    """
     settings = profile.plant
     tracker = profile.tracker
     if settings is None or tracker.pose is None:

@@ -360,13 +360,11 @@ class CollectSession:
             raise HardwareError(f"{text}; continue with --resume when it has settled")
 
     def _end_at_home(self) -> None:
-        """Move all arms home; note the smallest distance between them if distances are observed."""
+        """Move all arms home."""
         try:
             self._travel.home_at_once(home_positions(self.run.profile))
         except MotionRefused as error:
             self.notes.append(f"the arms stay where they are: {error}")
-        if self.cell.clearance is not None:
-            self.notes.append(f"smallest distance between the arms {self.cell.clearance.arms_m * 1e3:.0f} mm")
 
     # -- measurement ---------------------------------------------------------------------------------------------------
 
@@ -486,7 +484,6 @@ def collect_run(
     resume: bool = False,
     accept_drift: bool = False,
     again: Collection[int] | None = None,
-    watch_clearance: bool = False,
     confirm: Confirm | None = None,
     opened: Opened | None = None,
     payload: Mapping[str, float] | None = None,
@@ -522,7 +519,7 @@ def collect_run(
     _require_space(run, work)
     require_links(run.profile, control.check)
     before = replaced_counts(run)
-    sessions = _Sessions(run, listener, control, accept_drift, confirm, opened, watch_clearance)
+    sessions = _Sessions(run, listener, control, accept_drift, confirm, opened)
     for load in work.loads or (0,):
         profile = change_load(run, load, payload, hung)
         payload = None  # it describes the first load only
@@ -555,7 +552,6 @@ class _Sessions:
     accept_drift: bool
     confirm: Confirm | None
     opened: Opened | None
-    watch_clearance: bool
     notes: list[str] = field(default_factory=list)
     standard_error_mm: Mapping[str, float] = field(default_factory=dict)
     plant: Plant | None = None
@@ -571,7 +567,7 @@ class _Sessions:
             opened = partial(open_cell, plant=self.plant, control=control)
         if profile.plant is not None:
             profile = profile.model_copy(update={"plant": profile.plant.after(len(run.sessions()))})
-        with opening(profile, control, opened, watch_clearance=self.watch_clearance) as cell:
+        with opening(profile, control, opened) as cell:
             self.plant = cell.plant
             if run.profile.loads > 1:
                 require_load(cell, profile)

@@ -36,17 +36,13 @@ _FRESH_S = 0.3
 _BY_PERSON = {"stop": "a person stopped the arms", "abort": "a person aborted the job"}
 
 
-Opened = Callable[..., AbstractContextManager[Cell]]
-"""Replacement of ``open_cell`` for a profile; ``watch_clearance`` observes the distances in a simulated cell."""
+Opened = Callable[[Profile], AbstractContextManager[Cell]]
+"""Replacement of ``open_cell`` for a profile."""
 
 
-def opening(
-    profile: Profile, control: JobControl, opened: Opened | None = None, *, watch_clearance: bool = False
-) -> AbstractContextManager[Cell]:
+def opening(profile: Profile, control: JobControl, opened: Opened | None = None) -> AbstractContextManager[Cell]:
     """Return the context that opens the cell: by ``opened``, else by ``open_cell``, which a person's stop ends."""
-    if opened is None:
-        return open_cell(profile, control=control, watch_clearance=watch_clearance)
-    return opened(profile, watch_clearance=watch_clearance) if watch_clearance else opened(profile)
+    return open_cell(profile, control=control) if opened is None else opened(profile)
 
 
 @contextmanager

@@ -33,13 +33,6 @@ _NOTES = (
     "extrapolation, noise, and conditions that nobody stated. A refused target has no positions.",
     CORRECTED,
 )
-_TURNED = (
-    "nominal_mrad",
-    "orientation_uncertainty_mrad",
-    "orientation_within_mrad",
-    "orientation_tolerance_mrad",
-    "orientation_verdict",
-)
 _TURNED_NOTES = (
     "nominal_mrad is by what angle nominal_q1..N has the flange off the target's rotation, by the calibrated model;",
     "orientation_... say of the rotation at q1..qN what uncertainty_mm to verdict say of the position.",
@@ -48,60 +41,52 @@ _TURNED_NOTES = (
 
 def command_table(commands: ArmCommands, sentences: Sequence[str]) -> str:
     """Return the CSV text: comment lines, a header row, a row per target; floats in the shortest exact form."""
-    joints = range(1, len(commands.home) + 1)
     turned = any(command.record.orientation is not None for command in commands.commands)
+    rows = [_row(command.record, len(commands.home), turned=turned) for command in commands.commands]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        [
-            "name",
-            "arm",
-            *(f"q{k}" for k in joints),
-            *(f"nominal_q{k}" for k in joints),
-            "approach",
-            "holds_for",
-            "uncertainty_mm",
-            "within_mm",
-            "tolerance_mm",
-            "verdict",
-            "refusal",
-            *(_TURNED if turned else ()),
-        ]
-    )
-    for one in (command.record for command in commands.commands):
-        writer.writerow(
-            [
-                quoted_text(one.name),
-                one.arm,
-                *_numbers(one.q_compensated, len(joints)),
-                *_numbers(one.q_nominal, len(joints)),
-                "" if one.approach is None else signs_words(one.approach),
-                one.holds_for,
-                *("" if value is None else repr(value) for value in (one.uncertainty_mm, one.within_mm)),
-                "" if one.tolerance_mm is None else repr(one.tolerance_mm),
-                one.verdict,
-                quoted_text(one.refusal),
-                *(_turned(one) if turned else ()),
-            ]
-        )
+    writer.writerows([rows[0], *(row.values() for row in rows)])
     return hashed([*sentences, *_NOTES, *(_TURNED_NOTES if turned else ())]) + text.getvalue()
 
 
-def _turned(one: TargetCommand) -> list[str]:
-    """Return the cells of the columns ``_TURNED``."""
+def _row(one: TargetCommand, joints: int, *, turned: bool) -> dict[str, str]:
+    """Return the cells of a target by the names of their columns; with those of its rotation if ``turned``."""
+    cells = {
+        "name": quoted_text(one.name),
+        "arm": one.arm,
+        **_joints("q", one.q_compensated, joints),
+        **_joints("nominal_q", one.q_nominal, joints),
+        "approach": "" if one.approach is None else signs_words(one.approach),
+        "holds_for": one.holds_for,
+        "uncertainty_mm": _number(one.uncertainty_mm),
+        "within_mm": _number(one.within_mm),
+        "tolerance_mm": _number(one.tolerance_mm),
+        "verdict": one.verdict,
+        "refusal": quoted_text(one.refusal),
+    }
+    if not turned:
+        return cells
     turn = one.orientation
-    known = [None] * 3 if turn is None else [turn.nominal_mrad, turn.uncertainty_mrad, turn.within_mrad]
-    numbers = ["" if value is None else repr(value) for value in (*known, one.orientation_tolerance_mrad)]
-    return [*numbers, "" if turn is None else turn.verdict]
+    return cells | {
+        "nominal_mrad": _number(None if turn is None else turn.nominal_mrad),
+        "orientation_uncertainty_mrad": _number(None if turn is None else turn.uncertainty_mrad),
+        "orientation_within_mrad": _number(None if turn is None else turn.within_mrad),
+        "orientation_tolerance_mrad": _number(one.orientation_tolerance_mrad),
+        "orientation_verdict": "" if turn is None else turn.verdict,
+    }
+
+
+def _joints(name: str, q: Sequence[float] | None, joints: int) -> dict[str, str]:
+    return {f"{name}{j + 1}": _number(None if q is None else q[j]) for j in range(joints)}
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else repr(value)
 
 
 def commanded(commands: ArmCommands) -> int:
     """Return the number of targets that have joint positions."""
     return sum(command.record.q_compensated is not None for command in commands.commands)
-
-
-def _numbers(values: Sequence[float] | None, count: int) -> list[str]:
-    return [""] * count if values is None else [repr(value) for value in values]
 
 
 COMMAND_TABLE = CommandFormat("commands", "compensated commands at targets (CSV)", ".csv", command_table, commanded)

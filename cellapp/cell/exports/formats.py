@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from cellapp.cell.exports.arm_export import POSES, ExportResult, PositionLoss
 from cellapp.cell.exports.command_table import COMMAND_TABLE, URSCRIPT
@@ -76,22 +76,10 @@ def format_named(name: str) -> AnyFormat:
     return formats[name]
 
 
-class Form(Protocol):
-    """Format of any kind."""
-
-    @property
-    def name(self) -> str:
-        """Value for ``--as``."""
-
-    @property
-    def what(self) -> str:
-        """What the file is."""
-
-
 _TOGETHER = "all that is not rigid"
 
 
-def form_line(form: Form, *, simulated: bool) -> str:
+def form_line(form: AnyFormat, *, simulated: bool) -> str:
     """Return the first line of a file; ``simulated`` marks a simulated cell, whose numbers must not pass as real."""
     plugin = all_formats().plugin(form.name)
     writer = "cellapp" if plugin is None else f"{plugin.distribution} {plugin.version}, a plug-in of cellapp"

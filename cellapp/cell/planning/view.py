@@ -26,7 +26,6 @@ from cellapp.cell.safety.bodies import (
     ELEVATION,
     FACING,
     RANGE,
-    Placed,
     Sight,
     TrackerField,
     beam_clearance,
@@ -39,9 +38,9 @@ from cellapp.cell.safety.bodies import (
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, refuse_motion, refuse_stop, visible
 from cellapp.cell.safety.shapes import beam_gaps
+from cellapp.estimation.calibration.calibrate import rms_length_mm
 from cellapp.estimation.calibration.parameters import EXPECTED_SCATTER_M
 from cellapp.estimation.discovery.plan_forecast import (
-    ArmDesign,
     PlannedReadings,
     arm_designs,
     planned_accuracy,
@@ -210,10 +209,11 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
         except InputError as error:
             effects = ()
             notes.append(str(error))
+        assert design.data.stated is not None
         arms[name] = ArmForecast(
             stops=len(visited),
             reserves=len(reserves),
-            noise_rms_mm=_noise_rms_mm(design),
+            noise_rms_mm=rms_length_mm(design.data.stated),
             coverage=joint_coverage(joint_ranges(cell, profile, name), first[name]),
             accuracy=tuple(planned_accuracy(design, scatter) for scatter in (0.0, EXPECTED_SCATTER_M)),
             effects=effects,
@@ -222,13 +222,6 @@ def forecast_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
     return PlanForecastResult(
         run=str(run.folder), time=planned_time(profile, visited), arms=arms, notes=(*notes, *_notes(profile, first))
     )
-
-
-def _noise_rms_mm(design: ArmDesign) -> float:
-    """Compute the rms length of the tracker's noise at the stops [mm]."""
-    covariance = design.data.stated
-    assert covariance is not None
-    return 1e3 * float(np.sqrt(np.mean(np.trace(covariance, axis1=1, axis2=2))))
 
 
 def _notes(profile: Profile, plan: Mapping[str, Array]) -> list[str]:
@@ -267,24 +260,16 @@ def _reasons(cell: CellBodies, name: str, q: Mapping[str, Array]) -> Iterator[st
         if not holds[0]:
             yield _out_of_sight(condition, field, sight, cell.arms[name].acceptance)
     tracker, smr = field.T_C_M[:3, 3], placed[name].smr
-    for what, gap in _beam_gaps(cell, name, placed, tracker):
+    for other, bodies in placed.items():
+        gap = float(beam_clearance(tracker, smr, bodies, own=other == name)[0])
         if not gap > BEAM_RADIUS:
-            yield f"{what} is {_in_the_beam(gap)}"
+            yield f"{'its own body' if other == name else f'arm {other}'} is {_in_the_beam(gap)}"
     if mounted_hides(tracker, placed[name], BEAM_RADIUS)[0]:
         yield "what is mounted beside the SMR hides it from the tracker"
     for obstacle in cell.obstacles:
         gap = float(beam_gaps((obstacle,), tracker, smr, BEAM_RADIUS)[0])
         if not gap > BEAM_RADIUS:
             yield f"obstacle '{obstacle.name}' is {_in_the_beam(gap)}"
-
-
-def _beam_gaps(
-    cell: CellBodies, name: str, placed: Mapping[str, Placed], tracker: Array
-) -> Iterator[tuple[str, float]]:
-    """Yield the distance [m] of each arm's bodies from the beam to the SMR of arm ``name``."""
-    for other, bodies in placed.items():
-        what = "its own body" if other == name else f"arm {other}"
-        yield what, float(beam_clearance(tracker, placed[name].smr, bodies, own=other == name)[0])
 
 
 def _in_the_beam(gap: float) -> str:

@@ -26,7 +26,7 @@ from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.effects.law import DriverVariable
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
-from cellapp.robot.kinematics.inverse import closed_form_solutions, solve_pose
+from cellapp.robot.kinematics.inverse import closed_form_solutions, solve_pose, turned_into
 from cellapp.robot.kinematics.transforms import Array, invert, rotation_from_vector, rotation_vectors, transform
 from cellapp.robot.model import ArmModel, CellModel
 
@@ -163,7 +163,10 @@ def _meant(
     meant = np.tile(np.eye(4), (len(targets), 1, 1))
     poses = [k for k, target in enumerate(targets) if target.kind == "pose"]
     for k in poses:
-        meant[k] = _wanted_tcp(targets[k]) @ invert(pose_matrix(targets[k].tcp or (0.0,) * 6))
+        wanted, facing = pose_matrix(targets[k].numbers), targets[k].facing
+        if targets[k].position_only and facing is not None:
+            wanted[:3, :3] = rotation_from_vector(facing[3:])
+        meant[k] = wanted @ invert(pose_matrix(targets[k].tcp or (0.0,) * 6))
     middle = np.mean([place.measured.min(axis=0), place.measured.max(axis=0)], axis=0)
     start = middle if place.home is None else place.home
     near = np.array([targets[k].near or start.tolist() for k in poses]).reshape(-1, len(start))
@@ -215,14 +218,6 @@ def _first_posture(place: Workplace, solutions: Array, middle: Array) -> tuple[A
 def posture_text(q: Array | Sequence[float]) -> str:
     """Return joint positions (N,) [rad] in degrees."""
     return f"({', '.join(f'{angle + 0.0:.0f}' for angle in np.degrees(q).round())})"
-
-
-def _wanted_tcp(target: ProgramTarget) -> Array:
-    """Return the TCP pose (4, 4) that a pose target means."""
-    wanted = pose_matrix(target.numbers)
-    if target.position_only and target.facing is not None:
-        wanted[:3, :3] = rotation_from_vector(target.facing[3:])
-    return wanted
 
 
 def _why_not(place: Workplace, q_old: Array, q_new: Array, residual: float) -> str:
@@ -329,8 +324,8 @@ def true_flange(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> A
     Effects state displacements of points on the flange. Four points, the flange's origin and 1 m along each axis,
     give its rotation, too. The network knows only the SMR: it shifts the flange equally and does not rotate it.
     """
-    points = np.vstack([np.zeros(3), np.eye(3)])
-    at = np.array([_with_tool(arm, point).predict(q, conditions=conditions) for point in points])
+    tools = (replace(arm.geometry, tool=point) for point in (np.zeros(3), *np.eye(3)))
+    at = np.array([replace(arm, geometry=tool).predict(q, conditions=conditions) for tool in tools])
     rotations = np.stack([at[k + 1] - at[0] for k in range(3)], axis=2)
     u, _, vt = np.linalg.svd(rotations)  # the nearest rotations
     return _poses(u @ vt, at[0])
@@ -368,7 +363,7 @@ def branches(chain: Geometry, poses: Array, limits: Array, near: Array, seed: in
     which, starts = which[np.isfinite(starts[:, 0])], starts[np.isfinite(starts[:, 0])]
     solved = solve_pose(chain, poses[which, :3, 3], poses[which, :3, :3], starts)
     q = np.mod(solved.q + np.pi, 2.0 * np.pi) - np.pi
-    within = np.all(_turned_into(q, limits, np.zeros(joints))[1], axis=1)
+    within = np.all(turned_into(q, limits, np.zeros(joints))[1] == 0.0, axis=1)
     good = solved.reached & within
     return [_distinct(q[(which == k) & good]) for k in range(n)]
 
@@ -380,8 +375,8 @@ def nearest(solutions: Array, limits: Array, to: Array) -> Array | None:
     """
     if len(solutions) == 0:
         return None
-    turned, within = _turned_into(solutions, limits, to)
-    turned = turned[np.all(within, axis=1)]
+    turned, beyond = turned_into(solutions, limits, to)
+    turned = turned[np.all(beyond == 0.0, axis=1)]
     if len(turned) == 0:
         return None
     return np.asarray(turned[np.argmin(np.sum((turned - to) ** 2, axis=1))])
@@ -408,22 +403,10 @@ def nearest_vector(vector: Sequence[float], to: Sequence[float]) -> Array:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _with_tool(arm: ArmModel, point: Array) -> ArmModel:
-    return replace(arm, geometry=replace(arm.geometry, tool=point))
-
-
 def _poses(rotations: Array, origins: Array) -> Array:
     poses = np.tile(transform(np.eye(3), np.zeros(3)), (len(origins), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = rotations, origins
     return poses
-
-
-def _turned_into(q: Array, limits: Array, to: Array) -> tuple[Array, np.ndarray]:
-    """Move joints of ``q`` (k, N) by whole turns towards ``to`` (N,) within limits; return them and a success mask."""
-    turn = 2.0 * np.pi
-    fewest, most = np.ceil((limits[:, 0] - q) / turn), np.floor((limits[:, 1] - q) / turn)
-    wanted = np.round((to - q) / turn)
-    return np.asarray(q + turn * np.clip(wanted, fewest, np.maximum(fewest, most))), fewest <= most
 
 
 def _distinct(q: Array) -> Array:

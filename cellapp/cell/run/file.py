@@ -278,27 +278,7 @@ class RunFile:
         InputError
             If it is missing, not a run file, damaged, or of a newer schema. The file is left unchanged.
         """
-        folder = Path(folder)
-        path = folder / FILE_NAME
-        with sentences(folder):
-            check_header(folder, path)
-            connection = connect(path, "ro")
-            try:
-                with damage_as_sentence(path):
-                    check_integrity(path, connection)
-                    profile = read_profile(path, connection)
-                if write:
-                    try_folder(folder)  # results stand beside the run file, and so does its journal
-                    connection.close()
-                    connection = connect(path, "rw")
-                    connection.execute("PRAGMA synchronous=FULL")
-                    connection.execute("BEGIN IMMEDIATE")  # detects a file that cannot be written
-                    connection.execute("COMMIT")
-            except BaseException:
-                connection.close()
-                raise
-            journal = str(connection.execute("PRAGMA journal_mode").fetchone()[0])
-        return cls(folder, connection, profile, write, journal)
+        return cls._opened(folder, write=write, checked=True)
 
     @classmethod
     def peek(cls, folder: Path) -> Self:
@@ -309,18 +289,32 @@ class RunFile:
         InputError
             As ``open``; for a damaged page only once something is read from it.
         """
-        folder = Path(folder)
+        return cls._opened(folder, write=False, checked=False)
+
+    @classmethod
+    def _opened(cls, folder: Path, *, write: bool, checked: bool) -> Self:
+        folder, journal = Path(folder), ""
         path = folder / FILE_NAME
         with sentences(folder):
             check_header(folder, path)
-            connection = connect(path, "ro", wait_s=0.0)
+            connection = connect(path, "ro") if checked else connect(path, "ro", wait_s=0.0)
             try:
                 with damage_as_sentence(path):
+                    if checked:
+                        check_integrity(path, connection)
                     profile = read_profile(path, connection)
+                if write:
+                    try_folder(folder)  # results stand beside the run file, and so does its journal
+                    connection.close()
+                    connection = connect(path, "rw")
+                    connection.execute("PRAGMA synchronous=FULL")
+                    connection.execute("BEGIN IMMEDIATE")  # detects a file that cannot be written
+                    connection.execute("COMMIT")
+                    journal = str(connection.execute("PRAGMA journal_mode").fetchone()[0])
             except BaseException:
                 connection.close()
                 raise
-        return cls(folder, connection, profile, False, "unknown")
+        return cls(folder, connection, profile, write, journal)
 
     def close(self) -> None:
         """Merge the write-ahead log into the one file and close it; closing twice does no harm."""

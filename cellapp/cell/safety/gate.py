@@ -664,14 +664,12 @@ _CHORD_RAD = 0.05
 """Largest joint motion between two samples that the gate checks as one straight motion in joint space."""
 
 
-def refuse_path(
-    cell: CellBodies, name: str, q: Array, others: Mapping[str, Array], s: Array, gate: Gate = refuse_motion
-) -> str:
+def refuse_path(cell: CellBodies, name: str, q: Array, others: Mapping[str, Array], s: Array) -> str:
     """Return why arm ``name`` must not follow ``q`` (m, N) [rad] while the ``others`` rest; empty if it may.
 
     As ``refuse_paths``; ``s`` (m,) are arc lengths [m], for the message.
     """
-    row, refusal = refuse_paths(cell, {name: q}, others, gate)
+    row, refusal = refuse_paths(cell, {name: q}, others)
     return f"at {s[row] * 1e3:.0f} mm: {refusal}" if refusal else ""
 
 

@@ -82,16 +82,13 @@ SHORT_SESSION = Session(1800.0, 1)
 """Half an hour with one payload: the time of recordings of motion with stops beside them."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Visits:
-    """Stops in the order of the visits: joint positions and last motions, arm -> (n, N) [rad] each."""
+def _visits(
+    profile: Profile, plan: Mapping[str, Array] | PlannedStops, order: NDArray[np.intp]
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return joint positions and last motions in the order of the visits, arm -> (n, N) [rad] each.
 
-    q: Mapping[str, Array]
-    step: Mapping[str, Array]
-
-
-def _visits(profile: Profile, plan: Mapping[str, Array] | PlannedStops, order: NDArray[np.intp]) -> _Visits:
-    """Return the visits of a designed plan as planned; of other stops in ``order``, straight from stop to stop."""
+    A designed plan is visited as planned; other stops in ``order``, straight from stop to stop.
+    """
     homes = home_positions(profile)
     q = dict(plan.q) if isinstance(plan, PlannedStops) else {name: rows[order] for name, rows in plan.items()}
     step = {name: np.diff(np.vstack([homes[name], rows]), axis=0) for name, rows in q.items()}
@@ -100,7 +97,7 @@ def _visits(profile: Profile, plan: Mapping[str, Array] | PlannedStops, order: N
             name: np.where(np.isnan(plan.approach_from[name]), step[name], q[name] - plan.approach_from[name])
             for name in q
         }
-    return _Visits(q, step)
+    return q, step
 
 
 def blind_readings(
@@ -120,16 +117,16 @@ def blind_readings(
     rng = np.random.default_rng([seed, 0xB11D])
     plant = build_plant(profile)
     n = len(plan) if isinstance(plan, PlannedStops) else len(next(iter(plan.values())))
-    visits = _visits(profile, plan, rng.permutation(n))
+    at, steps = _visits(profile, plan, rng.permutation(n))
     time_s, dwell_s, air_c = _drawn_conditions(profile, n, session.duration_s, rng)
     loads_kg = _loads_kg(profile, n, session.payload_blocks)
     readings = {}
-    for place, (name, q) in enumerate(visits.q.items()):
-        step = visits.step[name]
+    for place, (name, q) in enumerate(at.items()):
+        step = steps[name]
         rise = rng.uniform(*_JOINT_RISE_K, q.shape[1]) * -np.expm1(-time_s[:, None] / _WARM_UP_S)
         joints_c = air_c[:, None] + rise
         stopped = q + noise.repeatability * rng.standard_normal(q.shape)
-        conditions = conditions_at(name, visits.q, step, time_s, dwell_s, loads_kg[name], joints_c, air_c)
+        conditions = conditions_at(name, at, step, time_s, dwell_s, loads_kg[name], joints_c, air_c)
         conditions["other_payloads"] = {other: loads_kg[other] for other in loads_kg if other != name}
         exact = plant.smr_positions(name, stopped, **conditions)
         draw = np.random.default_rng([seed, place, 0x401])

@@ -389,10 +389,8 @@ def _findings(stored: StoredFindings, drawn_um: float) -> ArmFindings:
 
 def _posteriors(found: ArmDiscoveryResult) -> dict[str, float]:
     """Return the stated probability of each candidate and accepted effect; empty if none is stated."""
-    candidates: Mapping[str, float | None] = getattr(found, "candidates", None) or {}
-    stated = {slug: float(value) for slug, value in candidates.items() if value is not None}
+    stated = dict(found.candidates)
     for effect in found.accepted:
-        posterior: float | None = getattr(effect, "posterior", None)
-        if posterior is not None and effect.effect != UNKNOWN:
-            stated[effect.effect] = max(posterior, stated.get(effect.effect, 0.0))
+        if effect.posterior is not None and effect.effect != UNKNOWN:
+            stated[effect.effect] = max(effect.posterior, stated.get(effect.effect, 0.0))
     return stated

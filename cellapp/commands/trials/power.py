@@ -33,7 +33,7 @@ from cellapp.commands.trials.blind import beyond_geometry, conditions_at, readin
 from cellapp.commands.view.charts import Axis, Chart, bar_chart
 from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.table import Interval, Table, table_of
-from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_splits
+from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_splits, rms_length_mm
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.records import AcceptedEffect, SmallestSize
@@ -114,11 +114,11 @@ class TrialCell:
         """Published arms, registered to their readings: needed for effects that depend on the other arms."""
         return {name: registered_model(self.profile, name, own.q, own.p_M) for name, own in self.readings.items()}
 
-    def noise_rms_m(self, name: str) -> float:
-        """Return the rms length of the tracker's noise at the stops of an arm [m]."""
+    def noise_rms_mm(self, name: str) -> float:
+        """Return the rms length of the tracker's noise at the stops of an arm [mm]."""
         covariance = self.readings[name].covariance_M
         assert covariance is not None
-        return float(np.sqrt(np.mean(np.trace(covariance, axis1=1, axis2=2))))
+        return rms_length_mm(covariance)
 
 
 def trial_cell(planned: PlannedCell) -> TrialCell:
@@ -276,9 +276,7 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: Ti
     cell = trial_cell(planned)
     lacking = _lacking(cell)
     tried = [
-        _Tried(arm, effect, seed, 1e3 * cell.noise_rms_m(arm))
-        for (arm, effect), reason in lacking.items()
-        if not reason
+        _Tried(arm, effect, seed, cell.noise_rms_mm(arm)) for (arm, effect), reason in lacking.items() if not reason
     ]
     failed: list[str] = []
     allowed = work.jobs or local_cores()  # the first trials show their duration
@@ -302,7 +300,7 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: Ti
         arms={
             name: ArmPower(
                 stops=len(planned.time_s),
-                noise_rms_mm=1e3 * cell.noise_rms_m(name),
+                noise_rms_mm=cell.noise_rms_mm(name),
                 effects=tuple(
                     powers.get((arm, effect), EffectPower(effect=effect, title=EFFECTS[effect].title, limit=reason))
                     for (arm, effect), reason in lacking.items()

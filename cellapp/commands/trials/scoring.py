@@ -98,14 +98,17 @@ def targets(
     every = [found for run in runs for found in run.arms.values()]
     beside = [found for run in runs if run.arm for arm, found in run.arms.items() if arm != run.arm]
     known = [run for run in runs if run.kind in ("one", "pair", "triple")]
+    wrong_below = [run.outcome not in ("none", "named") for run in known if run.kind == "one" and not run.visible]
+    too_many = [bool(run.second_names) for run in runs if run.kind == "hard"]
+    false_beside = [bool(arm.accepted) or arm.unknown for arm in beside]
     found = (
         *_names([run for run in known if run.visible]),
         _at_most("none", "false names, by arm", 0.01, [bool(arm.names) for arm in clean], ENOUGH_CLEAN),
         _at_most("none", "false unknown effects, by arm", 0.01, [arm.unknown for arm in clean], ENOUGH_CLEAN),
-        _at_most("beside", "false names, arms beside one that hides something", 0.01, _false(beside), ENOUGH_CLEAN),
+        _at_most("beside", "false names, arms beside one that hides something", 0.01, false_beside, ENOUGH_CLEAN),
         *_outside([run for run in runs if run.kind == "outside"], [run for run in runs if run.kind == "flipped"]),
-        _at_most("hard", "a name too many", 0.02, _too_many(runs), _SECOND, bar=False),
-        _at_most("one", "below the noise: another name", 0.02, _wrong_below(known), _SECOND, bar=False),
+        _at_most("hard", "a name too many", 0.02, too_many, _SECOND, bar=False),
+        _at_most("one", "below the noise: another name", 0.02, wrong_below, _SECOND, bar=False),
         *_second([run for run in known if run.visible], [run for run in runs if run.kind == "outside"]),
         *(_brier(score) for score in posteriors if score.about in (EVERY, ACCEPTED)),
         *_errors([run.findings for run in known]),
@@ -113,11 +116,6 @@ def targets(
         _at_least("all", f"one arm within {SLOWEST_S:g} s", 1.0, [arm.seconds <= SLOWEST_S for arm in every]),
     )
     return [target for target in found if target is not None]
-
-
-def _false(arms: Sequence[ArmFindings]) -> list[bool]:
-    """Return for each arm that hides nothing whether anything was named or called unknown."""
-    return [bool(found.accepted) or found.unknown for found in arms]
 
 
 def _names(visible: Sequence[ScoredRun]) -> list[TargetScore | None]:
@@ -132,17 +130,6 @@ def _names(visible: Sequence[ScoredRun]) -> list[TargetScore | None]:
         _at_least("pair, triple", "visible: exactly their names", 0.92, ordinary, _SEVERAL),
         _at_least("pair", "visible look-alikes: exactly their names", 0.92, alike),
     ]
-
-
-def _wrong_below(known: Sequence[ScoredRun]) -> list[bool]:
-    """Return for each single effect below the noise whether the search accepted anything else."""
-    below = [run for run in known if run.kind == "one" and not run.visible]
-    return [run.outcome not in ("none", "named") for run in below]
-
-
-def _too_many(runs: Sequence[ScoredRun]) -> list[bool]:
-    """Return for each hard case whether it got more names, or unknown terms, than it has causes."""
-    return [bool(run.second_names) for run in runs if run.kind == "hard"]
 
 
 def _outside(outside: Sequence[ScoredRun], flipped: Sequence[ScoredRun]) -> list[TargetScore | None]:

@@ -137,11 +137,11 @@ def _shown(value: Any, unit: str) -> Any:
     return 100.0 * value if unit == "%" and isinstance(value, float) else value
 
 
-def most_urgent(rows: Sequence[R], urgency: Callable[[R], float], most: int = MOST_ROWS) -> list[R]:
-    """Return the ``most`` rows with the largest urgency, in their original order."""
-    if len(rows) <= most:
+def most_urgent(rows: Sequence[R], urgency: Callable[[R], float]) -> list[R]:
+    """Return at most ``MOST_ROWS`` rows, those with the largest urgency, in their original order."""
+    if len(rows) <= MOST_ROWS:
         return list(rows)
-    chosen = sorted(range(len(rows)), key=lambda row: (-urgency(rows[row]), row))[:most]
+    chosen = sorted(range(len(rows)), key=lambda row: (-urgency(rows[row]), row))[:MOST_ROWS]
     return [rows[row] for row in sorted(chosen)]
 
 

@@ -18,8 +18,8 @@ _SWITCH_S = 0.001
 """Thread switch interval [s]. Several threads run between a key and the brakes: one that computes must yield soon."""
 
 
-def run_app(folder: Path = Path("profiles")) -> int:
-    """Run the application on the profiles of a folder until the user quits. Return the exit code of the last job.
+def run_app() -> int:
+    """Run the application on the folder ``profiles`` until the user quits. Return the exit code of the last job.
 
     0 done (or no job was started), 2 bad input, 3 hardware or unexpected error, 4 stopped and resumable.
 
@@ -38,7 +38,7 @@ def run_app(folder: Path = Path("profiles")) -> int:
     from cellapp.interfaces.tui.app import CellApp
 
     sys.setswitchinterval(_SWITCH_S)
-    app = CellApp(folder, ends_process=True)
+    app = CellApp(Path("profiles"), ends_process=True)
     app.passes.watch()
     app.run()
     app.wait_for_job()

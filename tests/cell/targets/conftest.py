@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from cellapp.cell.driving.cell import Cell, open_cell
+from cellapp.cell.driving.cell import Cell, build_plant, open_cell
 from cellapp.cell.run import RunFile
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.ground.profile import Profile
@@ -37,7 +37,7 @@ def cells(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
     @contextmanager
     def watched(profile: Profile, **options: Any) -> Iterator[Cell]:
-        with open_cell(profile, **{**options, "watch_clearance": True}) as cell:
+        with open_cell(profile, **options, plant=build_plant(profile, watch_clearance=True)) as cell:
             opened.append(cell)
             yield cell
 

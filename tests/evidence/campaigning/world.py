@@ -125,7 +125,7 @@ class World:
         raise ProgramKilled
 
     @contextmanager
-    def opened(self, profile: Profile, *, watch_clearance: bool = False) -> Iterator[Cell]:
+    def opened(self, profile: Profile) -> Iterator[Cell]:
         """Connect to all devices, as ``open_cell`` does."""
         with ExitStack() as stack:
             try:

@@ -33,7 +33,6 @@ from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words, ask_of_c
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView, words_first
-from cellapp.interfaces.tui.widgets.tables import show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
@@ -86,10 +85,6 @@ class AcceptScreen(DayScreen):
         bind("export", "certificate", "Certificate", "write the certificate; nothing moves"),
         bind("tab", "next_tab", "Next tab"),
     ]
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._drawn: Workspace | None = None
 
     def body(self) -> ComposeResult:
         yield Static("", id="decision", markup=False)
@@ -158,10 +153,8 @@ class AcceptScreen(DayScreen):
         if (calibrated := self.calibrated_run()) is not None:
             self.start(work.job_of(REPORT, folder=calibrated[0]))
 
-    def action_next_tab(self) -> None:
-        """Show the next tab."""
-        tabs = self.query_one("#accept", TabbedContent)
-        show_next_tab(tabs)
+    def tab_shown(self, tabs: TabbedContent) -> None:
+        """Focus the tables of the tab."""
         self._scroll(tabs.active)
 
     def show_tab(self, stage: StageName) -> None:
@@ -187,11 +180,8 @@ class AcceptScreen(DayScreen):
         elif state.not_calibrated:
             self._draw_decision("", f"{state.not_calibrated} {_NOMINAL}")
 
-    def show_workspace(self, workspace: Workspace) -> None:
+    def show_run(self, workspace: Workspace) -> None:
         """Draw the content of the run, and judge it in a thread."""
-        if workspace is self._drawn:
-            return
-        self._drawn = workspace
         marks = () if workspace.overview is None else workspace.overview.complaints
         outdated = self.query_one("#outdated", Static)
         outdated.update("\n".join(f"! OUT OF DATE: {with_keys(mark)}" for mark in marks))
@@ -212,7 +202,7 @@ class AcceptScreen(DayScreen):
 
     def _show_verdict(self, workspace: Workspace, verdict: RunVerdict | None) -> None:
         """Draw the judgements, unless another workspace was opened meanwhile."""
-        if workspace is self._drawn:
+        if workspace is self._shown:
             self._draw_verdict(verdict, _UNREADABLE)
 
     def _draw_verdict(self, verdict: RunVerdict | None, why_not: str) -> None:
@@ -243,10 +233,5 @@ class AcceptScreen(DayScreen):
 
     def _draw_stage(self, stage: StageName, again: str, parts: Parts) -> None:
         """Draw a result, below a mark if it is out of date."""
-        self.query_one(f"#{stage}-tables", PartsView).show(words_first(parts), self._outdated(stage, again))
-
-    def _outdated(self, stage: StageName, again: str) -> list[str]:
-        """Return the mark of a result that is out of date; empty if it is valid."""
-        results = self.workspace.results
-        reason = None if results is None else results.out_of_date.get(stage)
-        return [] if reason is None else [f"! OUT OF DATE: {reason}; {SHOWN[again]} does it again"]
+        outdated = self.outdated(stage, again, "does it again")
+        self.query_one(f"#{stage}-tables", PartsView).show(words_first(parts), outdated)

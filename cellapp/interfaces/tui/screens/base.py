@@ -12,9 +12,9 @@ from textual.containers import Vertical
 from textual.events import Resize, ScreenResume
 from textual.geometry import Size
 from textual.screen import Screen
-from textual.widgets import Static
+from textual.widgets import Static, TabbedContent, TabPane
 
-from cellapp.commands.docs.keys import KEYS
+from cellapp.commands.docs.keys import KEYS, SHOWN
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from cellapp.commands.record import Request
     from cellapp.commands.run_results import RunResults
     from cellapp.estimation.calibration.records import CalibrateResult
-    from cellapp.ground.results import Result
+    from cellapp.ground.results import Result, StageName
     from cellapp.interfaces.tui.host import Severity
     from cellapp.interfaces.tui.jobs import Job
 
@@ -41,7 +41,7 @@ _TOO_SMALL = "Make the terminal larger, at least 80x24. Jobs go on; STOP and all
 
 
 class DayScreen(Screen[None]):
-    """One step of the day. Subclasses compose ``body`` and draw in ``show_workspace`` and ``show_job``.
+    """One step of the day. Subclasses compose ``body`` and draw in ``show_run`` and ``show_job``.
 
     Both are called when the screen is shown and whenever their data have changed; never while it is hidden.
     """
@@ -55,6 +55,7 @@ class DayScreen(Screen[None]):
         super().__init__()
         self._state: RunState | None = None
         self._look: tuple[object, ...] = ()
+        self._shown: Workspace | None = None
 
     def fit(self, size: Size) -> None:
         """Set the classes for a terminal of this size before the screen is mounted, so that its widgets find their
@@ -101,7 +102,13 @@ class DayScreen(Screen[None]):
         raise NotImplementedError
 
     def show_workspace(self, workspace: Workspace) -> None:
-        """Draw the open profile and run."""
+        """Draw the open profile and run, unless they are drawn already."""
+        if workspace is not self._shown:
+            self._shown = workspace
+            self.show_run(workspace)
+
+    def show_run(self, workspace: Workspace) -> None:
+        """Draw the open profile and run, which have changed."""
 
     def draw_state(self) -> None:
         """Draw the parts of the state that all screens show, then this screen's parts, if they have changed."""
@@ -160,6 +167,22 @@ class DayScreen(Screen[None]):
                     self.call_next(self.run_action, binding.action)
                 return possible
         return False
+
+    def outdated(self, stage: StageName, key: str, does: str) -> list[str]:
+        """Return the mark of a stage's result that is out of date, with the key that ``does`` it; empty if it holds."""
+        results = self.workspace.results
+        reason = None if results is None else results.out_of_date.get(stage)
+        return [] if reason is None else [f"! out of date: {reason}; {SHOWN[key]} {does}"]
+
+    def action_next_tab(self) -> None:
+        """Show the tab after the current one; after the last, the first."""
+        tabs = self.query_one(TabbedContent)
+        names = [pane.id or "" for pane in tabs.query(TabPane)]
+        tabs.active = names[(names.index(tabs.active) + 1) % len(names)]
+        self.tab_shown(tabs)
+
+    def tab_shown(self, tabs: TabbedContent) -> None:
+        """Focus the content of the tab that the key has shown."""
 
     def show_runs(self) -> None:
         """List all runs; only the screen Cell does."""

@@ -28,7 +28,6 @@ from cellapp.commands.calibrate.charts import (
     stage_chart,
 )
 from cellapp.commands.calibrate.view import calibration_tables, merged_sentences, parameter_tables, tracker_sentences
-from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.export.request import STAGES, VERB
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.charts import Chart
@@ -43,7 +42,6 @@ from cellapp.interfaces.tui.offers import WRITE, offer_again
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.widgets.tables import show_next_tab
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 
@@ -116,7 +114,6 @@ class CalibrateScreen(DayScreen):
     def __init__(self) -> None:
         super().__init__()
         self._data: ReportData | None = None
-        self._drawn: Workspace | None = None
 
     def body(self) -> ComposeResult:
         with TabbedContent(id="calibration"):
@@ -162,10 +159,6 @@ class CalibrateScreen(DayScreen):
         """Show the charts."""
         self.query_one("#calibration", TabbedContent).active = "errors"
 
-    def action_next_tab(self) -> None:
-        """Show the next tab."""
-        show_next_tab(self.query_one("#calibration", TabbedContent))
-
     def action_export(self) -> None:
         """Ask for format and file, then write the calibrated arms."""
         if (calibrated := self.calibrated_run()) is not None:
@@ -187,11 +180,8 @@ class CalibrateScreen(DayScreen):
         results = self.workspace.results
         return None if results is None else results.calibrate
 
-    def show_workspace(self, workspace: Workspace) -> None:
+    def show_run(self, workspace: Workspace) -> None:
         """Draw the calibration of the run."""
-        if workspace is self._drawn:
-            return
-        self._drawn = workspace
         result = self._result
         tables, parameters = self.query_one("#stage-tables", PartsView), self.query_one("#parameter-tables", PartsView)
         if result is None or workspace.results is None:
@@ -200,8 +190,7 @@ class CalibrateScreen(DayScreen):
             self._data = None
             self._draw_plots()
             return
-        reason = workspace.results.out_of_date.get(CALIBRATE)
-        outdated = [] if reason is None else [f"! out of date: {reason}; {SHOWN['go']} calibrates again"]
+        outdated = self.outdated(CALIBRATE, "go", "calibrates again")
         tables.show((*calibration_tables(result), *tracker_sentences(result), *result.notes), outdated)
         parameters.show((*parameter_tables(result), *merged_sentences(result)), outdated)
         self._read(workspace)
@@ -217,7 +206,7 @@ class CalibrateScreen(DayScreen):
 
     def _take(self, workspace: Workspace, data: ReportData | None) -> None:
         """Draw the plots of the data, unless another workspace was opened meanwhile."""
-        if workspace is self._drawn:
+        if workspace is self._shown:
             self._data = data
             self._draw_plots()
 

@@ -28,7 +28,6 @@ from cellapp.interfaces.tui.widgets.tables import (
     TextTable,
     age_words,
     explain_tabs,
-    show_next_tab,
 )
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
@@ -203,10 +202,6 @@ class CellScreen(DayScreen):
     def action_map(self) -> None:
         """Show the map."""
         self.query_one("#cell-tabs", TabbedContent).active = "tab-map"
-
-    def action_next_tab(self) -> None:
-        """Show the next tab."""
-        show_next_tab(self.query_one("#cell-tabs", TabbedContent))
 
     # -- doctor and devices --------------------------------------------------------------------------------------------
 

@@ -26,7 +26,7 @@ from cellapp.interfaces.tui.offers import BEGIN, arms_words, offer_again
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.widgets.tables import show_next_of, show_next_tab
+from cellapp.interfaces.tui.widgets.tables import show_next_of
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 _PLOTS = ("gap", "pictures")
@@ -47,10 +47,6 @@ class DiscoverScreen(DayScreen):
         bind("plots", "plots", "Plots", "show the plots; again: the next one"),
         bind("tab", "next_tab", "Next tab"),
     ]
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._drawn: Workspace | None = None
 
     def body(self) -> ComposeResult:
         with TabbedContent(id="discovery"):
@@ -100,10 +96,6 @@ class DiscoverScreen(DayScreen):
         """Show a tab with plots; if one is shown, the next."""
         show_next_of(self.query_one("#discovery", TabbedContent), _PLOTS)
 
-    def action_next_tab(self) -> None:
-        """Show the next tab."""
-        show_next_tab(self.query_one("#discovery", TabbedContent))
-
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     @property
@@ -111,11 +103,8 @@ class DiscoverScreen(DayScreen):
         results = self.workspace.results
         return None if results is None else results.discover
 
-    def show_workspace(self, workspace: Workspace) -> None:
+    def show_run(self, workspace: Workspace) -> None:
         """Draw the discovery of the run."""
-        if workspace is self._drawn:
-            return
-        self._drawn = workspace
         found = self._result
         tables = self.query_one("#name-tables", PartsView)
         gap, pictures = self.query_one("#gap-parts", PartsView), self.query_one("#effect-pictures", PartsView)
@@ -125,8 +114,7 @@ class DiscoverScreen(DayScreen):
             pictures.show(())
             self.query_one("#proposal", Static).update(_NO_PROPOSAL)
         else:
-            reason = workspace.results.out_of_date.get(DISCOVER)
-            outdated = [] if reason is None else [f"! out of date: {reason}; {SHOWN['go']} searches again"]
+            outdated = self.outdated(DISCOVER, "go", "searches again")
             tables.show((*discovery_tables(found), *verdict_lines(found)), outdated)
             self.query_one("#meaning", Static).update(with_keys(explanation_text(found)))
             proposal = _NO_PROPOSAL if found.proposal is None else with_keys("\n".join(proposal_lines(found.proposal)))

@@ -29,7 +29,7 @@ from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.widgets.tables import CellMap, StopsTable, explain_tabs, show_next_of, show_next_tab
+from cellapp.interfaces.tui.widgets.tables import CellMap, StopsTable, explain_tabs, show_next_of
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
@@ -247,10 +247,8 @@ class PlanScreen(PlanEdits):
         """Show the design, then the maps."""
         show_next_of(self.query_one("#plan-tabs", TabbedContent), _PLOTS)
 
-    def action_next_tab(self) -> None:
-        """Show the next tab."""
-        tabs = self.query_one("#plan-tabs", TabbedContent)
-        show_next_tab(tabs)
+    def tab_shown(self, tabs: TabbedContent) -> None:
+        """Focus the stops or the tables of the tab."""
         if tabs.active_pane is not None:
             for content in tabs.active_pane.query("StopsTable, PartsView"):
                 content.focus()

@@ -59,7 +59,7 @@ from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, WRITE, arms_words, a
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView, words_first
-from cellapp.interfaces.tui.widgets.tables import TextTable, show_next_tab
+from cellapp.interfaces.tui.widgets.tables import TextTable
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 EMPTY = f"No targets: {SHOWN['open']} opens a list (YAML), {SHOWN['add']} adds a target."
@@ -73,17 +73,23 @@ class TargetEdits:
     ----------
     path : Path or None
         None for a list that has no file yet.
-    saved, targets : tuple of Target
-        The list in the file, and the current list.
-    before, after : tuple of lists
-        For undo and redo; the last one is used first.
+    saved : tuple of Target
+        The list in the file.
+    history : tuple of lists
+        The list before and after each edit.
+    place : int
+        Index of the current list in the history, for undo and redo.
     """
 
     path: Path | None = None
     saved: tuple[Target, ...] = ()
-    targets: tuple[Target, ...] = ()
-    before: tuple[tuple[Target, ...], ...] = ()
-    after: tuple[tuple[Target, ...], ...] = ()
+    history: tuple[tuple[Target, ...], ...] = ((),)
+    place: int = 0
+
+    @property
+    def targets(self) -> tuple[Target, ...]:
+        """The current list."""
+        return self.history[self.place]
 
     @property
     def edited(self) -> bool:
@@ -92,7 +98,7 @@ class TargetEdits:
 
     def changed(self, targets: Sequence[Target]) -> Self:
         """Return the edits with another list, after an edit."""
-        return replace(self, targets=tuple(targets), before=(*self.before, self.targets), after=())
+        return replace(self, history=(*self.history[: self.place + 1], tuple(targets)), place=self.place + 1)
 
     def with_target(self, index: int, target: Target) -> Self:
         """Return the edits with one target replaced; an index behind the last appends it."""
@@ -102,19 +108,10 @@ class TargetEdits:
         """Return the edits with one target removed."""
         return self.changed((*self.targets[:index], *self.targets[index + 1 :]))
 
-    def undone(self) -> Self | None:
-        """Return the edits before the last edit; None if there is none."""
-        if not self.before:
-            return None
-        *before, targets = self.before
-        return replace(self, targets=targets, before=tuple(before), after=(*self.after, self.targets))
-
-    def redone(self) -> Self | None:
-        """Return the edits with the last undone edit redone; None if there is none."""
-        if not self.after:
-            return None
-        *after, targets = self.after
-        return replace(self, targets=targets, before=(*self.before, self.targets), after=tuple(after))
+    def stepped(self, step: int) -> Self | None:
+        """Return the edits with the last edit undone (-1) or redone (1); None if there is none."""
+        place = self.place + step
+        return replace(self, place=place) if 0 <= place < len(self.history) else None
 
     def saved_as(self, path: Path, targets: tuple[Target, ...]) -> Self:
         """Return the edits after ``targets`` were written to a file."""
@@ -211,7 +208,6 @@ class TargetsScreen(DayScreen):
     def __init__(self) -> None:
         super().__init__()
         self._edits = TargetEdits()
-        self._drawn: Workspace | None = None
         self._opened_for: Path | None = None
         self._attention = False
         self._rows: list[int] = []
@@ -282,7 +278,7 @@ class TargetsScreen(DayScreen):
         if problem:
             self.say(f"{problem}. {SHOWN['open']} opens another list.", "error")
             return
-        self._edits = TargetEdits(path, targets, targets)
+        self._edits = TargetEdits(path, targets, (targets,))
         self._draw_list()
 
     @on(DataTable.RowSelected, "#grid")
@@ -323,14 +319,14 @@ class TargetsScreen(DayScreen):
 
     def action_undo(self) -> None:
         """Undo the last edit."""
-        self._step(self._edits.undone(), "Nothing to undo.")
+        self._step(-1, "Nothing to undo.")
 
     def action_redo(self) -> None:
         """Redo the last undone edit."""
-        self._step(self._edits.redone(), "Nothing to redo.")
+        self._step(1, "Nothing to redo.")
 
-    def _step(self, edits: TargetEdits | None, nothing: str) -> None:
-        if edits is None:
+    def _step(self, step: int, nothing: str) -> None:
+        if (edits := self._edits.stepped(step)) is None:
             self.notify(nothing)
         else:
             self._show(edits, self._index)
@@ -453,10 +449,8 @@ class TargetsScreen(DayScreen):
         tabs.active = "results"
         tabs.query_one(Tabs).focus()
 
-    def action_next_tab(self) -> None:
-        """Show the next tab."""
-        tabs = self.query_one("#targets", TabbedContent)
-        show_next_tab(tabs)
+    def tab_shown(self, tabs: TabbedContent) -> None:
+        """Focus the list."""
         if tabs.active == "list":
             self._grid.focus()
 
@@ -470,11 +464,8 @@ class TargetsScreen(DayScreen):
         """Say why nothing was computed."""
         self.query_one("#target-results", PartsView).say_empty(state.nothing(self.STEP, _NOT_MEASURED))
 
-    def show_workspace(self, workspace: Workspace) -> None:
+    def show_run(self, workspace: Workspace) -> None:
         """Draw the list with the results of the run; open the list that the profile names."""
-        if workspace is self._drawn:
-            return
-        self._drawn = workspace
         path = listed_path(workspace)
         if path is not None and path != self._opened_for and workspace.profile is not None and not self._edits.edited:
             self._opened_for = path
@@ -485,7 +476,7 @@ class TargetsScreen(DayScreen):
     @on(Resize)
     def draw_for_size(self) -> None:
         """Draw as many columns as fit."""
-        if self._drawn is not None:
+        if self._shown is not None:
             self._draw_list()
 
     def _draw_list(self) -> None:

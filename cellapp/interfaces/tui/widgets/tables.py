@@ -17,7 +17,7 @@ import numpy as np
 from rich.text import Text
 from textual import work
 from textual.coordinate import Coordinate
-from textual.widgets import DataTable, TabbedContent, TabPane, Tabs
+from textual.widgets import DataTable, TabbedContent, Tabs
 from textual.worker import get_current_worker
 
 from cellapp.commands.docs.keys import SHOWN
@@ -57,12 +57,6 @@ class TextTable(DataTable[Text]):
 
 
 # -- Functions for screens with tabs ----------------------------------------------------------------------------------
-
-
-def show_next_tab(tabs: TabbedContent) -> None:
-    """Show the tab after the current one; after the last, the first."""
-    names = [pane.id or "" for pane in tabs.query(TabPane)]
-    tabs.active = names[(names.index(tabs.active) + 1) % len(names)]
 
 
 def show_next_of(tabs: TabbedContent, some: Sequence[str]) -> None:
