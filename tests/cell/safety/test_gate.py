@@ -711,4 +711,5 @@ def test_a_path_is_read_at_another_rate_without_leaving_it() -> None:
         rows = on_rows(path, 0.008, wanted_s)
         assert len(rows) == pytest.approx(0.8 / wanted_s, abs=1.5)
         assert rows[[0, -1]] == pytest.approx(path[[0, -1]])
+        assert rows[:-1, 0] == pytest.approx(wanted_s * np.arange(len(rows) - 1))  # joint 1 turns by 1 rad/s
         assert rows[:, 1] == pytest.approx(1.0 - 2.5 * rows[:, 0])
