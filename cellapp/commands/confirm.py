@@ -101,9 +101,9 @@ def _path(profile: Profile, name: str, start: Vector, end: Vector) -> str:
     if arm.base is None:
         return words
     p_C = smr_positions(nominal_arm(arm).with_T_M_B(pose_matrix(arm.base)), np.array([start, end]))
-    ends = " to ".join(f"({', '.join(f'{x:.2f}' for x in p)})" for p in p_C.tolist())
+    ends = " to ".join(f"({', '.join(f'{x:z.2f}' for x in p)})" for p in p_C.tolist())
     return f"{words}; its SMR from {ends} m in the cell"
 
 
 def _degrees(q: Vector) -> str:
-    return f"({', '.join(f'{angle:.1f}' for angle in np.degrees(q).tolist())}) deg"
+    return f"({', '.join(f'{angle:z.1f}' for angle in np.degrees(q).tolist())}) deg"

@@ -1,8 +1,10 @@
-"""Numbers with the noun that they count, and lists of numbers as people type them."""
+"""Numbers as people read and type them."""
 
 from __future__ import annotations
 
+import math
 import re
+from decimal import Decimal
 
 from cellapp.ground.errors import InputError
 
@@ -12,6 +14,20 @@ _NUMBERS = re.compile(r"([0-9]{1,6})(?:-([0-9]{1,6}))?")
 def counted(count: int, one: str, many: str = "") -> str:
     """``1 stop``, ``3 stops``; ``many`` is the plural where it is not ``one`` with an s, as "stops are"."""
     return f"{count} {one if count == 1 else many or f'{one}s'}"
+
+
+def mm(value: float) -> str:
+    """Format a length [mm] with two or three significant digits, and at most four decimals."""
+    if not math.isfinite(value):
+        return "unknown"
+    decimals = 4 if abs(value) < 0.01 else 3 if abs(value) < 1.0 else 2 if abs(value) < 10.0 else 1
+    return f"{value:z.{decimals}f} mm"
+
+
+def plain(value: float, digits: int = 3) -> str:
+    """Format a number with so many significant digits; without an exponent, and never as minus zero."""
+    text = f"{value:z.{digits}g}"
+    return f"{Decimal(text):f}" if "e" in text else text
 
 
 def listed_numbers(text: str, what: str) -> tuple[int, ...]:

@@ -214,7 +214,7 @@ def _other_mount(arm: ArmProfile, model: ArmModel) -> str:
 
 
 def _millimetres(point: Sequence[float]) -> str:
-    return f"({', '.join(f'{1e3 * x:.3f}' for x in point)}) mm"
+    return f"({', '.join(f'{1e3 * x:z.3f}' for x in point)}) mm"
 
 
 def known_payload(arm: Arm, load_kg: float) -> str:

@@ -108,7 +108,7 @@ def conversion_mm(export: ArmExport, held: Geometry) -> float:
 
 def millimetres(vector: Array) -> str:
     """Format a vector [m] in mm for a comment."""
-    return ", ".join(f"{1e3 * value:.6f}" for value in vector.tolist())
+    return ", ".join(f"{1e3 * value:z.6f}" for value in vector.tolist())
 
 
 def hashed(lines: Sequence[str]) -> str:

@@ -18,7 +18,7 @@ from cellapp.cell.exports.command_table import COMMAND_TABLE, URSCRIPT
 from cellapp.cell.exports.dh_tables import DH, DH_PLAIN, PARAMETERS, POE
 from cellapp.cell.exports.export_format import CellFormat, CommandFormat, ExportFormat
 from cellapp.cell.exports.urdf import CELL_URDF, UR_CALIBRATION, UR_DESCRIPTION, URDF
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, mm
 from cellapp.ground.errors import InputError
 from drivers.plugins import Registry
 
@@ -124,7 +124,7 @@ def export_lines(result: ExportResult) -> list[str]:
 
 
 def _within(conversion_mm: float) -> str:
-    return "unconverted" if conversion_mm == 0.0 else f"converted within {conversion_mm:.1g} mm"
+    return "unconverted" if conversion_mm == 0.0 else f"converted within {mm(max(conversion_mm, 1e-4))}"
 
 
 def check_out(out: Path) -> None:

@@ -243,7 +243,7 @@ def ur_calibration(export: ArmExport, sentences: Sequence[str]) -> str:
 def frame_sentences(export: ArmExport) -> list[str]:
     """Describe the SMR in the flange of the plain D-H rows, and the base in the tracker frame, as UR poses."""
     T_M_B = export.geometry.T_M_B()
-    turn = ", ".join(f"{value:.9f}" for value in rotation_vectors(T_M_B[None, :3, :3])[0].tolist())
+    turn = ", ".join(f"{value:z.9f}" for value in rotation_vectors(T_M_B[None, :3, :3])[0].tolist())
     return [
         f"SMR in the flange [mm]: {millimetres(plain_geometry(export.geometry).tool)}",
         f"Base in the tracker frame: position [mm] {millimetres(T_M_B[:3, 3])};",

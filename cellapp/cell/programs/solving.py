@@ -163,10 +163,7 @@ def _meant(
     meant = np.tile(np.eye(4), (len(targets), 1, 1))
     poses = [k for k, target in enumerate(targets) if target.kind == "pose"]
     for k in poses:
-        wanted, facing = pose_matrix(targets[k].numbers), targets[k].facing
-        if targets[k].position_only and facing is not None:
-            wanted[:3, :3] = rotation_from_vector(facing[3:])
-        meant[k] = wanted @ invert(pose_matrix(targets[k].tcp or (0.0,) * 6))
+        meant[k] = meant_flange(chain, targets[k])
     middle = np.mean([place.measured.min(axis=0), place.measured.max(axis=0)], axis=0)
     start = middle if place.home is None else place.home
     near = np.array([targets[k].near or start.tolist() for k in poses]).reshape(-1, len(start))
@@ -178,7 +175,7 @@ def _meant(
             last, function, line = start, target.function, 0
         if target.kind == "joints":
             q: Array | None = np.array(target.numbers)
-            meant[k] = flange_of(chain, np.array([target.numbers]))[0]
+            meant[k] = meant_flange(chain, target)
             why = ""
         elif target.near is None and not line:
             q, why = _first_posture(place, solutions[k], middle)
@@ -299,6 +296,17 @@ _MARGIN = np.radians(2.0)
 may move a program's posture beyond the outermost reading."""
 _TWIN = 1e-6
 """Solutions that agree to this in every joint [rad] are the same: 1 µrad."""
+
+
+def meant_flange(chain: Geometry, target: ProgramTarget) -> Array:
+    """Return the flange pose (4, 4) in the base frame that a target means."""
+    if target.kind == "joints":
+        flange: Array = flange_of(chain, np.array([target.numbers]))[0]
+        return flange
+    wanted = pose_matrix(target.numbers)
+    if target.position_only and target.facing is not None:
+        wanted[:3, :3] = rotation_from_vector(target.facing[3:])
+    return wanted @ invert(pose_matrix(target.tcp or (0.0,) * 6))
 
 
 def controller_chain(arm: ArmModel) -> Geometry:

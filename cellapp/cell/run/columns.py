@@ -44,7 +44,13 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
         **dict.fromkeys(("us", "µs", "μs", "usec", "usecs", "micros", "microseconds"), 1e-6),
         **dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanos", "nanoseconds"), 1e-9),
     },
-    "angle": {**dict.fromkeys(("deg", "degree", "degrees", "°", "grad"), math.pi / 180.0), "rad": 1.0, "radians": 1.0},
+    "angle": {
+        **dict.fromkeys(("deg", "degree", "degrees", "°", "grad"), math.pi / 180.0),
+        "rad": 1.0,
+        "radians": 1.0,
+        "mrad": 1e-3,
+        "gon": math.pi / 200.0,
+    },
     "length": {
         **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0),
         **dict.fromkeys(("mm", "millimetre", "millimeter", "millimetres", "millimeters"), 1e-3),
@@ -320,7 +326,7 @@ def _named_order(names: Sequence[str], row: Sequence[str]) -> dict[int, tuple[in
 def _read(name: str, kind: str) -> _Read | None:
     """Interpret one name; joint indices are left as they stand in it."""
     for quantity in ("time", "angle", "length", None):
-        stem, factor = _without_unit(name, quantity)
+        stem, factor = without_unit(name, quantity)
         if quantity is not None and factor is None:
             continue
         words = _words(stem)
@@ -358,7 +364,7 @@ def _family(names: Sequence[str]) -> Mapping[str, str]:
     return found[0] if len(found) == 1 else {}
 
 
-def _without_unit(name: str, quantity: str | None) -> tuple[str, float | None]:
+def without_unit(name: str, quantity: str | None) -> tuple[str, float | None]:
     """Remove the unit of this quantity from the end of a name, in lower case; return also its factor or None."""
     low = name.strip().lower()
     if quantity is None or (match := _OF_UNIT.search(low)) is None:

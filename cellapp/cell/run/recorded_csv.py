@@ -31,6 +31,7 @@ from cellapp.cell.run.columns import (
     time_unit,
     understood,
     with_sigma,
+    without_unit,
 )
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, is_number, read_header, short, stamp_seconds
 from cellapp.cell.run.orientation_columns import Written, with_quaternions, written_orientation
@@ -52,6 +53,15 @@ _RIGID, _APART = 0.05, 0.01
 _SAME_STOP_RAD = 1e-3
 _LIST = re.compile(r"p?[\[(]([^\[\]()]*,[^\[\]()]*)[\])]")
 _WITH_UNIT = re.compile(r"([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(°|deg|rad|mm|cm|m|in)")
+_Cells = dict[str, tuple[str, ...]]
+"""Columns by their names in the file."""
+_SPHERICAL: Mapping[str, frozenset[str]] = {
+    "range": frozenset({"range", "distance", "dist"}),
+    "azimuth": frozenset({"azimuth", "az", "hz"}),
+    "zenith": frozenset({"zenith"}),
+    "elevation": frozenset({"elevation", "elev", "el"}),
+    "vertical": frozenset({"vertical", "v"}),
+}
 _MOST_NAMED = 5
 """Most rows that a sentence names."""
 _UNIT_LENGTH = 0.01
@@ -157,6 +167,7 @@ def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody
     if len(rows) < _LEAST_ROWS:
         raise InputError(f"{path}: expected a row of names and at least {_LEAST_ROWS} rows of readings")
     cells = _plain_columns(dict(zip(file.names, zip(*(row for _, row in rows), strict=True), strict=True)))
+    cells, of_units = _of_one_unit(*_cartesian(path, cells))
     table = CsvTable(path, tuple(cells), tuple(line for line, _ in rows), cells)
     written, _ = written_orientation(table.names)
     if written is not None and _are_joints(table, written):
@@ -177,6 +188,7 @@ def read_recorded(path: Path, taken: Sequence[str] = (), choose: Choose = nobody
     table = CsvTable(path, known.names, table.lines, dict(zip(known.names, table.cells.values(), strict=True)))
     joints = _joints(table.names)
     points = POINT if set(POINT) <= {*table.names} else ()
+    notes += of_units
     if known.smrs:
         table, of_smrs = _row_per_smr(table, known)
         notes.append(of_smrs)
@@ -244,6 +256,57 @@ def _plain_columns(columns: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[st
         else:
             found[name] = cells
     return found
+
+
+def _cartesian(path: Path, columns: _Cells) -> tuple[_Cells, list[str]]:
+    """Make points of range, azimuth, and zenith angle or elevation, where there are no others; say how."""
+    if set(POINT) <= {*understood([*columns], "readings", _OWN).names}:
+        return columns, []
+    parts = {kind: name for kind, words in _SPHERICAL.items() for name in columns if words & _words(name)}
+    height = next((kind for kind in ("zenith", "elevation", "vertical") if kind in parts), "")
+    if not height or not {"range", "azimuth"} <= parts.keys():
+        return columns, []
+    if height == "vertical":
+        raise InputError(
+            f"{path}: {parts[height]}: from the zenith or from the horizon? Name the column zenith or elevation, with"
+            " its unit, as 'zenith [gon]'"
+        )
+    found = dict[str, NDArray[np.float64]]()
+    for kind, quantity, units in (("range", "length", "m"), ("azimuth", "angle", "gon"), (height, "angle", "gon")):
+        if (factor := without_unit(parts[kind], quantity)[1]) is None:
+            raise InputError(f"{path}: {parts[kind]}: expected its unit in its name, as '{parts[kind]} [{units}]'")
+        found[kind] = factor * np.array([*map(_number, columns[parts[kind]])])
+    clockwise = bool({"hz", "cw", "clockwise"} & _words(parts["azimuth"]))
+    azimuth = -found["azimuth"] if clockwise else found["azimuth"]
+    above = found[height] if height == "elevation" else 0.5 * np.pi - found[height]
+    level = found["range"] * np.cos(above)
+    p_M = (level * np.cos(azimuth), level * np.sin(azimuth), found["range"] * np.sin(above))
+    kept = {name: its for name, its in columns.items() if name not in parts.values()}
+    points = {f"{axis} [m]": tuple(map(repr, its.tolist())) for axis, its in zip("xyz", p_M, strict=True)}
+    how = "clockwise, as Hz of a theodolite" if clockwise else "counter-clockwise, as it is not named Hz or clockwise"
+    listed = ", ".join(parts[kind] for kind in found)
+    words = f"{listed}: points by range, azimuth and {height} of the tracker, the azimuth seen from above {how}"
+    return kept | points, [words]
+
+
+def _words(name: str) -> set[str]:
+    return {*re.findall("[a-z]+", name.lower())}
+
+
+def _of_one_unit(columns: _Cells, notes: list[str]) -> tuple[_Cells, list[str]]:
+    """Give joint positions in radians if their names state several units, or one in which joints are rarely given."""
+    known = understood([*columns], "readings", _OWN)
+    joints = _joints(known.names)
+    stated = {known.others[name]: known.factors[name] for name in joints if name in known.factors}
+    units = {*stated.values()}
+    if not units or len(stated) < len(joints) or (len(units) == 1 and units <= {*_ANGLES.values()}):
+        return columns, notes
+    found = dict[str, tuple[str, ...]]()
+    for name, cells in columns.items():
+        factor, stem = stated.get(name, 0.0), without_unit(name, "angle")[0]
+        numbers = (repr(factor * float(cell)) if is_number(cell) else cell for cell in cells)
+        found |= {f"{stem.strip()} [rad]": tuple(numbers)} if factor else {name: cells}
+    return found, [*notes, f"joint positions in the units that their names state: {', '.join(stated)}"]
 
 
 def _with_points(table: CsvTable) -> tuple[CsvTable, list[str]]:

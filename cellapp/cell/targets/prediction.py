@@ -26,6 +26,7 @@ from cellapp.cell.targets.records import PredictedRelative, PredictedTurn, Targe
 from cellapp.cell.targets.targets import Target, target_record
 from cellapp.estimation.uncertainty.budget import TARGET_WORDS, decided
 from cellapp.estimation.uncertainty.records import ToleranceVerdict, UncertaintyParts
+from cellapp.ground.counting import mm
 from cellapp.ground.profile import SAME_PAYLOAD_KG
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array, rotation_vectors
@@ -109,7 +110,7 @@ def outside_notes(
         joints = ", ".join(f"joint {j + 1} by {row[j]:.0f} deg" for j in np.flatnonzero(row >= 0.5))
         said = [f"outside the calibrated joint ranges: {joints}"] if joints else []
         said += _never_measured(payload_kg, ranges)
-        adds = "" if one is None else f"; this adds {one.parts.extrapolation:.3g} mm to the uncertainty of a coordinate"
+        adds = "" if one is None else f"; this adds {mm(one.parts.extrapolation)} to the uncertainty of a coordinate"
         notes.append(f"{'; '.join(said)}{adds}" if said else "")
     return notes
 

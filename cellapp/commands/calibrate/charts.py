@@ -26,13 +26,12 @@ from cellapp.commands.view.charts import (
     drawable_mm,
     error_counts,
     evenly_spread,
-    mm,
     noise_limit,
     series,
 )
 from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, PairHeldOut
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, mm
 from cellapp.ground.results import STAGES, Method
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert
@@ -240,7 +239,7 @@ def _message(points: Array, vectors: Array) -> str:
     return (
         f"Residuals at {counted(len(vectors), 'held-out stop')} are"
         f" {mm(float(lengths.mean()))} long on average, the longest"
-        f" {mm(float(lengths[worst]))} at ({x:.2f}, {y:.2f}, {z:.2f}) m; {direction} (mean vector {mm(common)})."
+        f" {mm(float(lengths[worst]))} at ({x:z.2f}, {y:z.2f}, {z:z.2f}) m; {direction} (mean vector {mm(common)})."
     )
 
 

@@ -9,11 +9,11 @@ import numpy as np
 from cellapp.commands.check.location import LocateResult
 from cellapp.commands.check.request import CheckRequest
 from cellapp.commands.record import View
-from cellapp.commands.view.charts import Axis, Chart, Limit, mm, series
+from cellapp.commands.view.charts import Axis, Chart, Limit, series
 from cellapp.commands.view.parts import Part
 from cellapp.commands.view.table import Cell, Table, columns_of, table_of, with_rows
 from cellapp.estimation.monitoring.records import TRACKER, CheckedStop, CheckResult, FoundChange
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, mm, plain
 
 _VERDICTS = {
     "valid": "the calibration still holds",
@@ -65,8 +65,8 @@ def location_sentences(result: LocateResult) -> list[str]:
     )
     if result.verdict != "located":
         return [f"not located: {test}", *result.complaints(), *result.notes]
-    place = ", ".join(f"{value:.4f}" for value in result.tracker_pose.position)
-    angles = ", ".join(f"{math.degrees(value):.3f}" for value in result.tracker_pose.rpy)
+    place = ", ".join(f"{value:z.4f}" for value in result.tracker_pose.position)
+    angles = ", ".join(f"{math.degrees(value):z.3f}" for value in result.tracker_pose.rpy)
     what = "moved" if result.moved else "not moved beyond the limit of drift: it stands"
     by = f"{result.shift_mm:.2f} mm and {result.turn_deg:.4f} deg from where the readings were taken"
     return [
@@ -149,7 +149,8 @@ def _shown(change: FoundChange) -> tuple[float | None, float | None, str]:
 
 def _amount(change: FoundChange) -> str:
     value, error, unit = _shown(change)
-    return f"{value:.4g}{'' if error is None else f' +- {error:.2g}'} {unit}".rstrip()
+    amount = "" if value is None else plain(value, 4)
+    return f"{amount}{'' if error is None else f' +- {plain(error, 2)}'} {unit}".rstrip()
 
 
 def _chance(p_value: float) -> str:

@@ -10,8 +10,8 @@ import numpy as np
 
 from cellapp.cell.driving.records import CollectedStop, SweepTrace
 from cellapp.cell.run.records import ReferenceDrift
-from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, enumerated, mm, series
-from cellapp.ground.counting import counted
+from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, enumerated, series
+from cellapp.ground.counting import counted, mm
 from cellapp.ground.grouping import grouped
 from cellapp.ground.progress import ReferenceReport, StopReport, SweepLive
 from cellapp.robot.kinematics.transforms import Array

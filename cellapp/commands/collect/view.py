@@ -12,10 +12,10 @@ from cellapp.cell.run.records import MissingReading, RecordingState
 from cellapp.cell.run.sqlite_file import Session
 from cellapp.commands.collect.charts import drift_by_reference, drift_chart, sweep_chart
 from cellapp.commands.record import Request, View
-from cellapp.commands.view.charts import Chart, mm
+from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Section, section_of
 from cellapp.commands.view.table import Cell, Table, columns_of, table_of, with_rows
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, mm
 from cellapp.ground.results import second_of
 
 _MOST_LISTED = 10

@@ -15,12 +15,11 @@ from cellapp.commands.view.charts import (
     Chart,
     bar_chart,
     drawable_mm,
-    mm,
     noise_limit,
     series,
 )
 from cellapp.estimation.uncertainty.records import UncertaintyParts
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, mm
 from cellapp.ground.grouping import grouped
 
 _BEFORE, _AFTER = STAGE_STYLES["nominal"], STAGE_STYLES["effects"]

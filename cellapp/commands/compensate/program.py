@@ -14,9 +14,11 @@ from cellapp.cell.programs.script_targets import read_script, read_urp, six
 from cellapp.cell.programs.solving import (
     Workplace,
     assumptions,
+    controller_chain,
     correct_lines,
     gate_findings,
     judged,
+    meant_flange,
     model_notes,
     refusal,
     rewritten,
@@ -25,6 +27,7 @@ from cellapp.cell.programs.solving import (
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings
 from cellapp.cell.run.run_arms import recorded_controllers
+from cellapp.commands.compensate.earlier import refuse_corrected
 from cellapp.commands.compensate.request import CompensateRequest
 from cellapp.commands.record import View
 from cellapp.commands.stages import read_stages
@@ -72,6 +75,10 @@ def correct(run: RunFile, request: CompensateRequest, outputs: Outputs = NEW_ONL
         )
     if not read.targets and not read.left:
         raise InputError(f"{program}: no motion with a target found; nothing was written")
+    chain = controller_chain(model_arm)
+    meant = np.array([meant_flange(chain, one) for one in read.targets]).reshape(-1, 4, 4)
+    words = [f"{program}:{one.line}: the target" for one in read.targets]
+    refuse_corrected(run, name, chain, words, meant[:, :3, :3], meant[:, :3, 3])
     limits = np.array(settings.joint_limits)
     home = None if settings.home is None else np.array(settings.home)
     q = known_readings(run, name).q

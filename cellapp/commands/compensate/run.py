@@ -20,6 +20,7 @@ from cellapp.cell.targets.path import PathPlan, PathResult, PathSpec, holds_path
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.records import CompensateResult
 from cellapp.cell.targets.targets import Target, load_targets
+from cellapp.commands.compensate.earlier import refuse_corrected_targets
 from cellapp.commands.compensate.program import correct
 from cellapp.commands.compensate.request import CompensateRequest
 from cellapp.commands.record import Work
@@ -77,6 +78,7 @@ def compensated_commands(
     used = stage_in_force(run, stages)
     model = model_of(run, used)
     readings = {name: known_readings(run, name) for name in run.profile.arms}
+    refuse_corrected_targets(run, model, targets)
     commands, result = compensate_targets(run.profile, readings, model, targets, stale_notes(stages, used))
     append_stage(run, COMPENSATE, result, basis_on_model(run, used, targets))
     for note in result.notes:

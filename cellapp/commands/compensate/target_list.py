@@ -154,10 +154,10 @@ def target_list(targets: Sequence[Target], results: RunResults | None) -> Table:
 
 def target_words(target: Target, results: RunResults | None) -> str:
     """State what the run knows about one target, and its position."""
-    x, y, z = (f"{value * 1e3:.1f}" for value in target.position)
+    x, y, z = (f"{value * 1e3:z.1f}" for value in target.position)
     rotation = "any rotation"
     if target.rpy is not None:
-        rotation = "roll {:.2f}, pitch {:.2f}, yaw {:.2f} deg".format(*(math.degrees(angle) for angle in target.rpy))
+        rotation = "roll {:z.2f}, pitch {:z.2f}, yaw {:z.2f} deg".format(*(math.degrees(angle) for angle in target.rpy))
     frame = "" if target.frame == "base" else f" in frame {target.frame}"
     state = _state_words(target, target_state(target, results))
     return f"{target.name}: {state}.\nx {x}, y {y}, z {z} mm{frame}; {rotation}"

@@ -42,7 +42,7 @@ from cellapp.commands.discover.words import (
     verdict_sentence,
 )
 from cellapp.commands.record import Request, View
-from cellapp.commands.view.charts import Axis, Chart, bar_chart, drawable_mm, enumerated, mm, noise_limit, series
+from cellapp.commands.view.charts import Axis, Chart, bar_chart, drawable_mm, enumerated, noise_limit, series
 from cellapp.commands.view.parts import Facts, Part, Section, printed, section_of, sentence
 from cellapp.commands.view.table import with_rows
 from cellapp.commands.view.words import law_words, place_words, probability_words, ranges, short_reason
@@ -54,6 +54,7 @@ from cellapp.estimation.discovery.records import (
     Proposal,
     ProposalQuestion,
 )
+from cellapp.ground.counting import mm
 from cellapp.ground.profile.schema import Discovery
 from cellapp.robot.kinematics.transforms import Array
 

@@ -123,15 +123,15 @@ def _pose(pose: Pose | Placement | None) -> str:
         return "not given"
     x, y, z = pose.position
     roll, pitch, yaw = (math.degrees(angle) for angle in pose.rpy)
-    return f"x {x:.3f}, y {y:.3f}, z {z:.3f} m; roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg"
+    return f"x {x:z.3f}, y {y:z.3f}, z {z:z.3f} m; roll {roll:z.1f}, pitch {pitch:z.1f}, yaw {yaw:z.1f} deg"
 
 
 def _mm(point: tuple[float, float, float]) -> str:
-    return ", ".join(f"{1e3 * value:.1f}" for value in point)
+    return ", ".join(f"{1e3 * value:z.1f}" for value in point)
 
 
 def _degrees(pair: tuple[float, float]) -> str:
-    return f"{math.degrees(pair[0]):.0f} to {math.degrees(pair[1]):.0f}"
+    return f"{math.degrees(pair[0]):z.0f} to {math.degrees(pair[1]):z.0f}"
 
 
 def _ranges(pairs: Sequence[tuple[float, float]]) -> str:

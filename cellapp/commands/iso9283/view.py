@@ -9,14 +9,14 @@ import numpy as np
 
 from cellapp.commands.iso9283.request import Iso9283Request
 from cellapp.commands.record import View
-from cellapp.commands.view.charts import Axis, Chart, Series, mm, noise_limit, series
+from cellapp.commands.view.charts import Axis, Chart, Series, noise_limit, series
 from cellapp.commands.view.parts import Part, Section, section_of
 from cellapp.commands.view.table import Cell, Field, Table, columns_of, table_of
 from cellapp.commands.view.words import RULE_WORDS
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, IsoCommands
 from cellapp.estimation.iso9283.records import CommandedTests, Iso9283Result, IsoValue, PoseCharacteristics, SpeedSeries
 from cellapp.estimation.uncertainty.records import overall
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, mm
 from cellapp.ground.results import Record
 
 _UNCERTAIN_SHARE = 0.25

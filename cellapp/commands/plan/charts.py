@@ -24,8 +24,8 @@ from cellapp.cell.planning.records import (
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.shapes import load_mesh
 from cellapp.commands.plan.check_view import duration_words
-from cellapp.commands.view.charts import Axis, Chart, Series, bar_chart, enumerated, mm, series
-from cellapp.ground.counting import counted
+from cellapp.commands.view.charts import Axis, Chart, Series, bar_chart, enumerated, series
+from cellapp.ground.counting import counted, mm
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
 from cellapp.ground.profile.sections import (

@@ -62,14 +62,14 @@ from cellapp.commands.report.summary import best_method
 from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
 from cellapp.commands.stored_model import values_in_force
 from cellapp.commands.trials.power import power_parts, stored_power
-from cellapp.commands.view.charts import Axis, Chart, enumerated, evenly_spread, levelling_rotation, mm, series
+from cellapp.commands.view.charts import Axis, Chart, enumerated, evenly_spread, levelling_rotation, series
 from cellapp.commands.view.parts import Facts, Section, section_of
 from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.commands.view.words import RULE_WORDS, judged_sentence, judgement_table
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.quantities import position_errors
 from cellapp.estimation.calibration.records import CalibrateResult
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, mm
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.results import CALIBRATE, CHECK, COMPENSATE, ISO9283, Provenance, StageName, day_of
 from cellapp.ground.version import __version__

@@ -18,7 +18,7 @@ from cellapp.commands.next_step import PAIR_ERRORS, Step, open_steps
 from cellapp.commands.report.data import ReportData, read_report_data
 from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import HERE
-from cellapp.commands.view.charts import SMALLEST_MM, mm
+from cellapp.commands.view.charts import SMALLEST_MM
 from cellapp.commands.view.table import Table
 from cellapp.commands.view.words import (
     CHARACTERISTIC_WORDS,
@@ -32,7 +32,7 @@ from cellapp.commands.view.words import (
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult
 from cellapp.estimation.uncertainty.records import Conformity, Judgement, overall
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, mm
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, CHECK, DISCOVER, ErrorSummary, Method, day_of
 

@@ -40,7 +40,7 @@ from cellapp.estimation.discovery.records import AcceptedEffect, SmallestSize
 from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, plain
 from cellapp.ground.executors import TimeLimit, Work, gather, local_cores
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant as PlantSection
@@ -594,7 +594,7 @@ def _interval(one: EffectPower) -> Interval | str | None:
 
 def _value(one: EffectPower) -> str:
     size = None if one.named_from is None else one.named_from.size
-    return "" if size is None else f"{size.value:.3g} {size.unit}"
+    return "" if size is None else f"{plain(size.value)} {size.unit}"
 
 
 def _words(size: NamedSize) -> str:

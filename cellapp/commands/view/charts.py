@@ -167,14 +167,6 @@ def error_counts(
     return edges, {what: np.histogram(drawable_mm(errors), edges)[0] for what, errors in errors_mm.items()}
 
 
-def mm(value: float) -> str:
-    """Format a length [mm] with two or three significant digits, and at most four decimals."""
-    if not np.isfinite(value):
-        return "unknown"
-    decimals = 4 if abs(value) < 0.01 else 3 if abs(value) < 1.0 else 2 if abs(value) < 10.0 else 1
-    return f"{value:.{decimals}f} mm"
-
-
 def enumerated(parts: Iterable[str]) -> str:
     """Join words: ``a``, ``a and b``, ``a, b and c``."""
     words = list(parts)

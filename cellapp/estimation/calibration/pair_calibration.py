@@ -262,7 +262,7 @@ def calibrate_pair(
 ) -> tuple[PairCalibration | None, list[str]]:
     """Calibrate the pair by every method that the arms' models allow; return it, None if skipped, and notes."""
     if len(readings) != 2:
-        return None, [f"pair: skipped, the profile has {len(readings)} arm(s)"]
+        return None, [f"pair: skipped, the profile has {len(readings)} arms"] * (len(readings) > 2)
     left, right = common_stops(*readings.values())
     learn, held_out = pair_stops(profile, left)
     if len(learn) < 7 or len(held_out) < 1:

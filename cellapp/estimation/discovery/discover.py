@@ -51,7 +51,7 @@ from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of, without_t
 from cellapp.estimation.discovery.verdict import structure_left, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import one_a_stop
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, mm
 from cellapp.ground.errors import NotConverged, with_not_fitted
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
@@ -273,7 +273,7 @@ def _contradicted_claim(found: SearchResult, stated_mm: float) -> str | None:
     """Say that readings scatter less than they state, with both numbers; None if they do not."""
     if found.claim == 1.0:
         return None
-    numbers = f"stated {stated_mm:.2g} mm, scatter {stated_mm * found.claim:.2g} mm"
+    numbers = f"stated {mm(stated_mm)}, scatter {mm(stated_mm * found.claim)}"
     return f"{numbers}: an expanded or maximum figure?"
 
 

@@ -41,7 +41,7 @@ from cellapp.estimation.monitoring.naming import (
 )
 from cellapp.estimation.monitoring.records import CheckedArm, CheckResult, CheckVerdict, FoundChange, WeakChange
 from cellapp.estimation.readings import Readings, joined
-from cellapp.ground.counting import counted
+from cellapp.ground.counting import counted, plain
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import Array, apply, rotation_vectors, rows_of, xyz_of
 
@@ -331,7 +331,7 @@ def _notes(
 def _amount(one: WeakChange) -> str:
     """The size of a change that is found, for people."""
     factor, unit = {"m": (1e3, "mm"), "rad": (1e6, "µrad")}.get(one.unit, (1.0, one.unit))
-    return f"{factor * one.detected:.2g} {unit}"
+    return f"{plain(factor * one.detected, 2)} {unit}"
 
 
 _FEWEST_STOPS = 6

@@ -22,6 +22,7 @@ from cellapp.estimation.calibration.quantities import with_probe
 from cellapp.estimation.calibration.records import PartDrift, SignatureChange, SignaturePart
 from cellapp.estimation.prior.belief import Belief, Measured, Posterior, design, is_own, posterior, sizes, term_columns
 from cellapp.estimation.readings import Readings
+from cellapp.ground.counting import plain
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, MeasurementConditions
@@ -301,8 +302,8 @@ def change_of(
             "unit": unit,
             "sigmas": sigmas,
             "p_value": min(1.0, tested * float(scipy.special.erfc(sigmas / math.sqrt(2.0)))),
-            "sentence": f"{one.what}: {'vanished, ' if gone else ''}{factor * value:+.3g} {shown}"
-            f" +- {factor * error:.2g} since {since} ({sigmas:.1f} sigma){after}",
+            "sentence": f"{one.what}: {'vanished, ' if gone else ''}{'+' if value > 0.0 else ''}{plain(factor * value)}"
+            f" {shown} +- {plain(factor * error, 2)} since {since} ({sigmas:.1f} sigma){after}",
         }
     )
 

@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from cellapp.ground.counting import plain
 from cellapp.robot.effects.context import EffectColumn, EffectContext
 from cellapp.robot.kinematics.transforms import Array
 
@@ -140,7 +141,7 @@ class Constant:
         return self.words.format(values) if values else ""
 
     def _shown(self, value: float) -> str:
-        return f"{value * self.factor:.3g}"
+        return plain(value * self.factor)
 
 
 @dataclass(frozen=True)

@@ -59,6 +59,14 @@ def written(values: Any, form: str) -> Any:
     return texts
 
 
+def spherical(sense: float, zenith: float) -> tuple[Array, Array, Array]:
+    """Range [mm], azimuth and the angle from the zenith (at 100) or from the horizon (at 0) [gon], each (n, 1)."""
+    level, gon = np.hypot(*P[:, :2].T), 200.0 / np.pi
+    up = gon * np.arctan2(P[:, 2], level)
+    angles = sense * gon * np.arctan2(P[:, 1], P[:, 0]), zenith - up if zenith else up
+    return np.linalg.norm(MM, axis=1)[:, None], angles[0][:, None], angles[1][:, None]
+
+
 def lost() -> Array:
     found = MM.copy()
     found[3], found[9] = 0.0, found[8]
@@ -202,6 +210,18 @@ CASES = {
     "commanded positions twice": Case(
         table([*numbered("q[{}]", 0), *2 * numbered("q_d[{}]", 0), *"xyz"], Q, Q + 1e-3, Q + 1e-3, P), ("q[5] = q6",)
     ),
+    "joints in two units": Case(
+        table([*J[:5], "J6 [rad]", *XYZ], DEG[:, :5], Q[:, 5:], MM), ("units that their names state: J1 [deg], J2",)
+    ),
+    "joints in milliradians": Case(table([*numbered("J{} [mrad]"), *XYZ], 1e3 * Q, MM), ("names state: J1 [mrad]",)),
+    "a theodolite's angles": Case(
+        table([*J, "Distance [mm]", "Hz [gon]", "zenith [gon]"], DEG, *spherical(-1.0, 100.0)),
+        ("Distance [mm], Hz [gon], zenith [gon]: points by range, azimuth and zenith", "clockwise, as Hz"),
+    ),
+    "range, azimuth, elevation": Case(
+        table([*J, "azimuth_gon", "elevation_gon", "range_mm"], DEG, *(spherical(1.0, 0.0)[k] for k in (1, 2, 0))),
+        ("azimuth seen from above counter-clockwise",),
+    ),
     "only the controller's points": Case(
         table([*numbered("actual_q_{}", 0), "TCP_X", "TCP_Y", "TCP_Z"], Q, smr_positions(at_station(UR5, OFF_AXIS), Q)),
         ("computed, not measured",), atol=1.0,
@@ -248,6 +268,15 @@ PROGRAMS = {
 def test_what_is_no_table_is_named(name: str, call: Any) -> None:
     Path("own.csv").write_text(PROGRAMS[name], "utf-8")
     one_sentence(call("init", "--readings", "own.csv", "--arm", "ur5"), name, "no table of joint positions and points")
+
+
+@pytest.mark.parametrize(
+    ("angle", "words"),
+    [("V [gon]", "from the zenith or from the horizon?"), ("zenith", "expected its unit in its name")],
+)
+def test_an_angle_of_the_beam_that_may_be_two_is_asked(angle: str, words: str, call: Any) -> None:
+    Path("own.csv").write_text(table([*J, "Distance [mm]", "Hz [gon]", angle], DEG, *spherical(-1.0, 100.0)), "utf-8")
+    one_sentence(call("init", "--readings", "own.csv", "--arm", "ur5"), angle, words)
 
 
 T = np.arange(0.0, 20.0, 0.008)

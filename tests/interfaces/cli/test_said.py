@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import re
 import shlex
 import shutil
@@ -10,11 +11,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import cellapp
 import drivers
+from cellapp.cell.programs.solving import controller_chain, flange_of
+from cellapp.cell.run import RunFile
+from cellapp.commands.stages import read_stages
+from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.ground.shell import filled
+from cellapp.robot.kinematics.transforms import zyx_angles
 from tests.handbook.workspace import not_understood
 from tests.interfaces.cli.conftest import one_sentence
 from tests.twin import PROFILES
@@ -107,3 +114,24 @@ def test_parameters_are_those_of_the_model_in_force(call: Any, folder: Path) -> 
     shown = call("show", folder, "parameters", "--json", "-").json["arms"]["left"]["identified"]
     assert len(shown) > 20
     assert {name: one["value"] for name, one in shown.items()} == pytest.approx({name: values[name] for name in shown})
+
+
+def test_commands_that_are_typed_as_targets_are_not_corrected_again(call: Any, folder: Path) -> None:
+    """With the digits of a pendant, as poses and as joints of a program; the targets as taught are taken again."""
+    given = call("show", folder, "targets", "--json", "-").json["targets"][0]
+    with RunFile.open(folder) as run:
+        chain = controller_chain(model_of(run, stage_in_force(run, read_stages(run))).arms[given["arm"]])
+    tool = run.profile.arms[given["arm"]].smr.offset
+    T = flange_of(chain, np.array([given["q_compensated"]]))[0]
+    typed = np.round(T[:3, :3] @ tool + T[:3, 3], 5), np.round(zyx_angles(T[:3, :3])[::-1], 4)
+    head = "schema: cellapp-targets\nversion: 1\ntargets:\n"
+    for name, (position, rpy) in {"taught": (given["position"], given["rpy"]), "typed": typed}.items():
+        row = {"name": "a", "arm": given["arm"], "position": list(map(float, position)), "rpy": list(map(float, rpy))}
+        Path(f"{name}.yaml").write_text(f"{head}  - {json.dumps(row)}\n", "utf-8")
+    Path("a.script").write_text(f"def p():\n  movej({given['q_compensated']}, a=1, v=1)\nend\n", "utf-8")
+    twice = "stands where a command that this run computed for an earlier target does"
+    one_sentence(call("compensate", folder, "typed.yaml"), "target 'a'", twice)
+    one_sentence(
+        call("compensate", folder, "a.script", "--out", "b.script", "--arm", given["arm"]), "a.script:2", twice
+    )
+    assert call("compensate", folder, "taught.yaml").code == 0

@@ -30,8 +30,9 @@ from cellapp.commands.plan.charts import (
     surface_points,
 )
 from cellapp.commands.report.data import ReportData, read_report_data
-from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, bar_chart, mm, series
+from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, bar_chart, series
 from cellapp.estimation.discovery.records import Picture
+from cellapp.ground.counting import mm
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import AnyObstacle
 from cellapp.ground.progress import StopReport

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from cellapp.commands.view.table import Cell, Column, Interval, Number, Table, format_cell, number_column
+from cellapp.ground.counting import mm, plain
 from cellapp.interfaces.render.terminal import rich_table
 
 TABLE = Table(
@@ -32,10 +33,18 @@ TABLE = Table(
         (Interval(16.6327, 16.7033, 3), ".4f", "16.633 to 16.703"),
         (Number(27.69, 1, "%"), ".4f", "27.7 %"),
         (Number(42.91, 1), "", "42.9"),
+        (-1e-6, ".4f", "0.0000"),
+        (-1e-6, "+.3f", "+0.000"),
+        (Interval(-1e-9, 0.1), ".2f", "0.00 to 0.10"),
     ],
 )
 def test_cells_are_formatted_by_their_column(cell: Cell, number_format: str, text: str) -> None:
     assert format_cell(cell, number_format) == text
+
+
+def test_numbers_in_sentences_have_no_exponent_and_are_never_minus_zero() -> None:
+    assert [mm(8.48e-5), mm(-1e-7), mm(12345.6)] == ["0.0001 mm", "0.0000 mm", "12345.6 mm"]
+    assert [plain(3.5e4), plain(8.48e-5), plain(-0.0), plain(-2.5e-7, 1)] == ["35000", "0.0000848", "0", "-0.0000002"]
 
 
 def test_headings_have_units_and_rows_are_text() -> None:

@@ -142,7 +142,7 @@ def tracker_words(tracker: TrackerRecord) -> str:
         x, y, z = (1e3 * value for value in tracker.point.p_M)
         sigma = "" if tracker.point.sigma_mm is None else f" ± {tracker.point.sigma_mm:.3f}"
         at = "at" if tracker.point.arm == tracker.arm else f"{tracker.point.arm} at"
-        parts.append(f"{at} ({x:.3f}, {y:.3f}, {z:.3f}){sigma} mm")
+        parts.append(f"{at} ({x:z.3f}, {y:z.3f}, {z:z.3f}){sigma} mm")
     if tracker.air is not None:
         air = tracker.air
         pressure = "" if air.pressure_hpa is None else f", {air.pressure_hpa:.0f} hPa"

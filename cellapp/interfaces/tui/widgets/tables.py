@@ -177,7 +177,7 @@ def _stop_row(stop: PlannedStop, ways: PlannedStops | None) -> tuple[tuple[str, 
 
     number, state = stop.configuration + 1, "measured" if stop.measured else "planned"
     joints = "; ".join(
-        f"arm {name} " + ", ".join(f"{math.degrees(angle):.0f}" for angle in q) + " deg" for name, q in stop.q.items()
+        f"arm {name} " + ", ".join(f"{math.degrees(angle):z.0f}" for angle in q) + " deg" for name, q in stop.q.items()
     )
     if ways is None:
         return (str(number), "", "", state, "", ""), f"Stop {number}: {joints}."
