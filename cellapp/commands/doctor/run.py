@@ -10,7 +10,6 @@ from pathlib import Path
 from cellapp.cell.driving.cell import require_devices
 from cellapp.cell.driving.examination import controller_files, examine, factory_findings, factory_tables
 from cellapp.cell.exports.formats import all_formats
-from cellapp.cell.planning.plan import require_plannable
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.targets.targets import named_targets
@@ -101,6 +100,8 @@ def _reports(result: DoctorResult) -> dict[str, tuple[tuple[tuple[float, ...], .
 
 def needs(profile: Profile, path: Path, sweeps: int | None = None) -> dict[str, Callable[[], object]]:
     """What ``run`` needs of a profile at ``path`` before it plans -> callable that raises ``InputError`` without it."""
+    from cellapp.cell.planning.plan import require_plannable  # late: for a faster start
+
     return {
         "devices": partial(require_devices, profile),
         "targets": partial(named_targets, profile, path),
