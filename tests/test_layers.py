@@ -46,6 +46,7 @@ SETTINGS = (
 DRIVERS = ("drivers.plant", "drivers.arms.ur", "drivers.trackers.lmf")
 """Some of what no command needs that only reads the profile."""
 LOADED_LATER = {
+    "cellapp.commands.doctor.run": "what a plan rests on is loaded when it is asked: a look loads no search",
     "cellapp.cell.profile.loader": "the mathematics is loaded where an arm has a calibration of its controller",
     "cellapp.interfaces.cli": "a command loads what it needs: --help and a stop from another window do not wait",
     "cellapp.interfaces.tui": "a screen or a job loads what it needs, in its own thread",
