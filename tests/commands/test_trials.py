@@ -60,7 +60,7 @@ ROWS = {"identify": 20, "train": 20, "validate_": 20, "pair_identify": 10, "pair
 
 def small() -> Profile:
     """The twin with few stops, and few simulations to set the threshold from."""
-    profile = small_twin(STOPS)
+    profile = small_twin(STOPS, plan={"method": "random"})
     return profile.model_copy(
         update={
             "splits": profile.splits.model_copy(update=ROWS),
@@ -198,7 +198,7 @@ def test_a_seed_gives_the_same_trials_and_none_gives_others(
     assert open_truth(tmp_path / "again").trials == open_truth(judged_once[0]).trials
     drawn = []
     for name in ("a", "b"):
-        seal_trials(small_twin(), tmp_path / name, 1, Setup(kind="none"))
+        seal_trials(small_twin(plan={"method": "random"}), tmp_path / name, 1, Setup(kind="none"))
         drawn.append(open_truth(tmp_path / name))
     assert drawn[0].sealed.seed != drawn[1].sealed.seed
     assert drawn[0].trials[0].readings != drawn[1].trials[0].readings
@@ -229,8 +229,9 @@ def test_a_sealing_that_ends_early_leaves_nothing(tmp_path: Path, place: str) ->
         if event.done == 1:
             cancel.cancel()
 
+    twin = small_twin(plan={"method": "random"})
     with pytest.raises(Cancelled):
-        seal_trials(small_twin(), tmp_path / place, 3, Setup(kind="none"), listener=stop_after_the_first, cancel=cancel)
+        seal_trials(twin, tmp_path / place, 3, Setup(kind="none"), listener=stop_after_the_first, cancel=cancel)
     assert list(tmp_path.iterdir()) == []
 
 

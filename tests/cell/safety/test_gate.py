@@ -22,6 +22,7 @@ from cellapp.cell.safety.gate import (
     allowed_apart_m,
     clear_stops,
     free_motions,
+    gap_at_rest,
     on_rows,
     predicted_smr,
     refuse_motion,
@@ -135,6 +136,23 @@ def test_arms_at_once_may_be_apart_by_what_the_slower_one_runs_until_all_are_sto
     at_once = PathsAtOnce(turnstiles, paths)
     assert at_once.apart_m(at(a=0.01, b=0.01)) == 0.0
     assert at_once.apart_m(at(a=0.02, b=0.0)) == pytest.approx(0.02 * lever)  # from the first row or the second
+
+
+def test_the_gap_of_arms_at_rest_is_that_of_their_nearest_bodies(twin: CellBodies) -> None:
+    rng, within = np.random.default_rng(4), 1.2
+    a, b = (place(arm, rng.uniform(-2.5, 2.5, (400, 6))) for arm in twin.arms.values())
+    expected = np.min(
+        [
+            segment_distances(a.start[:, i], a.end[:, i], b.start[:, k], b.end[:, k]) - a.radius[i] - b.radius[k]
+            for i in range(len(a.radius))
+            for k in range(len(b.radius))
+        ],
+        axis=0,
+    )
+    found, near = gap_at_rest(a, b, within), expected < within
+    assert 20 < near.sum() < 380
+    np.testing.assert_allclose(found[near], expected[near], atol=1e-9)
+    assert (found[~near] >= within).all()
 
 
 def test_nan_and_vectors_of_wrong_length_are_refused(twin: CellBodies) -> None:
