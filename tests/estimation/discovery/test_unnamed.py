@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.exports.arm_export import lost_parts, workspace
-from cellapp.cell.planning.proposal.propose import _unnamed_advice
+from cellapp.cell.planning.propose import _unnamed_advice
 from cellapp.cell.profile import load_profile
 from cellapp.commands.discover.words import remainder_sentences
 from cellapp.estimation.calibration.quantities import measurement_conditions
