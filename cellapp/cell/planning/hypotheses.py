@@ -28,6 +28,7 @@ from cellapp.robot.effects import (
     Law,
     MeasurementConditions,
 )
+from cellapp.robot.effects.effect import is_unnamed, lent_effect, lent_law
 from cellapp.robot.kinematics.transforms import Array
 
 
@@ -250,11 +251,14 @@ def open_hypotheses(data: ArmData, fit: JointFit, discovery: Discovery, joined: 
     """Find hypotheses for further stops to decide; ``joined`` is the context of the run and some of these stops.
 
     First, accepted effects against those that the data cannot distinguish from them. If there are none, against their
-    declared look-alikes. If there are none either, the effects that are hardest to see.
+    declared look-alikes, as the parts of the unnamed term, each for the effect that it looks like. If there are none
+    either, the effects that are hardest to see.
     """
     least = discovery.result.threshold
     found: list[Hypothesis] = []
-    for number, effect in enumerate(discovery.result.accepted):
+    named = [number for number, term in enumerate(fit.terms) if not is_unnamed(term.law)]
+    fit = replace(fit, terms=tuple(_as_its_cause(term) for term in fit.terms))
+    for number, effect in zip(named, discovery.result.accepted, strict=True):
         for slug in effect.answer_set[1:]:
             found += _hypotheses_against(data, fit, number, slug, least, joined)
             found += _swapped_hypotheses(data, fit, number, slug, least, joined)
@@ -265,6 +269,13 @@ def open_hypotheses(data: ArmData, fit: JointFit, discovery: Discovery, joined: 
                 if slug not in taken and slug in EFFECTS:  # a plug-in may name effects that are not installed
                     found += _hypotheses_against(data, fit, number, slug, least, joined)
     return found or _faint_effects(data, fit, discovery, joined)
+
+
+def _as_its_cause(term: ModelTerm) -> ModelTerm:
+    """Return a part of the unnamed term under the name of the effect that it looks like."""
+    if not is_unnamed(term.law) or lent_effect(term.law).slug == UNKNOWN:
+        return term
+    return replace(term, slug=lent_effect(term.law).slug, law=lent_law(term.law))
 
 
 def _hypotheses_against(

@@ -36,12 +36,14 @@ from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.design.information import HOPELESS, Discrimination, SequentialDesign, joint_gains
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.outcome import Discovery
+from cellapp.estimation.discovery.records import Unnamed
+from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
-from cellapp.robot.effects import EFFECTS, DriverVariable, MeasurementConditions, varies
+from cellapp.robot.effects import EFFECTS, DriverVariable, MeasurementConditions, place_in_words, varies
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
@@ -530,6 +532,20 @@ class Proposal:
     advice: tuple[str, ...]
 
 
+def _unnamed_advice(name: str, unnamed: Unnamed | None) -> list[str]:
+    """Name the likeliest causes of an arm's unnamed term, with the first thing that settles each."""
+    if unnamed is None or not unnamed.in_force:
+        return []
+    place = place_in_words(unnamed.acts_on)
+    causes = [
+        f"{EFFECTS[cause].title} ({EFFECTS[cause].meaning.at(place).settle[0].rstrip('.')})"
+        for cause in unnamed.causes
+        if cause != UNKNOWN
+    ]
+    like = " or ".join(causes) or "nothing in the library: joints that depend on their neighbours, or a field"
+    return [f"arm {name}: the unnamed term, mostly {place}, is most like {like}"]
+
+
 def propose_stops(
     profile: Profile,
     model: CellModel,
@@ -570,7 +586,7 @@ def propose_stops(
     if len(chosen) < count:
         notes.append(f"only {len(chosen)} of {counted(count, 'stop')}: the gate refused the other candidates")
     predictions: list[PredictedDiscrimination] = []
-    advice: list[str] = []
+    advice = [words for name in model.arms for words in _unnamed_advice(name, found[name].result.unnamed)]
     taken = {arm.name: np.array([one.poses[k] for one in chosen], dtype=np.intp) for k, arm in enumerate(arms)}
     stops = straight_stops({name: poses.q[name][pose] for name, pose in taken.items()})
     stops.proposed[:] = True

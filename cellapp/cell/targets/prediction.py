@@ -87,8 +87,8 @@ def predictions(
         spread = spread_of(arm, here, from_home(stated, here, home), ranges)
         covariance = sum((one.covariance for one in unknown), np.zeros_like(spread.network))
         spread = replace(spread, conditions=covariance)
-        noise = _noise(arm, here, stated, ranges)
-        excess = 0.0 if ranges.noise is None else ranges.noise.excess(arm.posterior.noise_m)
+        noise, of_run = _noise(arm, here, stated, ranges), arm.noise(here)
+        excess = np.zeros(len(here)) if ranges.noise is None else ranges.noise.excess(of_run)
         judged = _judged(spread, noise, excess, tolerances_mm[begin : begin + AT_ONCE])
         found += [replace(one, unknown=unknown_records(unknown, k)) for k, one in enumerate(judged)]
     return found
@@ -177,19 +177,18 @@ def _of_model(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> tup
 
 def _noise(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Array:
     """Return the covariance (n, 3, 3) [m^2] of a measurement at ``q`` (n, N) [rad]."""
-    assert arm.posterior is not None
     if ranges.noise is None:
-        return np.tile(arm.posterior.noise_m**2 * np.eye(3), (len(q), 1, 1))
-    return ranges.noise.covariance(arm.predict(q, conditions=conditions), arm.posterior.noise_m)
+        return np.multiply.outer(arm.noise(q) ** 2, np.eye(3))
+    return ranges.noise.covariance(arm.predict(q, conditions=conditions), arm.noise(q))
 
 
-def _judged(spread: Spread, noise: Array, excess: float, tolerances_mm: Sequence[float | None]) -> list[Prediction]:
-    """Return predictions in mm from covariances: ``noise`` of a measurement, ``excess`` [m^2] its part that is motion.
+def _judged(spread: Spread, noise: Array, excess: Array, tolerances_mm: Sequence[float | None]) -> list[Prediction]:
+    """Return predictions in mm from covariances: ``noise`` of a measurement; ``excess`` (n,) [m^2] of it is motion.
 
     Uncertainty and upper bound refer to what a measurement will find, with one covariance. Only the distance that the
     SMR surely exceeds refers to the SMR itself.
     """
-    low, _ = length_bounds(spread.whole + excess * np.eye(3))
+    low, _ = length_bounds(spread.whole + np.multiply.outer(excess, np.eye(3)))
     _, within = length_bounds(spread.whole + noise)
     parts = {name: _coordinate_mm(value) for name, value in vars(spread).items()}
     parts["noise"], whole = _coordinate_mm(noise), _coordinate_mm(spread.whole + noise)

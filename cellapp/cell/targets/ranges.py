@@ -273,15 +273,15 @@ class MeasuringNoise:
         across = np.sqrt(np.maximum(0.5 * (whole - along), 0.0))
         return cls(_line(distance, np.sqrt(along)), _line(distance, across), float(np.mean(whole)) / 3.0)
 
-    def excess(self, noise_m: float) -> float:
-        """Return the variance [m^2] of a coordinate by which readings scatter more than the tracker states.
+    def excess(self, noise_m: Array) -> Array:
+        """Return the variance (n,) [m^2] of a coordinate by which readings scatter more than the tracker states.
 
         It is repeatability or a deficiency of the model: the SMR itself deviates by as much.
         """
-        return max(noise_m**2 - self.typical, 0.0)
+        return np.maximum(noise_m**2 - self.typical, 0.0)
 
-    def covariance(self, p_M: Array, noise_m: float) -> Array:
-        """Return the covariance (n, 3, 3) [m^2] of readings at ``p_M`` (n, 3) [m] with the run's scatter ``noise_m``.
+    def covariance(self, p_M: Array, noise_m: Array) -> Array:
+        """Return the covariance (n, 3, 3) [m^2] of readings at ``p_M`` (n, 3) [m] that scatter by ``noise_m`` (n,).
 
         Scatter beyond what the tracker states is added isotropically.
         """
@@ -293,10 +293,8 @@ class MeasuringNoise:
         )
         outer = beam[:, :, None] * beam[:, None]
         stated = along * outer + across * (np.eye(3) - outer)
-        excess = self.excess(noise_m)
-        if excess == 0.0:
-            return np.asarray(stated * (noise_m**2 / self.typical))
-        return np.asarray(stated + excess * np.eye(3))
+        less = np.minimum(noise_m**2 / self.typical, 1.0)
+        return np.asarray(stated * less[:, None, None] + np.multiply.outer(self.excess(noise_m), np.eye(3)))
 
 
 def _line(distance: Array, sigma: Array) -> tuple[float, float]:

@@ -244,7 +244,7 @@ def _fitted(data: ArmData, fit: JointFit, spread: float) -> ArmModel:
         columns=columns,
         sizes=[term.size for term in fit.terms],
         covariance=found.point.normal.with_priors(fit.precision).covariance * spread**2,
-        noise=noise_of(data, spread),
+        noise=noise_of(data, spread, smoothness_of(fit.terms)),
         seed=(data.profile.seed, _DRAW_SEED),
     )
     return replace(found.point.fit.model, posterior=draws)

@@ -15,7 +15,7 @@ from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.discovery.terms import ModelTerms
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.readings.readings import Groups, repeats
+from cellapp.estimation.readings.readings import Groups, repeats, undivided
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law, MeasurementConditions
 from cellapp.robot.effects.law import with_prior_sd
@@ -129,6 +129,11 @@ class ArmData:
     def group(self) -> Groups:
         """Group (n,) of the rows that are one configuration: position and orientation of a reading, and its repeats."""
         return repeats(self.readings.q)
+
+    @cached_property
+    def undivided(self) -> Groups:
+        """Group (n,) of the rows that no fold divides: configurations, or neighbourhoods if most rows have one."""
+        return undivided(self.readings.q)
 
     @cached_property
     def context(self) -> EffectContext:

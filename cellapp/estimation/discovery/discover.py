@@ -47,7 +47,7 @@ from cellapp.estimation.discovery.records import (
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult, scatter
 from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, search
 from cellapp.estimation.discovery.search.unnamed import unnamed_record
-from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of, without_term
+from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of
 from cellapp.estimation.discovery.verdict import structure_left, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import one_a_stop
@@ -223,8 +223,10 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
     nameless, claim = unnamed_record(found, held_out), _contradicted_claim(found, stated_mm)
     if claim is not None and left is not None:
         left = replace(left, against="estimated")
-    word, sentence = verdict(accepted, floor_mm, after.rms, len(held_out), left, structure, nameless)
-    if result.harmful or (accepted and word == "explained" and after.rms >= before.rms):
+    expected_mm = math.hypot(floor_mm, math.sqrt(3.0) * held_out.predicted_rms_mm(fitted_model))
+    errors = BeforeAfter(before=before.rms, after=after.rms)
+    word, sentence = verdict(accepted, floor_mm, expected_mm, errors, len(held_out), left, structure, nameless)
+    if result.harmful:
         word = "unknown effect"  # the search fitted something real, but not by its true cause
     # if nothing was found, the arm stays as it was calibrated
     final = replace(fitted_model, effects=terms) if terms else replace(model, posterior=fitted_model.posterior)
@@ -233,7 +235,7 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
         noise_floor_mm=floor_mm if math.isfinite(floor_mm) else None,
         noise_mm=_noise(found.data),
         noise_mrad=None if noise_rad is None else noise_rad * 1e3,
-        heldout_mm=BeforeAfter(before=before.rms, after=after.rms),
+        heldout_mm=errors,
         heldout_position_mm=HeldOutBeforeAfter(before=before, after=after),
         heldout_orientation_mrad=held_out.turned_before_after(found.geometry_only.model, fitted_model),
         seconds=time.perf_counter() - started,
@@ -312,16 +314,13 @@ class Searched:
         model = with_posterior(found.data, found.fit, found.spread)
         return cls(found, found, found, model, data, fitted, only_some=only_some)
 
-    def without(self, number: int) -> Searched:
-        """Return the outcome without a term, the others fitted again; raises ``NotConverged``."""
-        found, slug = self.found, self.found.fit.terms[number].slug
-        reviews = (*found.reviews[:number], *found.reviews[number + 1 :])
-        data = found.data if self.only_some else self.data
-        rest, model = fit_terms_to_all(found, data, without_term(found.fit.terms, number), reviews)
-        geometry_only = found.geometry_only if rest.fit.terms else rest.fit
-        rest = replace(rest, dropped=(*rest.dropped, slug), geometry_only=geometry_only)
-        harmful = tuple(dict.fromkeys((slug, *self.harmful)))
-        return replace(self, judged=rest, found=rest, model=model, harmful=harmful)
+    def geometry_alone(self) -> Searched:
+        """Return the outcome without terms, the geometry fitted again; raises ``NotConverged``."""
+        found = self.found
+        slugs = tuple(dict.fromkeys(term.slug for term in found.fit.terms))
+        rest, model = fit_terms_to_all(found, found.data if self.only_some else self.data, (), ())
+        rest = replace(rest, dropped=(*rest.dropped, *slugs), geometry_only=rest.fit)
+        return replace(self, judged=rest, found=rest, model=model, harmful=slugs)
 
 
 def search_rows(
@@ -358,6 +357,11 @@ def search_rows(
         if not len(wrong):
             break
         gross[wrong] = True
+    if result.fitted is not None and not result.only_some:
+        by_search = Searched.of_search(found, data, "the fit to all predicts those that were not searched worse")
+        further = np.setdiff1d(every, some)
+        if HeldOut(readings.take(further), conditions.take(further)).predicts_worse(result.model, by_search.model):
+            result = by_search
     return replace(result, left_out=tuple(readings.configuration[gross].tolist()))
 
 
@@ -377,24 +381,14 @@ def _fitted_to_all(found: SearchResult, data: ArmData, cancel: CancelToken, repo
 
 
 def _judged_by_held_out(result: Searched, held_out: HeldOut) -> Searched:
-    """Return what predicts held-out readings: the model of the search where that of all readings does it worse, and no
-    terms without which they are predicted better than with them, if the whole is worse than the geometry alone.
+    """Return the outcome, or the geometry alone if held-out readings refute it: its terms predict them worse than none.
 
-    Effects that are not there can fit few readings. Such terms are removed one by one, the last first.
+    They judge the whole, and select no terms.
     """
     if not result.found.fit.terms or not len(held_out):
         return result
-    if result.fitted is not None and not result.only_some:
-        by_search = Searched.of_search(result.search, result.data, "the fit to all predicts held-out readings worse")
-        if held_out.predicts_worse(result.model, by_search.model):
-            result = replace(by_search, left_out=result.left_out)
-    geometry = result.found.geometry_only.model
-    while (terms := result.found.fit.terms) and held_out.predicts_worse(result.model, geometry):
-        with_all = held_out.rms_mm(result.model)
-        shorter = (result.without(number) for number in reversed(range(len(terms))))
-        better = (one for one in shorter if held_out.rms_mm(one.model) < with_all)
-        result = next(better, None) or result.without(len(terms) - 1)
-    return result
+    worse = held_out.predicts_worse(result.model, result.found.geometry_only.model)
+    return result.geometry_alone() if worse else result
 
 
 def _with_what_was_left_out(sentence: str, result: Searched) -> str:

@@ -7,7 +7,7 @@ parameters and to those of the terms. The residual y and these rows are the line
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -21,6 +21,7 @@ from cellapp.estimation.calibration.least_squares import (
     PIVOT,
     cholesky,
     inverse_psd,
+    mean_variance,
     readings_noise,
     solve_psd,
     with_excess,
@@ -32,6 +33,7 @@ from cellapp.estimation.discovery.terms import (
     CandidateLaw,
     Excess,
     ModelTerms,
+    Smoothness,
     TermLayout,
     blocks_beyond_bounds,
     prior_sd,
@@ -398,6 +400,13 @@ class JointFit:
         values = self.normal.take(kept).with_priors(self.precision[kept]).solve(others @ signal)
         return float(np.sum((signal - values @ others) ** 2))
 
+    def without_columns(self, terms: Collection[int]) -> JointFit:
+        """Return the linear model without the columns of some terms with priors: others must explain their part."""
+        kept = np.all([self.layout.all_but(term) for term in terms], axis=0)
+        fewer = replace(self, rows=self.rows[kept], precision=self.precision[kept], derived={})
+        fewer.__dict__["target"] = self.target
+        return fewer
+
     def term_rows(self, term: int) -> Array:
         """Return the whitened columns of a term (m, 3 n)."""
         return self.rows[self.layout.parameters(term)]
@@ -505,15 +514,20 @@ def with_posterior(data: ArmData, fit: JointFit, spread: float = 1.0) -> ArmMode
         columns=found.estimated.columns,
         sizes=[term.size for term in fit.terms],
         covariance=found.covariance[np.ix_(kept, kept)] * spread**2,
-        noise=noise_of(data, max(found.scale, 1.0) * spread),
+        noise=noise_of(data, max(found.scale, 1.0) * spread, smoothness_of(fit.terms)),
         seed=(data.profile.seed, _DRAW_SEED),
     )
     return replace(fit.model, posterior=draws)
 
 
-def noise_of(data: ArmData, scale: float = 1.0) -> ReadingsNoise:
-    """Return the noise by which the readings are weighted, times a scale."""
-    return readings_noise(data.sigma, data.turned, scale)
+def noise_of(data: ArmData, scale: float = 1.0, smooth: Smoothness | None = None) -> ReadingsNoise:
+    """Return the noise by which the readings are weighted, times a scale; and its parts if known."""
+    noise = readings_noise(data.sigma, data.turned, scale)
+    if smooth is None or not any(smooth.scatter.joints):
+        return noise
+    own = uncertainty_with_scatter(data, replace(smooth.scatter, joints=()))[data.positions]
+    joints_rad = scale * np.array(smooth.scatter.joints)
+    return noise._replace(parts=np.array([scale * math.sqrt(mean_variance(own)), *joints_rad]))
 
 
 def refit(data: ArmData, terms: ModelTerms) -> tuple[ArmData, JointFit]:
@@ -699,17 +713,17 @@ def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float
     """Return the decrease of the whitened sum of squares of left-out readings when columns (m, 3 n) join a fit."""
     folds = data.profile.discovery.folds
     generator = np.random.default_rng([data.profile.seed, _FOLD_SEED])
-    fold = np.tile(folds_of(data.group, folds, generator), 3)
+    fold = np.tile(folds_of(data.undivided, folds, generator), 3)
     return float(sum(np.sum(before**2) - np.sum(after**2) for before, after in _left_out(fit, new_rows, fold)))
 
 
 def left_out(data: ArmData, fit: JointFit) -> tuple[Array, Array]:
-    """Predict each fold of whole configurations by the others, linear about a fit.
+    """Predict each fold of whole configurations, or of whole neighbourhoods, by the others, linear about a fit.
 
     Return residuals [m, rad] (n, 3), and the same (n, 3) in units of their predicted standard deviation.
     """
     generator = np.random.default_rng([data.profile.seed, _FOLD_SEED])
-    fold = np.tile(folds_of(data.group, data.profile.discovery.folds, generator), 3)
+    fold = np.tile(folds_of(data.undivided, data.profile.discovery.folds, generator), 3)
     residual, scaled = np.empty((2, len(fold)))
     for one in _folds(fit, fold):
         rows = fit.rows[:, one.out]

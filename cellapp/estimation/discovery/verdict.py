@@ -14,6 +14,7 @@ from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
+    BeforeAfter,
     RemainingStructure,
     StructureKind,
     StructureTest,
@@ -319,7 +320,8 @@ _SAMPLING_ERRORS = 2.5
 def verdict(
     accepted: Sequence[AcceptedEffect],
     floor_mm: float,
-    after_mm: float,
+    expected_mm: float,
+    errors: BeforeAfter,
     held_out: int,
     scatter: Scatter | None,
     structure: RemainingStructure,
@@ -327,9 +329,11 @@ def verdict(
 ) -> tuple[Verdict, str]:
     """Return the verdict and its sentence.
 
-    ``held_out`` is the number of held-out readings; ``scatter`` and ``structure`` are those of the residuals. An error
-    at the stated noise counts as explained. If none is stated, the residuals must show no structure.
+    ``errors`` are the rms of ``held_out`` readings, of which ``expected_mm`` would be due to noise and uncertain
+    parameters. ``scatter`` and ``structure`` are those of the residuals. An error at the stated noise counts as
+    explained. If none is stated, the residuals must show no structure.
     """
+    after_mm = errors.after
     driven = [effect.description for effect in accepted if effect.description is not None]
     named = [effect for effect in accepted if effect.effect != UNKNOWN]
     names = " and ".join(EFFECTS[effect.effect].title for effect in named)
@@ -338,12 +342,15 @@ def verdict(
         also = f"{names}, and " if names else ""
         described = "; ".join(description.sentence for description in driven)
         return "unknown effect", f"{also}something that the library does not have: {described}"
-    closed = scatter is not None and _gap_closed(floor_mm, after_mm, held_out, scatter)
+    closed = scatter is not None and _gap_closed(floor_mm, expected_mm, after_mm, held_out, scatter)
     left = _left(floor_mm, after_mm, scatter, structure, closed=closed)
     if nameless := unnamed is not None and unnamed.in_force:
         left = f"{unnamed_words(unnamed)}; {left}"
     rest = has_structure(structure) or _far_off(scatter, structure) or (bool(accepted) and scatter is not None)
-    if nameless or (not closed and rest):
+    risen = bool(accepted) and after_mm >= errors.before
+    if risen:
+        left = f"held-out errors did not fall; {left}"
+    if nameless or risen or (not closed and rest):
         found = f"{names} found{' (or a look-alike)' if ambiguous else ''}, but " if accepted else ""
         return "unknown effect", f"{found}the library does not explain all of the error; {left}"
     if not accepted:
@@ -390,14 +397,13 @@ def sampling_allowance(held_out: int) -> float:
     return 1.0 + _SAMPLING_ERRORS / math.sqrt(6.0 * max(held_out, 1))
 
 
-def _gap_closed(floor_mm: float, after_mm: float, held_out: int, scatter: Scatter) -> bool:
-    """Return whether the held-out error is at the noise floor, or the residuals may be the stated noise."""
-    sampling = sampling_allowance(held_out)
-    return (
-        after_mm <= floor_mm * _FLOOR
-        or scatter.p_value > FLOOR_CHANCE
-        or (after_mm <= floor_mm * sampling and scatter.ratio < _FLOOR)
-    )
+def _gap_closed(floor_mm: float, expected_mm: float, after_mm: float, held_out: int, scatter: Scatter) -> bool:
+    """Return whether the held-out error is at the noise floor, and the residuals, too, may be the stated noise."""
+    noise = scatter.p_value > FLOOR_CHANCE
+    if not held_out:
+        return noise
+    at_floor = after_mm <= expected_mm * max(sampling_allowance(held_out), _FLOOR)
+    return after_mm <= floor_mm * _FLOOR or (at_floor and (noise or scatter.ratio < _FLOOR))
 
 
 def _rivals(effects: Sequence[AcceptedEffect]) -> str:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from itertools import combinations
+from itertools import combinations, product
 from typing import ClassVar
 
 import numpy as np
@@ -44,8 +44,9 @@ from cellapp.robot.effects.effect import (
     contradiction_meaning,
     enumeration,
     lent_law,
+    unnamed,
 )
-from cellapp.robot.effects.law import AMPLITUDE, Constant, DriverVariable, Law, LawForm, with_prior_sd
+from cellapp.robot.effects.law import AMPLITUDE, Constant, DriverVariable, Law, LawForm, SmoothLaw, with_prior_sd
 from cellapp.robot.effects.time_functions import run_span, with_default
 from cellapp.robot.kinematics.transforms import Array
 
@@ -156,6 +157,10 @@ _NAMES = {
 }
 
 
+PAIRS = LawForm("pairs", "smoothly with neighbouring joints", (AMPLITUDE,))
+"""Joints that depend on their neighbours' angles, and on both angles together: a part of the unnamed term."""
+_PAIR_WAVES = ((0, 1), (0, 2), (1, 1), (1, 2), (2, 1), (2, 2))
+"""Cycles per revolution of the joint that moves, and of its neighbour; its own angle alone has a curve."""
 _LARGEST = 1e-2
 """Bound of each parameter [rad, m]; nothing is known about the size of an unknown effect."""
 _PERIODS = 48
@@ -177,7 +182,7 @@ class Unknown(Effect):
     of an azimuth; with a ``2`` appended for the second variable.
 
     Of the position: the smooth field over the workspace of ``robot.effects.data_driven``, a shift along x, y and z of
-    the base with one amplitude and one length scale.
+    the base with one amplitude and one length scale. Of neighbouring joints: ``PAIRS``, with one amplitude.
 
     A law of the library whose values are impossible, or that imitates a part of something else, is one as well.
 
@@ -189,7 +194,7 @@ class Unknown(Effect):
     title = "unknown effect"
     meaning = UNKNOWN_MEANING
     variables: ClassVar[frozenset[DriverVariable]] = frozenset()
-    forms: ClassVar[tuple[LawForm, ...]] = ()
+    forms: ClassVar[tuple[LawForm, ...]] = (PAIRS,)
 
     def __init__(self, library: Mapping[str, Effect] | None = None) -> None:
         self._library = {} if library is None else library
@@ -198,6 +203,14 @@ class Unknown(Effect):
         """The form of a name such as ``joint 2|q1`` or ``contradiction|backlash|constant``."""
         form = form_named(name) or borrowed_form_named(name, {**self._library, self.slug: self})
         return super().form(name) if form is None else form
+
+    def laws(self, context: EffectContext) -> list[Law]:
+        """None: they are not scanned."""
+        return []
+
+    def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
+        """Neighbouring joints, without a name."""
+        return [SmoothLaw(unnamed(self, PAIRS).name, 2e-5)]
 
     def meaning_of(self, law: Law) -> Meaning:
         """Checks by channel and further stops by variables; those of the effect that a contradiction behaves like."""
@@ -214,6 +227,8 @@ class Unknown(Effect):
         if isinstance(law.form, BorrowedForm):
             of_effect = law.form.effect.columns(context, lent_law(law), names)
             return [replace(column, lower=-np.inf, upper=np.inf) for column in of_effect]
+        if law.form == PAIRS:
+            return _of_neighbours(context, law.constants[AMPLITUDE.name], names)
         channel = data_driven_form(law).channel
         if channel not in channels(context.joints):
             raise ValueError(f"effect {self.slug} has no law '{law.name}' for an arm with {context.joints} joints")
@@ -313,6 +328,24 @@ def _with_priors(columns: list[EffectColumn], law: Law) -> list[EffectColumn]:
 def channel_directions(context: EffectContext, channel: DataChannel) -> list[Array]:
     """SMR shifts (n, 3) [m, tracker frame] per unit of a channel other than a joint, in each of its directions."""
     return [moved for _, moved in _shifts(context, channel)]
+
+
+def _of_neighbours(context: EffectContext, amplitude: float, names: Collection[str] | None) -> list[EffectColumn]:
+    """Products of waves of each joint's angle and a neighbour's, the smaller by prior the more cycles they have.
+
+    For each joint and neighbour the prior variances add to the square of the amplitude [rad].
+    """
+    columns, total = [], math.sqrt(sum((2 if a else 1) / (a * a + b * b) ** 2 for a, b in _PAIR_WAVES))
+    waves = {"cos": np.cos, "sin": np.sin}
+    for joint, other in ((j, k) for j in range(context.joints) for k in (j - 1, j + 1) if 0 <= k < context.joints):
+        for a, b in _PAIR_WAVES:
+            for own, of_other in product(waves if a else ("cos",), waves):
+                name = f"{own}{a}q{joint + 1}.{of_other}{b}q{other + 1}"
+                if names is None or name in names:
+                    offset = waves[own](a * context.q[:, joint]) * waves[of_other](b * context.q[:, other])
+                    sd = amplitude * (math.sqrt(2.0) if a else 1.0) / (a * a + b * b) / total
+                    columns.append(joint_column(name, "rad", joint, offset, -_LARGEST, _LARGEST, prior_sd=sd))
+    return columns
 
 
 def _label(channel: DataChannel) -> str:

@@ -342,11 +342,25 @@ class ArmModel:
 
         For a measured orientation it is that of a component of the rotation [rad].
         """
-        noise: Array = np.full(len(q), 0.0 if self.posterior is None else self.posterior.noise_m)
+        noise = self.noise(q)
         if conditions is not None and conditions.turned is not None:
             of_turns = None if self.posterior is None else self.posterior.noise_rad
             noise[conditions.turned] = of_turns or 0.0
         return np.asarray(np.hypot(self.uncertainty(q, conditions), noise))
+
+    def noise(self, q: Array) -> Array:
+        """Compute the standard deviation (n,) [m] of a measured coordinate about the true one at ``q`` (n, N) [rad].
+
+        It depends on the configuration where the scatter of the joints is known; zero if the model has no draws.
+        """
+        q = configurations(q, self.geometry.joints)
+        if self.posterior is None:
+            return np.zeros(len(q))
+        if self.posterior.noise_parts is None:
+            return np.full(len(q), self.posterior.noise_m)
+        own_m, *joints_rad = self.posterior.noise_parts
+        _, by_joint = joint_jacobian(self.geometry, JointAngles.of(q))
+        return np.asarray(np.sqrt(own_m**2 + np.einsum("cjn,j->n", by_joint**2, np.square(joints_rad)) / 3.0))
 
     def flange(self, q: Array, conditions: MeasurementConditions | None = None) -> tuple[Array, Array]:
         """Compute flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame.
@@ -651,12 +665,14 @@ class ReadingsNoise(NamedTuple):
 
     ``m`` is that of a coordinate [m], ``rad`` that of a component of an orientation [rad], None if none was measured.
     ``axes_rad`` (3,) are those about the three axes in ascending order if they differ, as with several SMRs on a
-    flange; else None.
+    flange; else None. ``parts`` (1 + N,) are the readings' own part of ``m`` [m] and that of each joint's position
+    [rad], if these are known.
     """
 
     m: float
     rad: float | None = None
     axes_rad: Array | None = None
+    parts: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -671,7 +687,7 @@ class PosteriorDraws:
         Deviations of the geometric parameters, in their units.
     terms : tuple of array, shape (S, m)
         Deviations of the parameters of each term of the model, in the order of the term's names.
-    noise_m, noise_rad, noise_axes_rad
+    noise_m, noise_rad, noise_axes_rad, noise_parts
         See ``ReadingsNoise``.
     """
 
@@ -681,6 +697,7 @@ class PosteriorDraws:
     noise_m: float
     noise_rad: float | None = None
     noise_axes_rad: Array | None = None
+    noise_parts: Array | None = None
 
     @classmethod
     def of_covariance(
@@ -755,7 +772,11 @@ def posterior_to_json(posterior: PosteriorDraws) -> dict[str, Any]:
         "terms": [_rounded(one) for one in posterior.terms],
         "noise_m": posterior.noise_m,
         **({} if posterior.noise_rad is None else {"noise_rad": posterior.noise_rad}),
-        **({} if posterior.noise_axes_rad is None else {"noise_axes_rad": posterior.noise_axes_rad.tolist()}),
+        **{
+            key: values.tolist()
+            for key in ("noise_axes_rad", "noise_parts")
+            if (values := getattr(posterior, key)) is not None
+        },
     }
 
 
@@ -764,8 +785,8 @@ def posterior_from_json(content: Mapping[str, Any]) -> PosteriorDraws:
     geometry = _array(content["geometry"])
     terms = tuple(_array(one).reshape(len(geometry), -1) for one in content["terms"])
     noise_rad = float(content["noise_rad"]) if "noise_rad" in content else None
-    axes = _array(content["noise_axes_rad"]) if "noise_axes_rad" in content else None
-    return PosteriorDraws(tuple(content["columns"]), geometry, terms, float(content["noise_m"]), noise_rad, axes)
+    axes, parts = (_array(content[key]) if key in content else None for key in ("noise_axes_rad", "noise_parts"))
+    return PosteriorDraws(tuple(content["columns"]), geometry, terms, float(content["noise_m"]), noise_rad, axes, parts)
 
 
 def _rounded(values: Array) -> list[list[float]]:

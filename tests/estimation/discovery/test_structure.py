@@ -162,7 +162,7 @@ READINGS, FOLDS, SEED = 60, 5, 3
 class Data(SimpleNamespace):
     """What the cross-validation needs of the data of an arm."""
 
-    group = np.arange(READINGS)
+    undivided = np.arange(READINGS)
 
     def __len__(self) -> int:
         return READINGS

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.exports.arm_export import lost_parts, workspace
+from cellapp.cell.planning.propose import _unnamed_advice
 from cellapp.cell.profile import load_profile
 from cellapp.commands.discover.words import remainder_sentences
 from cellapp.estimation.calibration.quantities import measurement_conditions
@@ -16,6 +17,7 @@ from cellapp.estimation.discovery.search import stepwise
 from cellapp.estimation.discovery.search.state import Posteriors
 from cellapp.estimation.readings import Readings
 from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.nominal import bodies_of, nominal_arm
 from tests.arms import STATION
@@ -34,6 +36,11 @@ def readings_of(factor: float) -> Readings:
     waves = np.arange(2, 12)[:, None, None]
     phase, size = rng.uniform(0.0, 6.28, (2, 10, 1, 6))
     moved = np.sum(4e-4 * size / waves * np.sin(waves * q + phase), axis=0) + rng.normal(0.0, JOINT_RAD, (N, 6))
+    return measured(q, moved, factor, rng)
+
+
+def measured(q: Array, moved: Array, factor: float, rng: np.random.Generator) -> Readings:
+    """Readings of joints that are off by ``moved`` (N, 6) [rad]."""
     return Readings(
         configuration=np.arange(N, dtype=np.int64),
         time_s=60.0 * np.arange(N, dtype=np.float64),
@@ -71,7 +78,22 @@ def test_what_has_no_name_stays_in_the_model_whatever_is_stated(factor, monkeypa
     predicted = found.model.predict(q, conditions=then)
     within = np.abs(readings.p_M[out] - predicted) <= 1.96 * found.model.measured_uncertainty(q, then)[:, None]
     assert 0.88 < within.mean() < 0.99
+    noise = found.model.noise(q)
+    assert noise.max() > 1.5 * noise.min(), "joints scatter by their levers"
+    assert "most like transmission error" in _unnamed_advice("left", unnamed)[0]
     again = CellModel.from_json(CellModel({"left": found.model}).to_json(), "model").arms["left"]
     np.testing.assert_array_equal(again.predict(q, conditions=then), predicted)
     lost = lost_parts(replace(found.model, network=None), workspace(readings.q, conditions, 1))
     assert set(lost) == {"unnamed"}
+
+
+def test_joints_that_depend_on_their_neighbours_are_predicted_to_the_noise_without_a_name():
+    rng = np.random.default_rng(4)
+    q = rng.uniform(-2.0, 2.0, (N, 6))
+    moved = np.zeros((N, 6))
+    moved[:, 1], moved[:, 2] = 1e-4 * np.sin(2.0 * q[:, 1] + q[:, 2]), 1e-4 * np.cos(q[:, 2] - q[:, 3])
+    found = discover_arm(PROFILE, "left", MODEL, measured(q, moved, 1.0, rng)).result
+    assert found.unnamed is not None
+    assert found.unnamed.in_force
+    assert found.accepted == ()
+    assert found.heldout_mm.after < 1.25e3 * np.sqrt(3.0) * SIGMA_M < 0.5 * found.heldout_mm.before

@@ -160,6 +160,9 @@ _CONTRADICTED = 0.7
 percent, and a standard uncertainty that is stated half as large again is a usual caution."""
 _FAR = 3.0
 """Scatter over the stated noise from which free functions are tried before laws with impossible values."""
+_CLEARLY = 1.1
+"""Lead of free functions, relative to all scores of names, that ends their search: a true law scores as much as a free
+function to a few percent."""
 _NULL_SEED = 0xD15C
 """Combined with the profile's seed, so that the simulated noise is independent of all other draws."""
 
@@ -332,7 +335,7 @@ def _best_model(
 
     ``before_names`` has free functions alone.
     """
-    named = reviewed(problem, _with_library_effects(problem, start))
+    named = reviewed(problem, _with_library_effects(problem, start, before_names))
     progress.step("beyond the library")
     if before_names is not None and _beats_all_names(problem, before_names, named):
         return best_state([named, _reviewed_again(problem, before_names)])
@@ -375,13 +378,16 @@ def _far_from_floor(state: SearchState) -> bool:
     return left is None or left.ratio > _FAR
 
 
-def _beats_all_names(problem: SearchProblem, free: SearchState | None, named: SearchState) -> bool:
+def _beats_all_names(problem: SearchProblem, free: SearchState | None, named: SearchState, factor: float = 1.0) -> bool:
     """Return whether free functions beat the names even if every law added all that it explains alone."""
     lead = -math.inf if free is None or not _far_from_floor(named) else criterion(named.fit) - criterion(free.fit)
     if lead <= 0.0:
         return False
-    scores = named.scan(problem.slugs).best_of_each_effect(named.fit.projected_residual, least=0.0)
-    return lead > sum(max(score.value, 0.0) for score in scores)
+    key = (_beats_all_names, problem.slugs)
+    if key not in named.fit.derived:  # asked once in the search for names, and once after it
+        scores = named.scan(problem.slugs).best_of_each_effect(named.fit.projected_residual, least=0.0)
+        named.fit.derived[key] = sum(max(score.value, 0.0) for score in scores)
+    return bool(lead > factor * named.fit.derived[key])
 
 
 def _with_free_functions(problem: SearchProblem, first: SearchState | None, named: SearchState) -> SearchState:
@@ -403,13 +409,17 @@ def _reviewed_again(problem: SearchProblem, state: SearchState) -> SearchState:
     return reviewed(problem, _with_library_effects(problem, state))
 
 
-def _with_library_effects(problem: SearchProblem, state: SearchState) -> SearchState:
-    """Add and refine effects of the library while one passes."""
+def _with_library_effects(
+    problem: SearchProblem, state: SearchState, before_names: SearchState | None = None
+) -> SearchState:
+    """Add and refine effects of the library while one passes, and free functions, ``before_names``, do not beat all."""
     refused: set[tuple[str, str]] = set()
     refining, freed = True, False
     for _ in range(_MOST_STEPS):
         problem.cancel.check()
         problem.say(f"model with {counted(len(state.fit.terms), 'effect')}")
+        if _beats_all_names(problem, before_names, state, _CLEARLY):
+            break
         step = _next_step(problem, state, refused, refining=refining)
         if step is None or (not freed and may_be_left_by_a_look_alike(state, step)):
             free = None if freed else problem.tried("free parts of laws", partial(with_free_parts, problem, state))

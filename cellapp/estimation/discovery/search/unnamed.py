@@ -34,6 +34,8 @@ _CAUSES = 3
 
 def without_name(term: ModelTerm) -> ModelTerm:
     """Return a smooth term as a part of the unnamed term."""
+    if is_unnamed(term.law):
+        return term
     law = unnamed(EFFECTS[term.slug], term.law.form).law(term.law.constants, term.law.tried)
     return replace(term, slug=UNKNOWN, law=law)
 
@@ -53,26 +55,44 @@ def smooth_numbers(terms: Collection[ModelTerm]) -> list[int]:
 
 
 def with_unnamed(problem: SearchProblem, found: SearchResult, extended: SearchState | None) -> SearchResult:
-    """Add the smooth terms of ``extended`` to a search's outcome as the unnamed term, if they predict better.
+    """Return the model that predicts left-out readings best, with the smooth terms of ``extended`` as the unnamed term.
 
+    The unnamed term must lower the mean error by more than its standard error, and the whole that of the geometry.
     ``extended`` is None if the residuals need none or the outcome has smooth terms already.
     """
     problem.cancel.check()
-    if extended is None:
-        if not any(term.smooth is not None for term in found.fit.terms):
-            return found
-        return replace(found, spread=_spread(left_out(found.data, found.fit)[1]))
-    fit = without_names(extended.fit, [k for k in smooth_numbers(extended.fit.terms) if k >= len(found.fit.terms)])
-    left, scaled = left_out(extended.data, fit)
-    before, after = (
-        np.linalg.norm(one[found.data.positions], axis=1) for one in (left_out(found.data, found.fit)[0], left)
+    whole = found
+    if extended is not None:
+        fit = without_names(extended.fit, [k for k in smooth_numbers(extended.fit.terms) if k >= len(found.fit.terms)])
+        whole = replace(found.with_fit(extended.data, fit, found.reviews), steps=extended.steps)
+    if parts := [number for number, term in enumerate(whole.fit.terms) if is_unnamed(term.law)]:
+        before = _errors(found) if extended is not None else _errors(whole, whole.fit.without_columns(parts))
+        after = _errors(whole)
+        if (before - after).mean() <= (before - after).std() / math.sqrt(len(after)):
+            whole = found if extended is not None else _without(problem, whole, parts)
+        whole = replace(whole, unnamed_mm=(float(before.mean()) * 1e3, float(after.mean()) * 1e3))
+    if whole.fit.terms and _errors(whole).mean() >= _errors(whole, whole.geometry_only).mean():
+        whole = _without(problem, whole, range(len(whole.fit.terms)))
+    if not any(term.smooth is not None for term in whole.fit.terms):
+        return whole
+    return replace(whole, spread=_spread(left_out(whole.data, whole.fit)[1]))
+
+
+def _without(problem: SearchProblem, found: SearchResult, parts: Collection[int]) -> SearchResult:
+    """Fit an outcome again without some of its terms."""
+    kept = [number for number in range(len(found.fit.terms)) if number not in parts]
+    near = SearchState(replace(found.data, sigma=problem.data.sigma), found.fit)
+    rest = problem.state(tuple(found.fit.terms[number] for number in kept), near)
+    dropped = (*found.dropped, *(found.fit.terms[number].slug for number in parts))
+    return replace(
+        found.with_fit(rest.data, rest.fit, tuple(found.reviews[number] for number in kept)), dropped=dropped
     )
-    gain = before - after
-    errors = float(before.mean()) * 1e3, float(after.mean()) * 1e3
-    if gain.mean() <= gain.std() / math.sqrt(len(gain)):
-        return replace(found, unnamed_mm=errors)
-    result = found.with_fit(extended.data, fit, found.reviews)
-    return replace(result, steps=extended.steps, unnamed_mm=errors, spread=_spread(scaled))
+
+
+def _errors(found: SearchResult, fit: JointFit | None = None) -> Array:
+    """Return the position errors (n,) [m] of left-out readings by the outcome's fit or by another one."""
+    left, _ = left_out(found.data, fit or found.fit)
+    return np.asarray(np.linalg.norm(left[found.data.positions], axis=1))
 
 
 def _spread(scaled: Array) -> float:
