@@ -206,8 +206,10 @@ def test_two_probes_calibrate_the_pair_in_orientation(six, learnt):
     nominal, geometry = (result.pair[method] for method in ("nominal", "method_1"))
     assert nominal.cooperative_mrad.mean > 2.0 * geometry.cooperative_mrad.mean
     assert ", orientation [mrad]" in text_of(calibrate_view(result).parts)
-    unturned = {name: replace(its, quaternion_M=None, sigma_rad=None) for name, its in readings.items()}
-    alone = calibrate_result(calibrate_readings(profile, unturned)).pair["method_1"]
+    one = {**readings, "right": replace(readings["right"], quaternion_M=None, sigma_rad=None)}
+    of_one = calibrate_result(calibrate_readings(profile, one))
+    assert any("orientations were measured of arm 'left' alone" in note for note in of_one.notes)
+    alone = of_one.pair["method_1"]
     assert alone.cooperative_mrad is None
     for name in ("theta", "beta", "alpha"):
         assert geometry.identified[name].standard_error < 0.7 * alone.identified[name].standard_error
@@ -233,18 +235,14 @@ def slipped(readings, angle):
     """The left probe turned in its mount by ``angle`` [rad] from configuration 43 on."""
     own = readings["left"]
     rotations = Rotation.from_quat(own.quaternion_M, scalar_first=True)
-    turned = rotations * Rotation.from_rotvec(
-        np.where(own.configuration[:, None] < 43, 0.0, angle / np.sqrt(3.0)) * np.ones(3)
-    )
+    turned = rotations * Rotation.from_rotvec((own.configuration >= 43)[:, None] * np.full(3, angle / np.sqrt(3.0)))
     return {**readings, "left": replace(own, quaternion_M=turned.as_quat(scalar_first=True))}
 
 
 def exchanged(readings, *names):
     left, right = readings.values()
-    return {
-        "left": replace(left, **{name: getattr(right, name) for name in names}),
-        "right": replace(right, **{name: getattr(left, name) for name in names}),
-    }
+    pairs = {"left": (left, right), "right": (right, left)}
+    return {arm: replace(own, **{name: getattr(of, name) for name in names}) for arm, (own, of) in pairs.items()}
 
 
 EXCHANGED = "the probes of arms 'left' and 'right' are exchanged: the {} of each follow the other arm"
@@ -262,14 +260,6 @@ def test_probes_that_are_not_as_they_were_are_named(six, changed, words):
     profile, readings = six
     with pytest.raises(InputError, match=words):
         calibrate_readings(profile, changed(readings))
-
-
-def test_a_probe_of_one_arm_alone_gives_no_orientation_of_the_pair(six):
-    profile, readings = six
-    one = {**readings, "right": replace(readings["right"], quaternion_M=None, sigma_rad=None)}
-    calibration = calibrate_readings(profile, one)
-    assert any("orientations were measured of arm 'left' alone" in note for note in calibration.notes)
-    assert all(method.cooperative_mrad is None for method in calibrate_result(calibration).pair.values())
 
 
 def test_a_small_slip_of_a_probe_is_found_with_its_stop(six):
