@@ -37,9 +37,13 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
     models = discover_cell(profile, calibrate_readings(profile, readings).model, readings).model.arms
     another = {"seed": seed + 1000, "plan": profile.plan.model_copy(update={"stops": 100})}
     judged = measured_plan(profile, plan_stops(profile.model_copy(update=another)), seed + 1000)
-    conditions, sides, poses, none = conditions_of_arms(models, judged), [], [], [None] * 100
+    conditions, none = conditions_of_arms(models, judged), [None] * 100
+    sides, poses, variances = [], [], []
     for name, home in home_positions(profile).items():
         arm, its, here = models[name], judged[name], conditions[name]
+        assert its.quaternion_M is not None
+        assert its.sigma_rad is not None
+        variances.append(np.mean(its.sigma_rad**2))
         ranges = ConditionRanges.of(readings[name], arm)
         positions = predictions(arm, its.q, here, none, home, ranges)
         turns = predicted_turns(arm, its.q, its.q, here, np.full((100, 3, 3), np.nan), none, home, ranges)
@@ -50,11 +54,11 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
         (np.einsum("nji,nj->ni", R_1, p_2 - p_1), R_1.swapaxes(1, 2) @ R_2)
         for (p_1, R_1), (p_2, R_2) in zip(*poses, strict=True)
     )
-    bounds = predicted_relative(sides[0], sides[1], none, none)
+    bounds: Any = predicted_relative(sides[0], sides[1], none, none)
     mm = 1e3 * np.linalg.norm(seen - wanted, axis=1)
     mrad = 1e3 * np.linalg.norm(rotation_vectors(turned @ computed.swapaxes(1, 2)), axis=1)
     return {
-        "floor_mrad": 1e3 * np.sqrt(3.0 * sum(float(np.mean(its.sigma_rad**2)) for its in judged.values())),
+        "floor_mrad": 1e3 * float(np.sqrt(3.0 * sum(variances))),
         "rms_mrad": float(np.sqrt(np.mean(mrad**2))),
         "rms_mm": float(np.sqrt(np.mean(mm**2))),
         "held_mm": (mm <= [bound.within_mm for bound in bounds]).tolist(),
