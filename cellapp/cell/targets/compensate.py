@@ -221,7 +221,9 @@ def _commands(group: _Group) -> dict[str, list[Command]]:
     found = {name: commands for name, (commands, _) in each.items()}
     if len(found) == 2:
         targets = [group.targets[k] for k in rows.tolist()]
-        tolerances = [one.tolerance_mm for one in targets], [one.orientation_tolerance_mrad for one in targets]
+        free = [one.partner is None or one.partner.rpy is None for one in targets]
+        limits = [None if any_will_do else one.orientation_tolerance_mrad for one, any_will_do in zip(targets, free)]
+        tolerances = [one.tolerance_mm for one in targets], limits
         (_, first), (_, second) = each.values()
         relative = predicted_relative(first, second, *tolerances)
         for k, one in zip(rows.tolist(), relative, strict=True):

@@ -196,15 +196,14 @@ def _of_arm(name: str, a: RunResults, b: RunResults) -> Iterator[ValueComparison
     for stage in STAGES:
         if any(stage in own for own in errors):
             both = [own.get(stage) for own in errors]
-            yield from _held_out(STAGE_WORDS[stage], "mm", *(one and one.position_mm for one in both))
-            turned = [one and one.orientation_mrad for one in both]
-            yield from _held_out(f"{STAGE_WORDS[stage]}, orientation", "mrad", *turned)
+            found = [(None, None) if one is None else (one.position_mm, one.orientation_mrad) for one in both]
+            yield from _held_out(STAGE_WORDS[stage], *found)
     verified = [None if run.verify is None else run.verify.arms.get(name) for run in (a, b)]
     if any(verified):
         yield _error(TARGETS, "uncompensated", *(None if one is None else one.nominal_mm.mean for one in verified))
         yield _error(TARGETS, "compensated", *(None if one is None else one.compensated_mm.mean for one in verified))
-    found = [None if run.discover is None else run.discover.arms.get(name) for run in (a, b)]
-    yield from _effects(*(() if arm is None else arm.accepted for arm in found))
+    named = [None if run.discover is None else run.discover.arms.get(name) for run in (a, b)]
+    yield from _effects(*(() if arm is None else arm.accepted for arm in named))
 
 
 def _of_pair(a: CalibrateResult | None, b: CalibrateResult | None) -> Iterator[ValueComparison]:
@@ -215,9 +214,8 @@ def _of_pair(a: CalibrateResult | None, b: CalibrateResult | None) -> Iterator[V
     for method in METHODS:
         if method in first or method in second:
             both = [own.get(method) for own in (first, second)]
-            yield from _held_out(METHOD_WORDS[method], "mm", *(one and one.cooperative_mm for one in both))
-            turned = [one and one.cooperative_mrad for one in both]
-            yield from _held_out(f"{METHOD_WORDS[method]}, orientation", "mrad", *turned)
+            found = [(None, None) if one is None else (one.cooperative_mm, one.cooperative_mrad) for one in both]
+            yield from _held_out(METHOD_WORDS[method], *found)
 
 
 def _effects(a: Sequence[AcceptedEffect], b: Sequence[AcceptedEffect]) -> Iterator[ValueComparison]:
@@ -234,15 +232,17 @@ def _effects(a: Sequence[AcceptedEffect], b: Sequence[AcceptedEffect]) -> Iterat
             yield from _values(f"{known[0].title} ({places})", *sizes)
 
 
-def _error(of: str, name: str, a: float | None, b: float | None, unit: str = "mm") -> ValueComparison:
-    return _compared(of, name, unit, a, b, None if a is None or b is None else b - a)
+def _error(of: str, name: str, a: float | None, b: float | None) -> ValueComparison:
+    return _compared(of, name, "mm", a, b, None if a is None or b is None else b - a)
 
 
-def _held_out(name: str, unit: str, *errors: ErrorSummary | None) -> Iterator[ValueComparison]:
-    """Yield the mean held-out errors of both runs, if one has some."""
-    if any(errors):
-        first, second = (None if one is None else one.mean for one in errors)
-        yield _error(HELD_OUT, name, first, second, unit)
+def _held_out(name: str, *errors: tuple[ErrorSummary | None, ErrorSummary | None]) -> Iterator[ValueComparison]:
+    """Yield the mean held-out errors of both runs, those of each in mm and in mrad, if one has some."""
+    words = ((name, "mm"), (f"{name}, orientation", "mrad"))
+    for (word, unit), its in zip(words, zip(*errors, strict=True), strict=True):
+        if any(its):
+            a, b = (None if one is None else one.mean for one in its)
+            yield _compared(HELD_OUT, word, unit, a, b, None if a is None or b is None else b - a)
 
 
 def _values(of: str, a: Mapping[str, Estimate], b: Mapping[str, Estimate]) -> Iterator[ValueComparison]:

@@ -745,16 +745,21 @@ def turning_network(
     if taught.turned is None or np.count_nonzero(taught.turned) < 2 * profile.network.folds:
         return None
     some, conditions = taught.readings.take(taught.turned), taught.conditions.take(taught.turned)
-    left_M = -model.predict(some.q, conditions=conditions)
-    return learn(
-        profile.network,
-        some.q,
-        left_M @ model.geometry.T_M_B()[:3, :3],
-        some.time_s,
-        seed=profile.seed,
-        cancel=cancel,
-        report=report,
-    ).network
+    return network_of_residuals(profile, model, some, -model.predict(some.q, conditions=conditions), cancel, report)
+
+
+def network_of_residuals(
+    profile: Profile,
+    model: ArmModel,
+    readings: Readings,
+    left_M: Array,
+    cancel: CancelToken | None,
+    report: Report,
+) -> ResidualNetwork | None:
+    """Train a network on residuals ``left_M`` (n, 3) [m, rad]; None if left-out ones are predicted no better by it."""
+    left_B = left_M @ model.geometry.T_M_B()[:3, :3]
+    network, q, time_s = profile.network, readings.q, readings.time_s
+    return learn(network, q, left_B, time_s, seed=profile.seed, cancel=cancel, report=report).network
 
 
 def with_networks(

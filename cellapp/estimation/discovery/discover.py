@@ -17,11 +17,12 @@ from cellapp.estimation.calibration.calibrate import (
     gross_errors_of_geometry,
     gross_errors_of_model,
     left_out_words,
+    network_of_residuals,
     rms_length_mm,
     turning_network,
     without,
 )
-from cellapp.estimation.calibration.learning import learn, learning_steps
+from cellapp.estimation.calibration.learning import learning_steps
 from cellapp.estimation.calibration.least_squares import mean_variance
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.quantities import (
@@ -491,16 +492,8 @@ def _train(
     """Train a network on the residuals of ``model``; None if it does not predict left-out readings better than none."""
     if len(readings) < _READINGS_A_FOLD * profile.network.folds:
         return None
-    residual_M = readings.p_M - model.predict(readings.q, conditions=conditions)
-    return learn(
-        profile.network,
-        readings.q,
-        residual_M @ model.geometry.T_M_B()[:3, :3],
-        readings.time_s,
-        seed=profile.seed,
-        cancel=cancel,
-        report=report,
-    ).network
+    left_M = readings.p_M - model.predict(readings.q, conditions=conditions)
+    return network_of_residuals(profile, model, readings, left_M, cancel, report)
 
 
 def _correction_mm(network: ResidualNetwork | None, q: Array) -> float:

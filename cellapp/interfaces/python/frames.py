@@ -98,6 +98,8 @@ def _target(target: MeasuredTarget | TargetCommand) -> dict[str, Any]:
     else:
         q = target.q_compensated
         row |= {"uncertainty_mm": target.uncertainty_mm, "refusal": target.refusal}
+        if target.relative is not None:
+            row |= {f"relative_{name}": value for name, value in target.relative.model_dump().items()}
     row |= {"within_mm": target.within_mm, "verdict": target.verdict, "note": target.note}
     if target.orientation is not None:
         row["orientation_tolerance_mrad"] = target.orientation_tolerance_mrad

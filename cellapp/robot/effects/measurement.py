@@ -204,7 +204,7 @@ class TargetSlip(OnsetEffect):
             shift_column(f"slip_{letter}", "m", Channel.TOOL, context.moved(moved[:, :, k]), -_MOST_SLIP, _MOST_SLIP)
             for k, letter in enumerate("xyz")
         ]
-        if context.turned is None and (names is None or "turn_x" not in names):
+        if context.turned is None if names is None else "turn_x" not in names:
             return slips
         turns = [context.moved(None, moved[:, :, k]) for k in range(3)]
         return slips + [

@@ -17,8 +17,6 @@ from cellapp.cell.driving.examination import examine
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
-from cellapp.cell.targets.targets import load_targets
-from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
@@ -28,8 +26,7 @@ from drivers.sensors.simulated import SimulatedAirSensor
 from drivers.trackers.lmf import LmfTracker
 from drivers.trackers.lmf_stream import LmfStreamTracker
 from tests.drivers.trackers.fake_lmf import Scene
-from tests.twin import PROFILES, small_twin, write_profile
-from tests.verbs import push_run
+from tests.twin import small_twin, write_profile
 
 STOPS = 4
 
@@ -234,8 +231,8 @@ STOPS_OF_MORE_THAN_A_POINT = 8
 RPY = (0.1, -0.2, 0.3)
 
 
-def cell_with(stops: int = STOPS_OF_MORE_THAN_A_POINT) -> Profile:
-    profile = small_twin(stops, plan={"method": "random"})
+def cell_with() -> Profile:
+    profile = small_twin(STOPS_OF_MORE_THAN_A_POINT, plan={"method": "random"})
     right = profile.arms["right"]
     smr = Smr.model_validate({**right.smr.model_dump(), "probe": {"rpy": RPY, "sigma": 5e-5}})
     return profile.model_copy(update={"arms": {**profile.arms, "right": right.model_copy(update={"smr": smr})}})
@@ -260,18 +257,3 @@ def test_a_probe_is_measured_as_it_is_turned(run: RunFile) -> None:
     )
     off = (Rotation.from_quat(np.roll(right.quaternion_M, -1, axis=1)) * Rotation.from_matrix(true).inv()).as_rotvec()
     assert np.abs(off).max() < 5e-3  # hidden effects of time, rest and warmth are not asked for here
-
-
-def test_the_orientation_of_a_probe_is_verified_at_targets(tmp_path: Path) -> None:
-    profile = cell_with(30)
-    with RunFile.create(tmp_path / "run", profile) as made:
-        made.write_plan(plan_stops(profile))
-        collect_run(made)
-        calibrate_run(made)
-        known = load_targets(PROFILES / "targets" / "twin.yaml", profile)
-        targets = [one for one in known if one.partner is None and one.arm in profile.arms]
-        verified = push_run(made, [*targets[:4], *targets[-4:]], verify=True)
-    turns = {one.arm: one.orientation for one in verified.targets if one.orientation is not None}
-    assert set(turns) == {"right"}
-    assert turns["right"].final_mrad is not None
-    assert turns["right"].final_mrad < 3.0

@@ -165,7 +165,7 @@ def test_distances_between_verified_targets() -> None:
 
 
 def test_pairs_are_judged_and_both_arms_count() -> None:
-    errors_mm = dict.fromkeys(("nominal_mm", "compensated_mm", "final_mm"), 0.1)
+    errors_mm: dict[str, Any] = dict.fromkeys(("nominal_mm", "compensated_mm", "final_mm"), 0.1)
     relative = MeasuredRelative(**errors_mm, nominal_mrad=4.0, compensated_mrad=0.4, final_mrad=0.4)
     pairs = [pair("p", 0.06), pair("q", 0.02).model_copy(update={"relative": relative})]
     found = judged(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import cast
 
 import pytest
@@ -11,8 +11,20 @@ from drivers.arms.protocol import ArmError
 from drivers.arms.ur import UrArm
 from drivers.emulators.ur_controller import EmulatorProcess
 from tests.drivers.arms.delayed_client import DelayedClient, Monitor, delayed_worker
-from tests.drivers.arms.emulated_ur_cell import is_stall, repair
+from tests.drivers.arms.emulated_ur_cell import FOUR_HOSTS, drivers_of, emulated_cell, is_stall, repair
 from tests.latency import patiently
+
+
+@pytest.fixture(scope="module")
+def emulator() -> Iterator[EmulatorProcess]:
+    with emulated_cell(FOUR_HOSTS) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def drivers(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
+    with drivers_of(FOUR_HOSTS) as drivers:
+        yield drivers
 
 
 @pytest.hookimpl(tryfirst=True)

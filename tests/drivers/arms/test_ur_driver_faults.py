@@ -37,7 +37,6 @@ from tests.drivers.arms.emulated_ur_cell import (
     assert_stays_at_rest,
     driven,
     drivers_of,
-    emulated_cell,
     is_stall,
     of_each_arm,
     repair,
@@ -71,12 +70,6 @@ FAULTS: dict[str, tuple[tuple[Any, ...], type[ArmError]]] = {
     "protective": (("protective", "now"), ProtectiveStop),
     "emergency": (("estop",), EmergencyStop),
 }
-
-
-@pytest.fixture(scope="module")
-def emulator() -> Iterator[EmulatorProcess]:
-    with emulated_cell(FOUR_HOSTS) as started:
-        yield started
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -23,8 +23,6 @@ from tests.drivers.arms.emulated_ur_cell import (
     SPEED,
     Episode,
     driven,
-    drivers_of,
-    emulated_cell,
     of_each_arm,
     pause,
     repair,
@@ -41,18 +39,6 @@ TIMES = 2
 
 Refuse = Callable[[UrArm], None]
 REFUSE: dict[str, Refuse] = {"refuse_motion": UrArm.refuse_motion, "brake": UrArm.brake}
-
-
-@pytest.fixture(scope="module")
-def emulator() -> Iterator[EmulatorProcess]:
-    with emulated_cell(FOUR_HOSTS) as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def drivers(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
-    with drivers_of(FOUR_HOSTS) as drivers:
-        yield drivers
 
 
 def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:

@@ -6,7 +6,6 @@ import math
 import os
 import signal
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -19,13 +18,10 @@ from drivers.emulators.ur_controller import EmulatorProcess
 from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
     AWAY,
-    FOUR_HOSTS,
     HOME,
     PATIENT_S,
     SPEED,
     Episode,
-    drivers_of,
-    emulated_cell,
     of_each_arm,
     pause,
     repair,
@@ -37,18 +33,6 @@ pytestmark = pytest.mark.waits
 
 BUSY_S = 0.1
 """What a busy computer may add to a latency."""
-
-
-@pytest.fixture(scope="module")
-def emulator() -> Iterator[EmulatorProcess]:
-    with emulated_cell(FOUR_HOSTS) as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def drivers(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
-    with drivers_of(FOUR_HOSTS) as drivers:
-        yield drivers
 
 
 def make_ready(emulator: EmulatorProcess, arm: UrArm) -> None:

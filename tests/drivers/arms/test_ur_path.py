@@ -34,7 +34,6 @@ from tests.drivers.arms.emulated_ur_cell import (
     WATCHDOG_HZ,
     Episode,
     assert_stays_at_rest,
-    emulated_cell,
     expectation,
     of_each_arm,
     repair,
@@ -44,12 +43,6 @@ from tests.waiting import until
 pytestmark = pytest.mark.waits
 
 WAY = np.array([0.5, 0.2, -0.3, 0.2, 0.3, -0.4])
-
-
-@pytest.fixture(scope="module")
-def emulator() -> Iterator[EmulatorProcess]:
-    with emulated_cell(FOUR_HOSTS) as started:
-        yield started
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -35,7 +34,6 @@ from tests.drivers.arms.emulated_ur_cell import (
     ACCELERATION,
     AWAY,
     FAR,
-    FOUR_HOSTS,
     HOME,
     HOSTS,
     PATIENT_S,
@@ -46,8 +44,6 @@ from tests.drivers.arms.emulated_ur_cell import (
     assert_stays_at_rest,
     at_rest,
     driven,
-    drivers_of,
-    emulated_cell,
     of_each_arm,
     received_stop_s,
     repair,
@@ -69,18 +65,6 @@ MORE_THAN_A_PIPE_TAKES = 5000
 """Messages of 16 bytes; a pipe takes 64 KiB."""
 MOST_LOST = 3
 """Of 24 starts that are braked, on a computer too busy to exchange heartbeats or to feed the watchdog."""
-
-
-@pytest.fixture(scope="module")
-def emulator() -> Iterator[EmulatorProcess]:
-    with emulated_cell(FOUR_HOSTS) as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def drivers(emulator: EmulatorProcess) -> Iterator[dict[str, UrArm]]:
-    with drivers_of(FOUR_HOSTS) as drivers:
-        yield drivers
 
 
 def make_ready(emulator: EmulatorProcess, arm: UrArm) -> UrArm:

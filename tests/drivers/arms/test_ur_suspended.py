@@ -6,7 +6,6 @@ import random
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,7 +16,6 @@ from tests.drivers.arms.emulated_ur_cell import (
     FOUR_HOSTS,
     PATIENT_S,
     assert_stays_at_rest,
-    emulated_cell,
     pause,
 )
 from tests.waiting import until, within
@@ -65,12 +63,6 @@ with driven(sys.argv[1]) as arm:
         except ArmError as error:
             report(error)
 """
-
-
-@pytest.fixture(scope="module")
-def emulator() -> Iterator[EmulatorProcess]:
-    with emulated_cell(FOUR_HOSTS) as started:
-        yield started
 
 
 def test_a_program_that_was_suspended_says_so(emulator: EmulatorProcess) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -102,7 +103,7 @@ def measured_by(
         others = {other: rows for other, rows in plan.items() if other != name}
         exact = plant.smr_positions(name, q, approach=approach.astype(np.float64), others=others)
         points, covariance = plant.measure_positions(exact, np.random.default_rng([seed, place]))
-        turns: dict[str, Array] = {}
+        turns: dict[str, Any] = {}
         if configs[name].probe is not None:
             R_M_S = plant.probe_rotations(name, q, approach=approach.astype(np.float64), others=others)
             sigma_rad = np.full(len(q), configs[name].probe_sigma)
