@@ -32,7 +32,7 @@ from cellapp.estimation.calibration.quantities import (
 )
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions, pictures
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
-from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData, smoothness_of, without_term
 from cellapp.estimation.discovery.joint_fit import noise_of, with_posterior
 from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery, HeldOut
 from cellapp.estimation.discovery.plan_forecast import detectability
@@ -47,7 +47,6 @@ from cellapp.estimation.discovery.records import (
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult, scatter
 from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, search
 from cellapp.estimation.discovery.search.unnamed import unnamed_record
-from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of, without_term
 from cellapp.estimation.discovery.verdict import structure_left, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import one_a_stop

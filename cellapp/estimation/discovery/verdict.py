@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
@@ -20,7 +20,6 @@ from cellapp.estimation.discovery.records import (
     Unnamed,
 )
 from cellapp.estimation.discovery.search.state import FLOOR_CHANCE, Scatter
-from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.ground.results import Verdict
 from cellapp.robot.effects import EFFECTS, enumeration, place_in_words
 from cellapp.robot.effects.context import varies

@@ -24,10 +24,10 @@ from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.quantities import conditions_of_arms, measured_quantities, measurement_conditions
 from cellapp.estimation.discovery import all_readings, discover
 from cellapp.estimation.discovery.all_readings import fit_to_all
+from cellapp.estimation.discovery.arm_data import has_smooth_terms
 from cellapp.estimation.discovery.discover import Searched, discover_arm, search_rows
 from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import with_effects
-from cellapp.estimation.discovery.terms import has_smooth_terms
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import Cancelled, CancelToken
