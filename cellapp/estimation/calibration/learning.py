@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import inverse_diagonal, solve_psd
+from cellapp.estimation.calibration.records import BatchesResult
 from cellapp.estimation.readings.readings import Groups, folds_of, repeats, undivided
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
@@ -187,7 +188,7 @@ class Training:
         of one half of a fold are predicted by the member that predicted the other half best.
     tried : tuple
         (shape, left-out rms [m]) of every candidate at the time of the comparison.
-    batches : Batches or None
+    batches : BatchesResult or None
         Comparison with a training from all readings; None if none was requested.
     """
 
@@ -196,37 +197,7 @@ class Training:
     left_out_rms: float
     without_rms: float
     tried: tuple[tuple[Shape, float], ...]
-    batches: Batches | None = None
-
-
-@dataclass(frozen=True)
-class Batches:
-    """Comparison of a network trained in batches from all readings with the committee, on the same left-out blocks.
-
-    Attributes
-    ----------
-    used : bool
-        Whether it replaces the committee.
-    readings, blocks : int
-        Number of readings that it learnt from, and of blocks of time that they were cut into.
-    hidden : tuple of int
-    device : str
-        Device that trained it.
-    left_out_rms, committee_rms : float
-        Rms length of the residual on left-out blocks of all readings [m], of the batches and of the committee; the
-        latter is without a network if the committee is not better than none.
-    sigmas : float
-        Decrease of the mean square from the committee's, in standard errors over the blocks.
-    """
-
-    used: bool
-    readings: int
-    blocks: int
-    hidden: tuple[int, ...]
-    device: str
-    left_out_rms: float
-    committee_rms: float
-    sigmas: float
+    batches: BatchesResult | None = None
 
 
 def train_network(
@@ -590,7 +561,16 @@ def _better(
     sigmas = standard_errors(squares[1] - squares[0], np.arange(len(counts)))
     own, other = (float(np.sqrt(np.sum(of_blocks * counts) / len(q))) for of_blocks in squares)
     used = own < WORTH * other and sigmas > _SURE
-    batches = Batches(used, len(q), len(counts), HIDDEN, device, own, other, sigmas)
+    batches = BatchesResult(
+        used=used,
+        readings=len(q),
+        blocks=len(counts),
+        hidden=HIDDEN,
+        device=device,
+        left_out_rms_mm=own * 1e3,
+        committee_rms_mm=other * 1e3,
+        sigmas=sigmas,
+    )
     if not used:
         return replace(committee, batches=batches)
     without = float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
