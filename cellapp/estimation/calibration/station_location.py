@@ -183,7 +183,8 @@ def fit_station(
     NotConverged
     """
     if rough is None:
-        check_layout(points)
+        measured_M = np.concatenate([own.measured_M for own in points.values()] or [np.empty((0, 3))])
+        _check_layout(measured_M, "the tracker's station")
     return _fit(_Problem(model, points, excess_m, tuple(seed), rough), start)
 
 
@@ -191,12 +192,6 @@ def displacement_m(model: CellModel, points: Points, T_new_old: Array) -> float:
     """Compute the largest motion [m] of a predicted point by ``T_new_old``."""
     expected = np.concatenate(list(predicted_points(model, points).values()))
     return float(np.linalg.norm(apply(T_new_old, expected) - expected, axis=1).max())
-
-
-def check_layout(points: Points) -> None:
-    """Raise ``InputError`` if the points cannot fix a station."""
-    measured_M = np.concatenate([own.measured_M for own in points.values()] or [np.empty((0, 3))])
-    _check_layout(measured_M, "the tracker's station")
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
