@@ -312,7 +312,8 @@ _FAR = 5.0
 """Ratio of scatter to stated noise that exceeds the repeatability of an arm: 75 µm of a coordinate against the 15 µm of
 a tracker. Readings too few to show structure then still lack an explanation."""
 _SAMPLING_ERRORS = 2.5
-"""Standard errors by which the held-out rms may exceed the floor: a probability of 0.6 %."""
+"""Standard errors by which the held-out rms may exceed the floor, a probability of 0.6 %: for 3 n coordinates, each is
+``1 / sqrt(6 n)`` of it."""
 
 
 def verdict(
@@ -381,17 +382,9 @@ def _far_off(scatter: Scatter | None, structure: RemainingStructure) -> bool:
     return scatter is not None and not structure.tests and scatter.ratio > _FAR
 
 
-def sampling_allowance(held_out: int) -> float:
-    """Return the factor by which the rms error of n held-out readings may exceed another one by sampling alone.
-
-    The rms of 3 n coordinates has a relative standard error of ``1 / sqrt(6 n)``.
-    """
-    return 1.0 + _SAMPLING_ERRORS / math.sqrt(6.0 * max(held_out, 1))
-
-
 def _gap_closed(floor_mm: float, after_mm: float, held_out: int, scatter: Scatter) -> bool:
     """Return whether the held-out error is at the noise floor, or the residuals may be the stated noise."""
-    sampling = sampling_allowance(held_out)
+    sampling = 1.0 + _SAMPLING_ERRORS / math.sqrt(6.0 * max(held_out, 1))
     return (
         after_mm <= floor_mm * _FLOOR
         or scatter.p_value > FLOOR_CHANCE
