@@ -499,7 +499,7 @@ def _in_batches(
     x = network_inputs("both", low, high, q)
     y = rotate_about_z(residual / scale, -q[:, 0]) if rotates else residual / scale
     known = _known_layers(committee, q.shape[1], int(fold.max()) + 1, scale)
-    trained = train_members(
+    added, device = train_members(
         x,
         np.stack([y - (np.tanh(x @ W.T + b) @ V.T + c) for (W, b), (V, c) in known]),
         fold,
@@ -507,10 +507,8 @@ def _in_batches(
         cancel=cancel,
         told=lambda words: report(training_steps(), f"{len(q)} readings: {words}"),
     )
-    members = tuple(_beside(first, second) for first, second in zip(known, trained.members, strict=True))
-    return ResidualNetwork(
-        "both", low, high, MARGIN * np.maximum(high - low, 1e-3), rotates, scale, members
-    ), trained.device
+    members = tuple(_beside(first, second) for first, second in zip(known, added, strict=True))
+    return ResidualNetwork("both", low, high, MARGIN * np.maximum(high - low, 1e-3), rotates, scale, members), device
 
 
 def _known_layers(committee: Training, joints: int, folds: int, scale: float) -> list[Layers]:
@@ -630,18 +628,10 @@ def load_torch() -> Any:
     return torch
 
 
-@dataclass(frozen=True)
-class BatchMembers:
-    """Trained members, one for each fold, and the device that trained them: ``cpu``, or the name of a GPU."""
-
-    members: tuple[Layers, ...]
-    device: str
-
-
 def train_members(
     x: Array, y: Array, fold: NDArray[np.int64], *, seed: int, cancel: CancelToken, told: Told
-) -> BatchMembers:
-    """Train one member for each fold on the rows of the others.
+) -> tuple[list[Layers], str]:
+    """Train one member for each fold on the rows of the others; return them and the device, ``cpu`` or a GPU's name.
 
     Parameters
     ----------
@@ -665,13 +655,13 @@ def train_members(
     with _one_thread(torch):
         trainer = _Trainer(torch, device, (x - mean) / spread, y, fold, seed)
         best = trainer.run(cancel, told)
-    members = []
+    members: list[Layers] = []
     for number in range(len(trainer.rows)):
         layers = [(weights[number].T, offsets[number, 0]) for weights, offsets in best]
         weights, offsets = layers[0]
         layers[0] = (weights / spread, offsets - weights @ (mean / spread))  # the first layer now takes unscaled inputs
         members.append(tuple((np.ascontiguousarray(w), o.copy()) for w, o in layers))
-    return BatchMembers(tuple(members), torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu")
+    return members, torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu"
 
 
 @contextmanager
