@@ -15,11 +15,19 @@ from typing import Any
 import numpy as np
 
 from cellapp.estimation.design.information import VISIBLE, Discrimination, detectable_size
-from cellapp.estimation.discovery.arm_data import ArmData, whitening
+from cellapp.estimation.discovery.arm_data import (
+    UNKNOWN,
+    ArmData,
+    Excess,
+    ModelTerm,
+    Smoothness,
+    whitened_displacements,
+    whitening,
+    with_term,
+)
 from cellapp.estimation.discovery.joint_fit import JointFit, LinearModel, ProjectedResidual, fit_terms, refit
 from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price
-from cellapp.estimation.discovery.terms import UNKNOWN, Excess, ModelTerm, Smoothness, whitened_displacements, with_term
 from cellapp.robot.effects import (
     EFFECTS,
     DriverVariable,

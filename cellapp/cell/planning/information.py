@@ -22,9 +22,8 @@ from cellapp.estimation.calibration.parameters import (
     prior_sds,
     typical_spreads,
 )
-from cellapp.estimation.discovery.arm_data import whitening
+from cellapp.estimation.discovery.arm_data import TRANSMISSION_ERROR, UNKNOWN, whitened_displacements, whitening
 from cellapp.estimation.discovery.plan_forecast import nominal_model, tracker_covariance
-from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, whitened_displacements
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectContext, Law, MeasurementConditions

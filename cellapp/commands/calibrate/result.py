@@ -6,12 +6,11 @@ import math
 from typing import cast
 
 from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration
-from cellapp.estimation.calibration.learning import Batches, Shape, Training
+from cellapp.estimation.calibration.learning import Shape, Training
 from cellapp.estimation.calibration.pair_calibration import PAIR_NAMES, PairCalibration, PairMethod
 from cellapp.estimation.calibration.quantities import summarise
 from cellapp.estimation.calibration.records import (
     ArmCalibrationResult,
-    BatchesResult,
     CalibrateResult,
     NetworkResult,
     NetworkTrial,
@@ -82,13 +81,8 @@ def _network(training: Training) -> NetworkResult:
         left_out_rms_mm=training.left_out_rms * 1e3,
         without_rms_mm=training.without_rms * 1e3,
         tried=tuple(_trial(shape, error) for shape, error in training.tried),
-        batches=None if batches is None else _batches(batches),
+        batches=batches,
     )
-
-
-def _batches(batches: Batches) -> BatchesResult:
-    left_out, committee = batches.left_out_rms * 1e3, batches.committee_rms * 1e3
-    return BatchesResult.like(batches, left_out_rms_mm=left_out, committee_rms_mm=committee)
 
 
 def _trial(shape: Shape, left_out_rms_m: float) -> NetworkTrial:

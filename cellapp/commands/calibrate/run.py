@@ -71,9 +71,8 @@ def calibrate_run(
         from cellapp.estimation.motion.calibrate import calibrate_with_motion  # for a faster start without motion
 
         with one_blas_thread():
-            moved = calibrate_with_motion(profile, readings, recordings, with_eta(listener), cancel)
-        keep_samples(run, moved.samples)
-        found = moved.calibration
+            found, samples = calibrate_with_motion(profile, readings, recordings, with_eta(listener), cancel)
+        keep_samples(run, samples)
         result, model = calibrate_result(replace(found, notes=(*notes, *found.notes))), found.model
     else:
         result, model = calibrate_cell(profile, readings, listener, cancel, earlier=earlier, notes=notes)

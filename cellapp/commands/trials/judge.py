@@ -37,9 +37,9 @@ from cellapp.commands.trials.scoring import (
 from cellapp.commands.trials.sealed import DescribedTerm, GroundTruth, check_readings, check_seal, open_truth
 from cellapp.commands.trials.sealed_setup import FLIP, HARD, POSITION
 from cellapp.estimation.calibration.quantities import conditions_of_arms
+from cellapp.estimation.discovery.arm_data import UNKNOWN
 from cellapp.estimation.discovery.outcome import Discovery, HeldOut
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter
-from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.motion.calibrate import SearchWithRecordings
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError

@@ -35,9 +35,9 @@ from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.table import Interval, Table, table_of
 from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_splits, rms_length_mm
 from cellapp.estimation.calibration.quantities import conditions_of_arms
+from cellapp.estimation.discovery.arm_data import UNKNOWN
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.records import AcceptedEffect, SmallestSize
-from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
 from cellapp.ground.counting import counted, plain

@@ -16,8 +16,8 @@ import numpy as np
 from cellapp.commands.trials.sealed import DescribedTerm, SealHeader
 from cellapp.commands.trials.sealed_setup import FLIP, Setup
 from cellapp.commands.view.table import Field, Number, Table, table_of
+from cellapp.estimation.discovery.arm_data import UNKNOWN
 from cellapp.estimation.discovery.records import BeforeAfter
-from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.results import Record, Result, day_of

@@ -472,7 +472,7 @@ class Estimate:
 
     def posterior_precision(self, variance: float) -> Array:
         """Compute the posterior precision (k, k) of the parameters, each in its ``unit``."""
-        H = self.normal.scaled_A / variance
+        H = self.normal.A * (self.normal.unit * self.normal.unit[:, None]) / variance
         H.flat[:: len(H) + 1] += self.precision * self.normal.unit**2
         return H
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import inverse_diagonal, solve_psd
+from cellapp.estimation.calibration.records import BatchesResult
 from cellapp.estimation.readings.readings import Groups, folds_of, repeats, undivided
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
@@ -187,7 +188,7 @@ class Training:
         of one half of a fold are predicted by the member that predicted the other half best.
     tried : tuple
         (shape, left-out rms [m]) of every candidate at the time of the comparison.
-    batches : Batches or None
+    batches : BatchesResult or None
         Comparison with a training from all readings; None if none was requested.
     """
 
@@ -196,37 +197,7 @@ class Training:
     left_out_rms: float
     without_rms: float
     tried: tuple[tuple[Shape, float], ...]
-    batches: Batches | None = None
-
-
-@dataclass(frozen=True)
-class Batches:
-    """Comparison of a network trained in batches from all readings with the committee, on the same left-out blocks.
-
-    Attributes
-    ----------
-    used : bool
-        Whether it replaces the committee.
-    readings, blocks : int
-        Number of readings that it learnt from, and of blocks of time that they were cut into.
-    hidden : tuple of int
-    device : str
-        Device that trained it.
-    left_out_rms, committee_rms : float
-        Rms length of the residual on left-out blocks of all readings [m], of the batches and of the committee; the
-        latter is without a network if the committee is not better than none.
-    sigmas : float
-        Decrease of the mean square from the committee's, in standard errors over the blocks.
-    """
-
-    used: bool
-    readings: int
-    blocks: int
-    hidden: tuple[int, ...]
-    device: str
-    left_out_rms: float
-    committee_rms: float
-    sigmas: float
+    batches: BatchesResult | None = None
 
 
 def train_network(
@@ -528,7 +499,7 @@ def _in_batches(
     x = network_inputs("both", low, high, q)
     y = rotate_about_z(residual / scale, -q[:, 0]) if rotates else residual / scale
     known = _known_layers(committee, q.shape[1], int(fold.max()) + 1, scale)
-    trained = train_members(
+    added, device = train_members(
         x,
         np.stack([y - (np.tanh(x @ W.T + b) @ V.T + c) for (W, b), (V, c) in known]),
         fold,
@@ -536,10 +507,8 @@ def _in_batches(
         cancel=cancel,
         told=lambda words: report(training_steps(), f"{len(q)} readings: {words}"),
     )
-    members = tuple(_beside(first, second) for first, second in zip(known, trained.members, strict=True))
-    return ResidualNetwork(
-        "both", low, high, MARGIN * np.maximum(high - low, 1e-3), rotates, scale, members
-    ), trained.device
+    members = tuple(_beside(first, second) for first, second in zip(known, added, strict=True))
+    return ResidualNetwork("both", low, high, MARGIN * np.maximum(high - low, 1e-3), rotates, scale, members), device
 
 
 def _known_layers(committee: Training, joints: int, folds: int, scale: float) -> list[Layers]:
@@ -590,7 +559,16 @@ def _better(
     sigmas = standard_errors(squares[1] - squares[0], np.arange(len(counts)))
     own, other = (float(np.sqrt(np.sum(of_blocks * counts) / len(q))) for of_blocks in squares)
     used = own < WORTH * other and sigmas > _SURE
-    batches = Batches(used, len(q), len(counts), HIDDEN, device, own, other, sigmas)
+    batches = BatchesResult(
+        used=used,
+        readings=len(q),
+        blocks=len(counts),
+        hidden=HIDDEN,
+        device=device,
+        left_out_rms_mm=own * 1e3,
+        committee_rms_mm=other * 1e3,
+        sigmas=sigmas,
+    )
     if not used:
         return replace(committee, batches=batches)
     without = float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
@@ -650,18 +628,10 @@ def load_torch() -> Any:
     return torch
 
 
-@dataclass(frozen=True)
-class BatchMembers:
-    """Trained members, one for each fold, and the device that trained them: ``cpu``, or the name of a GPU."""
-
-    members: tuple[Layers, ...]
-    device: str
-
-
 def train_members(
     x: Array, y: Array, fold: NDArray[np.int64], *, seed: int, cancel: CancelToken, told: Told
-) -> BatchMembers:
-    """Train one member for each fold on the rows of the others.
+) -> tuple[list[Layers], str]:
+    """Train one member for each fold on the rows of the others; return them and the device, ``cpu`` or a GPU's name.
 
     Parameters
     ----------
@@ -685,13 +655,13 @@ def train_members(
     with _one_thread(torch):
         trainer = _Trainer(torch, device, (x - mean) / spread, y, fold, seed)
         best = trainer.run(cancel, told)
-    members = []
+    members: list[Layers] = []
     for number in range(len(trainer.rows)):
         layers = [(weights[number].T, offsets[number, 0]) for weights, offsets in best]
         weights, offsets = layers[0]
         layers[0] = (weights / spread, offsets - weights @ (mean / spread))  # the first layer now takes unscaled inputs
         members.append(tuple((np.ascontiguousarray(w), o.copy()) for w, o in layers))
-    return BatchMembers(tuple(members), torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu")
+    return members, torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu"
 
 
 @contextmanager

@@ -120,11 +120,11 @@ class Observations:
         shifts = self.effects.shifts_M[:, :, first:last]
         return np.asarray(np.tensordot(beta[len(self.effects.joints) :], shifts, axes=1))
 
-    def left(self, P: Array, beta: Array, first: int, last: int) -> Array:
+    def residuals(self, P: Array, beta: Array, first: int, last: int) -> Array:
         """Compute a chunk's residuals (3, last - first) [m], measured less computed; ``P`` [m] is without shifts."""
         shift = self.shift(beta, first, last)
-        left = self.p_M[:, first:last] - P
-        return left if shift is None else left - shift
+        found = self.p_M[:, first:last] - P
+        return found if shift is None else found - shift
 
     def whiten(self, vectors: Array, first: int, last: int, out: Array | None = None) -> Array:
         """Scale vectors (3, ..., last - first) to units of their standard uncertainty, in ``out`` if that is given.
@@ -180,11 +180,6 @@ class NormalEquations:
         """Amount (k,) of each parameter that moves the SMR by one metre at arm's length."""
         return 1.0 / self.scale
 
-    @cached_property
-    def scaled_A(self) -> Array:
-        """``A`` (k, k) with each parameter in its ``unit``."""
-        return self.A * (self.unit * self.unit[:, None])
-
 
 def split_values(start: Geometry, parameters: ParameterSet, values: Array) -> tuple[Geometry, Array]:
     """Split ``values`` (k,): return the geometry with its identified parameters set, and the effects' values."""
@@ -212,7 +207,7 @@ def normal_equations(
     common = observations.common_white if weights is None else None
     for first, last in observations.chunks():
         P, J = linearise(geometry, observations, parameters, beta, first, last)
-        r = residuals[:, first:last] = observations.left(P, beta, first, last)
+        r = residuals[:, first:last] = observations.residuals(P, beta, first, last)
         if common is None:
             gram += gram_matrix(J[:, :size])
             squares[size:] += np.einsum("akn,akn->k", J[:, size:], J[:, size:])

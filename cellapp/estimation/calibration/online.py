@@ -255,13 +255,14 @@ class OnlineFit:
         if self._model is None:
             return None
         fit, stated = self._model[0], self._stated()
-        left_M = self._left_M(fit.found, self._q, self._p_M)
+        residuals_M = self._residuals_M(fit.found, self._q, self._p_M)
         variance = fit.variance * (np.trace(stated, axis1=1, axis2=2) + 3.0 * fit.excess)
-        return Residuals(np.linalg.norm(left_M, axis=1), np.sqrt(variance), _gross(left_M, stated, fit.excess))
+        gross = _gross(residuals_M, stated, fit.excess)
+        return Residuals(np.linalg.norm(residuals_M, axis=1), np.sqrt(variance), gross)
 
     def lengths_m(self, q: Array, p_M: Array) -> Array | None:
         """Compute residual lengths (n,) [m] of points ``p_M`` (n, 3) [m] at ``q`` (n, N) [rad]; None if not ready."""
-        return None if self._model is None else np.linalg.norm(self._left_M(self._model[0].found, q, p_M), axis=1)
+        return None if self._model is None else np.linalg.norm(self._residuals_M(self._model[0].found, q, p_M), axis=1)
 
     def _store(self, q: Array, p_M: Array, covariance_M: Array | None) -> None:
         given = np.full((len(q), 3, 3), math.nan) if covariance_M is None else covariance_M
@@ -294,12 +295,12 @@ class OnlineFit:
         found = self._model[0].found
         _, J = jacobian(found.geometry, self._planned, found.estimated.columns)
         mean_square = float(np.vdot(gram_matrix(J), found.estimated_covariance)) / self._planned.count
-        residual_m = float(np.linalg.norm(self._left_M(found, q[None], p_M[None])))
+        residual_m = float(np.linalg.norm(self._residuals_M(found, q[None], p_M[None])))
         return StopReport(
             stop=stop, arm=self.arm, residual_mm=1e3 * residual_m, standard_error_mm=1e3 * math.sqrt(mean_square)
         )
 
-    def _left_M(self, found: Identification, q: Array, p_M: Array) -> Array:
+    def _residuals_M(self, found: Identification, q: Array, p_M: Array) -> Array:
         """Compute the residuals (n, 3) [m] of points."""
         return np.asarray(p_M - self._rows(found, q)[0].T)
 
@@ -336,7 +337,7 @@ class OnlineFit:
         excess = _FIRST_EXCESS_M**2 if before is None else before.excess
         gross = np.zeros(self.count, dtype=np.bool_)
         if before is not None:
-            gross = _gross(self._left_M(before.found, self._q, self._p_M), stated, excess)
+            gross = _gross(self._residuals_M(before.found, self._q, self._p_M), stated, excess)
         effects = self._errors(self._q) if with_errors else None
         for _ in range(_ROUNDS):
             rows = np.flatnonzero(~gross)
@@ -351,15 +352,15 @@ class OnlineFit:
             if found.degrees_of_freedom >= _LEAST_FREEDOM:
                 excess = _excess_of(found, stated[rows])
             # A gross error among the readings of a fit raises their excess: against that alone it would not stand out.
-            gross = _gross(self._left_M(found, self._q, self._p_M), stated, min(excess, fit.excess))
+            gross = _gross(self._residuals_M(found, self._q, self._p_M), stated, min(excess, fit.excess))
             if abs(excess - fit.excess) <= _SETTLED * excess and np.array_equal(gross, fit.gross):
                 break
         return fit
 
 
-def _gross(left_M: Array, stated: Array, excess: float) -> NDArray[np.bool_]:
+def _gross(residuals_M: Array, stated: Array, excess: float) -> NDArray[np.bool_]:
     """Return a mask (n,) of the readings whose residual (n, 3) [m] is far above that of most others."""
-    norm = np.sqrt(np.sum(left_M**2, axis=1) / (excess + np.trace(stated, axis1=1, axis2=2) / 3.0))
+    norm = np.sqrt(np.sum(residuals_M**2, axis=1) / (excess + np.trace(stated, axis1=1, axis2=2) / 3.0))
     return np.asarray(norm > _GROSS * max(float(np.median(norm)) / MEDIAN_NORM, 1.0))
 
 

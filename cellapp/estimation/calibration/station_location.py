@@ -183,7 +183,8 @@ def fit_station(
     NotConverged
     """
     if rough is None:
-        check_layout(points)
+        measured_M = np.concatenate([own.measured_M for own in points.values()] or [np.empty((0, 3))])
+        _check_layout(measured_M, "the tracker's station")
     return _fit(_Problem(model, points, excess_m, tuple(seed), rough), start)
 
 
@@ -191,13 +192,6 @@ def displacement_m(model: CellModel, points: Points, T_new_old: Array) -> float:
     """Compute the largest motion [m] of a predicted point by ``T_new_old``."""
     expected = np.concatenate(list(predicted_points(model, points).values()))
     return float(np.linalg.norm(apply(T_new_old, expected) - expected, axis=1).max())
-
-
-def check_layout(points: Points) -> None:
-    """Raise ``InputError`` if the points cannot fix a station."""
-    refusal = _layout_refusal(np.concatenate([own.measured_M for own in points.values()] or [np.empty((0, 3))]))
-    if refusal:
-        raise InputError(refusal)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -287,17 +281,19 @@ def _conditions(model: CellModel, own: ArmPoints) -> MeasurementConditions:
     return replace(own.conditions, other_q=q, other_moment_M=moment)
 
 
-def _layout_refusal(p_M: Array) -> str:
-    """Say why points (n, 3) [m] do not fix a frame; empty if they do."""
-    n = len(p_M)
+def _check_layout(points: Array, fixed: str, frame: str = "") -> None:
+    """Raise ``InputError`` if points (n, 3) [m], given in a ``frame``, do not fix what is ``fixed`` by them."""
+    n = len(points)
     if n < FEWEST_POINTS:
-        return f"{n} points do not fix the tracker's station; at least {FEWEST_POINTS} are needed, better four"
-    along, *across = np.linalg.svd(p_M - p_M.mean(axis=0), compute_uv=False).tolist()
-    if along < _LEAST_SPREAD_M * np.sqrt(n):
-        return f"the points lie within {along / np.sqrt(n) * 1e3:.0f} mm of one place; measure points some 0.5 m apart"
-    if float(np.hypot(*across)) < _LEAST_WIDTH * along:
-        return "the points lie on one line: nothing fixes the turn about it; add a point beside the line"
-    return ""
+        raise InputError(f"{n} points do not fix {fixed}; measure at least {FEWEST_POINTS}, better four, far apart")
+    along, *across = np.linalg.svd(points - points.mean(axis=0), compute_uv=False).tolist()
+    if along < _LEAST_SPREAD_M * math.sqrt(n):
+        near = f"{along / math.sqrt(n) * 1e3:.0f} mm of one place{frame}"
+        raise InputError(f"the points lie within {near}; measure points that are some 0.5 m apart")
+    if math.hypot(*across) < _LEAST_WIDTH * along:
+        raise InputError(
+            f"the points lie on one line{frame}: nothing fixes the turn about it; add a point beside the line"
+        )
 
 
 def _by_arm(points: Points, stacked: Array) -> dict[str, Array]:
@@ -465,12 +461,6 @@ def _tie(name: str, T: Array, covariance: Array, points: Sequence[NestPoint], x:
 # (Kabsch 1976, ``robot.kinematics.transforms.register``). The covariance of t and of a small rotation applied after R
 # is s^2 (J^T J)^-1 with J_i = [I, -[R p_B,i]_x], [v]_x w = v x w, and s^2 = sum of squared residuals / (3 n - 6).
 
-FEWEST_POINTS = 3
-_LEAST_SPREAD_M = 0.05
-"""Least rms distance of the points from their centre: closer ones turn a millimetre of error into over a degree."""
-_LEAST_WIDTH = 0.05
-"""Least ratio of the points' rms distance from their best line to that from their centre: below it, the angle about the
-line is 20 times less certain than the others."""
 _GOOD_M = 1e-3
 """Rms residual up to which a fit is good: the nominal geometry is then wrong by less than a millimetre."""
 _USABLE_M = 10e-3
@@ -539,7 +529,8 @@ def base_from_points(p_B: Array, p_M: Array) -> BaseFit:
     InputError
         If there are too few points, they lie together or on one line, or they do not fit at all.
     """
-    _check_layout(p_B, p_M)
+    _check_layout(p_B, "a base", " in the base frame")
+    _check_layout(p_M, "a base", " in the tracker frame")
     T_M_B = register(p_M, p_B)
     residuals = p_M - apply(T_M_B, p_B)
     sum_of_squares = float(np.sum(residuals**2))
@@ -559,25 +550,6 @@ def _errors(T_M_B: Array, p_B: Array, sum_of_squares: float) -> tuple[float, flo
     normal = np.einsum("nai,naj->ij", J, J)
     variances = np.diag(np.linalg.inv(normal)) * sum_of_squares / (3 * n - 6)
     return math.sqrt(float(variances[:3].sum())), math.sqrt(float(variances[3:].sum()))
-
-
-def _check_layout(p_B: Array, p_M: Array) -> None:
-    n = len(p_B)
-    if n < FEWEST_POINTS:
-        raise InputError(f"{n} points do not fix a base; measure at least {FEWEST_POINTS}, better four, far apart")
-    for points, frame in ((p_B, "base"), (p_M, "tracker")):
-        scales = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-        spread = math.hypot(*scales.tolist())
-        if spread < _LEAST_SPREAD_M * math.sqrt(n):
-            raise InputError(
-                f"the points lie within {spread / math.sqrt(n) * 1e3:.0f} mm of one place in the {frame} frame; measure"
-                " points that are some 0.5 m apart"
-            )
-        if math.hypot(*scales[1:].tolist()) < _LEAST_WIDTH * spread:
-            raise InputError(
-                f"the points lie on one line in the {frame} frame: nothing fixes the turn about it; add a point beside"
-                " the line"
-            )
 
 
 # -- Check whether an arm's published geometry explains recorded readings: units, order and signs of joints. No I/O ---

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.arm_data import TRANSMISSION_ERROR, UNKNOWN, ArmData, CandidateLaw, ModelTerm
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import (
@@ -31,7 +31,6 @@ from cellapp.estimation.discovery.records import (
 )
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import Posteriors, SearchResult
-from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, CandidateLaw, ModelTerm
 from cellapp.ground.results import Estimate
 from cellapp.robot.effects import (
     EFFECTS,

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.estimation.calibration.least_squares import minimise
-from cellapp.estimation.discovery.arm_data import ArmData, whitening
+from cellapp.estimation.discovery.arm_data import ArmData, Excess, ModelTerm, ModelTerms, smoothness_of, whitening
 from cellapp.estimation.discovery.joint_fit import (
     JointFit,
     LinearModel,
@@ -37,7 +37,6 @@ from cellapp.estimation.discovery.process import (
 )
 from cellapp.estimation.discovery.search.state import Review, SearchResult
 from cellapp.estimation.discovery.search.unnamed import without_name
-from cellapp.estimation.discovery.terms import Excess, ModelTerm, ModelTerms, smoothness_of
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.effects import EffectColumn, displacement_by
 from cellapp.robot.effects.effect import is_unnamed, lent_effect

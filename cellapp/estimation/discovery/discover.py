@@ -33,7 +33,7 @@ from cellapp.estimation.calibration.quantities import (
 )
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions, pictures
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
-from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData, smoothness_of
 from cellapp.estimation.discovery.joint_fit import noise_of, with_posterior
 from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery, HeldOut
 from cellapp.estimation.discovery.plan_forecast import detectability
@@ -48,7 +48,6 @@ from cellapp.estimation.discovery.records import (
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult, scatter
 from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, search
 from cellapp.estimation.discovery.search.unnamed import unnamed_record
-from cellapp.estimation.discovery.terms import UNKNOWN, smoothness_of
 from cellapp.estimation.discovery.verdict import structure_left, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import one_a_stop
@@ -358,7 +357,7 @@ def search_rows(
         if not len(wrong):
             break
         gross[wrong] = True
-    if result.fitted is not None and not result.only_some:
+    if found is not None and result.fitted is not None and not result.only_some:
         by_search = Searched.of_search(found, data, "the fit to all predicts those that were not searched worse")
         further = np.setdiff1d(every, some)
         if HeldOut(readings.take(further), conditions.take(further)).predicts_worse(result.model, by_search.model):

@@ -28,8 +28,10 @@ from cellapp.estimation.calibration.least_squares import (
 )
 from cellapp.estimation.calibration.normal_equations import EffectColumns
 from cellapp.estimation.design.information import SMALLEST, NuisanceProjector, visible_squares
-from cellapp.estimation.discovery.arm_data import LEAST_SCATTER_M, TOLERANCE, ArmData, whitening
-from cellapp.estimation.discovery.terms import (
+from cellapp.estimation.discovery.arm_data import (
+    LEAST_SCATTER_M,
+    TOLERANCE,
+    ArmData,
     CandidateLaw,
     Excess,
     ModelTerms,
@@ -39,6 +41,7 @@ from cellapp.estimation.discovery.terms import (
     prior_sd,
     smoothness_of,
     whitened_displacements,
+    whitening,
 )
 from cellapp.estimation.readings.readings import folds_of
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Law

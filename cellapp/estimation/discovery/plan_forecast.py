@@ -28,13 +28,12 @@ from cellapp.estimation.calibration.parameters import (
 )
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.design.information import VISIBLE
-from cellapp.estimation.discovery.arm_data import ArmData, whitening
+from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData, whitening
 from cellapp.estimation.discovery.joint_fit import fit_terms
 from cellapp.estimation.discovery.records import AbsentEffect, PlannedAccuracy, PlannedEffect, SmallestSize
 from cellapp.estimation.discovery.search.scan import LawScan, score_threshold, simulate_null_maxima, smallest_detectable
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult
 from cellapp.estimation.discovery.search.stepwise import LEAST_FREEDOM
-from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError

@@ -66,7 +66,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.design.information import SMALLEST, NuisanceProjector, visible_squares
-from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData, ModelTerm
 from cellapp.estimation.discovery.joint_fit import MOST_SHARE, JointFit, ProjectedResidual, cross_validated_gain
 from cellapp.estimation.discovery.search.free_part import (
     CAUTIOUS_SHARE,
@@ -87,7 +87,6 @@ from cellapp.estimation.discovery.search.state import (
     possible_score,
     scatter,
 )
-from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EFFECTS, Channel, DriverVariable, EffectColumn
 from cellapp.robot.effects.data_driven import DataChannel, channels, form_of

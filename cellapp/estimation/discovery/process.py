@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData, Excess, ModelTerm, ModelTerms, Smoothness
 from cellapp.estimation.discovery.joint_fit import (
     JointFit,
     NormalMatrix,
@@ -27,7 +27,6 @@ from cellapp.estimation.discovery.joint_fit import (
     uncertainty_with_scatter,
 )
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN
-from cellapp.estimation.discovery.terms import UNKNOWN, Excess, ModelTerm, ModelTerms, Smoothness
 from cellapp.robot.effects import EFFECTS, Effect, EffectColumn, Law, LawForm
 from cellapp.robot.effects.data_driven import (
     FIELD,

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData
 from cellapp.estimation.discovery.joint_fit import JointFit
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
@@ -21,7 +21,6 @@ from cellapp.estimation.discovery.records import (
     Unnamed,
 )
 from cellapp.estimation.discovery.search.state import FLOOR_CHANCE, Scatter
-from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.ground.results import Verdict
 from cellapp.robot.effects import EFFECTS, enumeration, place_in_words
 from cellapp.robot.effects.context import varies
@@ -314,7 +313,8 @@ _FAR = 5.0
 """Ratio of scatter to stated noise that exceeds the repeatability of an arm: 75 µm of a coordinate against the 15 µm of
 a tracker. Readings too few to show structure then still lack an explanation."""
 _SAMPLING_ERRORS = 2.5
-"""Standard errors by which the held-out rms may exceed the floor: a probability of 0.6 %."""
+"""Standard errors by which the held-out rms may exceed the floor, a probability of 0.6 %: for 3 n coordinates, each is
+``1 / sqrt(6 n)`` of it."""
 
 
 def verdict(

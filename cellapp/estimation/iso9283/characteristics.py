@@ -51,7 +51,9 @@ def pose_repeatability(attained: Array) -> Array:
     Raise ``ValueError`` for fewer than two cycles.
     """
     centre = attained.mean(axis=-2, keepdims=True)
-    return _upper_limit(np.linalg.norm(attained - centre, axis=-1))
+    lengths = np.linalg.norm(attained - centre, axis=-1)
+    _require_cycles(lengths)
+    return np.asarray(lengths.mean(axis=-1) + 3.0 * lengths.std(axis=-1, ddof=1))
 
 
 def directional_variation(attained: Array) -> Array:
@@ -148,11 +150,6 @@ def velocity_repeatability(found: Array, commanded: float) -> float:
 def velocity_fluctuation(found: Array) -> float:
     """Compute FV (8.6.4) [m/s]: the largest difference of two speeds (n, k) [m/s] within a cycle, over all cycles."""
     return float(np.ptp(found, axis=-1).max())
-
-
-def _upper_limit(lengths: Array) -> Array:
-    _require_cycles(lengths)
-    return np.asarray(lengths.mean(axis=-1) + 3.0 * lengths.std(axis=-1, ddof=1))
 
 
 def _require_cycles(values: Array) -> None:

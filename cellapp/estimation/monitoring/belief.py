@@ -119,7 +119,7 @@ class ArmBelief:
     measured : Measured
         The readings of the calibration without gross errors, in the frame of ``model``: positions, then orientations
         where the check measures them.
-    left : array, shape (n, 3)
+    residuals : array, shape (n, 3)
         Their residuals [m, rad].
     """
 
@@ -131,7 +131,7 @@ class ArmBelief:
     day_m: float
     promised_m: float
     measured: Measured
-    left: Array
+    residuals: Array
 
     @property
     def positions(self) -> Measured:
@@ -287,7 +287,7 @@ def arm_belief(found: Posterior, measured: Measured) -> ArmBelief:
         day_m=_day_m(found.model, measured.positions),
         promised_m=math.sqrt(float(np.mean(np.trace(promised[points], axis1=1, axis2=2)))),
         measured=measured,
-        left=found.left_M,
+        residuals=found.residuals_M,
     )
 
 
@@ -300,7 +300,7 @@ def _scatter(found: Posterior, promised: Array, rows: NDArray[np.bool_], arm: fl
     sigma = found.measured.sigma[rows]
     R = sigma if sigma.ndim == 3 else sigma[:, None, None] ** 2 * np.eye(3)
     gain = R @ np.linalg.inv((1.0 + _INTERPOLATED) * R - promised[rows])
-    excess = excess_variance(np.einsum("nab,nb->na", gain, found.left_M[rows]), gain @ R, 3 * len(R))
+    excess = excess_variance(np.einsum("nab,nb->na", gain, found.residuals_M[rows]), gain @ R, 3 * len(R))
     return Scatter(math.sqrt(mean_variance(sigma) + excess), math.sqrt(arm**2 + excess))
 
 
@@ -372,7 +372,7 @@ def _relocated(arm: ArmBelief, T: Array) -> ArmBelief:
         arm,
         model=model,
         covariance=model.covariance,
-        left=arm.left @ R.T,
+        residuals=arm.residuals @ R.T,
         measured=replace(
             its,
             readings=replace(its.readings, p_M=p_M),

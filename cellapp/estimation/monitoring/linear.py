@@ -189,8 +189,8 @@ class StopRows:
         Motion of the coordinates by one step of each direction [m].
     factor : array, shape (d, d)
         Lower Cholesky factor of K [m].
-    turned : array, shape (m,), or None
-        Mask of points that are orientations; None if there are none.
+    points : array, shape (m,)
+        Mask of points that are positions.
     """
 
     measured: Array
@@ -199,15 +199,10 @@ class StopRows:
     arm_of: NDArray[np.intp]
     rows: Array
     factor: Array
-    turned: NDArray[np.bool_] | None = None
+    points: NDArray[np.bool_]
 
     @property
-    def points(self) -> NDArray[np.bool_]:
-        """Mask (m,) of points that are positions."""
-        return np.ones(len(self.measured), dtype=np.bool_) if self.turned is None else ~self.turned
-
-    @property
-    def left(self) -> Array:
+    def residuals(self) -> Array:
         """Residuals (m, 3) [m]: measured minus expected."""
         return np.asarray(self.measured - self.expected)
 
@@ -220,13 +215,13 @@ def conditions_now(belief: CheckBelief, readings: Mapping[str, Readings]) -> dic
 
 def _remembered(arm: ArmBelief, its: Measured) -> tuple[Array, Array]:
     """Return the calibration's residuals (n, 3) at the same stops, and the shares (n,) of them that are expected."""
-    left, again = np.zeros((len(its), 3)), np.zeros(len(its))
+    residuals, again = np.zeros((len(its), 3)), np.zeros(len(its))
     known = arm.measured
     for (asked, scatter), (kind, _) in zip(arm.kinds(its), arm.kinds(known), strict=False):
         distance, nearest = scipy.spatial.KDTree(_sided(known, kind)).query(_sided(its, asked))
-        left[asked] = arm.left[kind][nearest]
+        residuals[asked] = arm.residuals[kind][nearest]
         again[asked] = np.where(distance < _SAME_STOP_RAD, scatter.again, 0.0)
-    return left, again
+    return residuals, again
 
 
 def _sided(its: Measured, rows: NDArray[np.bool_]) -> Array:
@@ -254,19 +249,15 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
         here = slice(first, first + 3 * len(its))
         X = design(arm.model, its, arm.columns)
         X = X.reshape(-1, 3, len(its)).transpose(0, 2, 1).reshape(len(X), -1)
-        left, again = _remembered(arm, its)
-        p_M[here.start // 3 : here.stop // 3] += again[:, None] * left
+        residuals, again = _remembered(arm, its)
+        p_M[here.start // 3 : here.stop // 3] += again[:, None] * residuals
         uncertain = X * np.repeat(arm.unremembered(its, again), 3)
         K[here, here] = uncertain.T @ arm.covariance @ uncertain
         if arm.day_m:
             at = slice(first // 3, here.stop // 3)
             drift = twists(p_M[at] - arm_centre(arm), turned[at]).reshape(-1, 6) * _day_sizes(arm)
             K[here, here] += drift @ drift.T
-        for k, one in enumerate(directions):
-            if one.arm == name:
-                rows[k, here] = one.row_of(X)
-            elif one.arm == TRACKER:
-                rows[k, here] = one.row_of(station[:, here])
+        rows[:, here] = _moved(directions, name, X, station[:, here])
         _add_noise(K, first, noise_covariance(arm, its, again))
         first = here.stop
     if belief.station is not None:
@@ -283,7 +274,7 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
         arm_of=arm_of[order],
         rows=rows[:, coordinates],
         factor=scipy.linalg.cholesky(K[np.ix_(coordinates, coordinates)], lower=True),
-        turned=turned[order] if turned.any() else None,
+        points=~turned[order],
     )
 
 
@@ -308,7 +299,7 @@ class Moments:
     @classmethod
     def of(cls, stops: StopRows) -> Moments:
         """Whiten stops by the factor of K."""
-        columns = np.column_stack([stops.left.ravel(), stops.rows.T])
+        columns = np.column_stack([stops.residuals.ravel(), stops.rows.T])
         solved = scipy.linalg.solve_triangular(stops.factor, columns, lower=True)
         directions = np.ascontiguousarray(solved[:, 1:].T)
         return cls(solved[:, 0], directions, directions[:0])
@@ -367,12 +358,16 @@ def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequ
     X = design(arm.model, measured, arm.columns).reshape(-1, 3, len(measured)).transpose(0, 2, 1)
     p_M = arm.model.predict(measured.readings.q, conditions=measured.conditions)
     station = twists(p_M - centre_of(belief), ~measured.points).transpose(2, 0, 1)
-    found = np.zeros((len(directions), len(measured), 3))
+    return _moved(directions, name, X, station)
+
+
+def _moved(directions: Sequence[Direction], name: str, X: Array, station: Array) -> Array:
+    """Compute the motion (C, ...) of an arm's coordinates by one step of each direction, from the motions by a unit of
+    its parameters, ``X`` (p, ...), and of a twist of the ``station`` (6, ...)."""
+    found = np.zeros((len(directions), *X.shape[1:]))
     for k, one in enumerate(directions):
-        if one.arm == name:
-            found[k] = one.row_of(X)
-        elif one.arm == TRACKER:
-            found[k] = one.row_of(station)
+        if one.arm in (name, TRACKER):
+            found[k] = one.row_of(X if one.arm == name else station)
     return found
 
 
@@ -392,13 +387,13 @@ def visibility(belief: CheckBelief, directions: Sequence[Direction], moved: Mapp
     points = np.concatenate([np.repeat(arm.measured.points, 3) for arm in belief.arms.values()])
     own = np.array([one.arm == TRACKER for one in directions])
     basis = np.linalg.qr(rows[own].T)[0]
-    left = np.where(own[:, None], rows, rows - (rows @ basis) @ basis.T)
+    unexplained = np.where(own[:, None], rows, rows - (rows @ basis) @ basis.T)
     counts = {name: len(arm.positions) for name, arm in belief.arms.items()}
     noise = {name: arm.of_points.noise for name, arm in belief.arms.items()}
     counts[TRACKER], noise[TRACKER] = sum(counts.values()), max(noise.values())
     of_arm = np.array([counts[one.arm] for one in directions])
-    shown = np.sqrt(np.sum(left**2, axis=1) / of_arm) / np.array([noise[one.arm] for one in directions])
-    return np.sqrt(np.sum(left[:, points] ** 2, axis=1) / of_arm), shown
+    shown = np.sqrt(np.sum(unexplained**2, axis=1) / of_arm) / np.array([noise[one.arm] for one in directions])
+    return np.sqrt(np.sum(unexplained[:, points] ** 2, axis=1) / of_arm), shown
 
 
 def _as_points(arm: ArmBelief, moved: Array) -> Array:

@@ -365,8 +365,8 @@ def _fit(design: Design, stops: StopRows, one: Alternative, nuisance: list[int],
     whole = [*nuisance, *members]
     linear = [k for k in whole if design.directions[k].kind not in ("tracker", "base")]
     motion, here = solve_motion(stops, centre_of(belief), moved, linear)
-    left = float(np.sum(after(Moments.of(here), whole).white ** 2))
-    return _Fit(members, here, left, before - left, len(basis), motion)
+    chi_squared = float(np.sum(after(Moments.of(here), whole).white ** 2))
+    return _Fit(members, here, chi_squared, before - chi_squared, len(basis), motion)
 
 
 def _tells(design: Design, cause: Alternative, sizes: Array, rival: Alternative) -> bool:
@@ -374,8 +374,8 @@ def _tells(design: Design, cause: Alternative, sizes: Array, rival: Alternative)
     whole = np.concatenate([moved.reshape(len(moved), -1) for moved in design.motions.values()], axis=1)
     moved = sizes @ whole[list(cause.members)]
     basis = np.linalg.qr(whole[list(rival.members)].T)[0]
-    left = moved - basis @ (basis.T @ moved)
-    return float(np.linalg.norm(left)) > _INSEPARABLE * float(np.linalg.norm(moved))
+    unexplained = moved - basis @ (basis.T @ moved)
+    return float(np.linalg.norm(unexplained)) > _INSEPARABLE * float(np.linalg.norm(moved))
 
 
 # -- Rigid motion of the tracker or a base, solved for from the registration of the points ----------------------------
@@ -412,10 +412,10 @@ def solve_motion(
     """
     twist = (twists(stops.expected - centre, ~stops.points) * moved[:, None, None]).reshape(-1, 6)
     A, own, start = np.column_stack([twist, stops.rows[list(linear)].T]), moved & stops.points, np.eye(4)
-    if float(np.abs(stops.left).max()) > LARGE_M and np.sum(own) >= FEWEST_POINTS:
+    if float(np.abs(stops.residuals).max()) > LARGE_M and np.sum(own) >= FEWEST_POINTS:
         start = register(stops.measured[own], stops.expected[own])
     problem = LeastSquares[tuple[Array, Array]](
-        lambda one: (_without(stops, one[0], moved).left.ravel() - A[:, 6:] @ one[1], A),
+        lambda one: (_without(stops, one[0], moved).residuals.ravel() - A[:, 6:] @ one[1], A),
         lambda one, step: (one[0] @ small_motion(step[:6], centre), one[1] + step[6:]),
         stops.factor,
     )
@@ -428,8 +428,8 @@ def solve_motion(
 def _without(stops: StopRows, T: Array, moved: NDArray[np.bool_]) -> StopRows:
     """Return the stops without a motion of some points."""
     measured = np.where(moved[:, None], apply(invert(T), stops.measured), stops.measured)
-    if stops.turned is not None:
-        rows = stops.turned & moved
-        left = scipy.spatial.transform.Rotation.from_rotvec(stops.measured[rows]).as_matrix()
-        measured[rows] = rotation_vectors(T[:3, :3].T @ left)
+    rows = ~stops.points & moved
+    if rows.any():
+        R = scipy.spatial.transform.Rotation.from_rotvec(stops.measured[rows]).as_matrix()
+        measured[rows] = rotation_vectors(T[:3, :3].T @ R)
     return replace(stops, measured=measured)

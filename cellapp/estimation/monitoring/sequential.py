@@ -190,12 +190,12 @@ def stray_point(stops: StopRows) -> int | None:
     moments, factor = Moments.of(stops), stops.factor
     white, degrees = moments.white, moments.degrees - 3
     own = scipy.linalg.solve_triangular(factor, np.eye(len(factor)), lower=True).reshape(len(factor), -1, 3)
-    left = []
+    squares = []
     for point in range(own.shape[1]):
         basis = np.linalg.qr(own[:, point])[0]
-        left.append(float(white @ white - np.sum((white @ basis) ** 2)))
-    best = int(np.argmin(left))
-    return best if degrees > 0 and scipy.special.chdtrc(degrees, left[best]) >= NOT_EXPLAINED else None
+        squares.append(float(white @ white - np.sum((white @ basis) ** 2)))
+    best = int(np.argmin(squares))
+    return best if degrees > 0 and scipy.special.chdtrc(degrees, squares[best]) >= NOT_EXPLAINED else None
 
 
 def _weak(design: Design, moments: Moments) -> dict[int, WeakChange]:
@@ -280,6 +280,7 @@ def _turned_mrad(design: Design, cause: Cause) -> float | None:
 def _checked(design: Design, stops: StopRows, causes: Sequence[Cause], explained: bool) -> dict[str, CheckedArm]:
     """Summarise every arm at its stops; the remaining accuracy is unknown if the errors are not explained."""
     variance = np.sum(stops.factor**2, axis=1).reshape(-1, 3).sum(axis=1)
+    measured = np.sum(stops.residuals**2, axis=1)
     found = {}
     for place, (name, arm) in enumerate(design.belief.arms.items()):
         rows = (stops.arm_of == place) & stops.points
@@ -291,10 +292,10 @@ def _checked(design: Design, stops: StopRows, causes: Sequence[Cause], explained
         found[name] = CheckedArm(
             stops=int(rows.sum()),
             expected_mm=math.sqrt(float(variance[rows].mean())) * 1e3,
-            rms_mm=math.sqrt(float(np.sum(stops.left[rows] ** 2) / rows.sum())) * 1e3,
+            rms_mm=math.sqrt(float(measured[rows].mean())) * 1e3,
             left_mm=math.sqrt(squares) * 1e3 if explained else None,
             expected_mrad=math.sqrt(float(variance[turned].mean())) * 1e3 if turned.any() else None,
-            rms_mrad=math.sqrt(float(np.sum(stops.left[turned] ** 2) / turned.sum())) * 1e3 if turned.any() else None,
+            rms_mrad=math.sqrt(float(measured[turned].mean())) * 1e3 if turned.any() else None,
         )
     return found
 

@@ -86,23 +86,15 @@ _TRIED = 3
 """Number of candidate points for each sample."""
 
 
-@dataclass(frozen=True)
-class MotionCalibration:
-    """A calibration, and samples (as readings) of the recorded arms."""
-
-    calibration: Calibration
-    samples: Mapping[str, Readings]
-
-
 def calibrate_with_motion(
     profile: Profile,
     readings: Mapping[str, Readings],
     recordings: Mapping[str, Sequence[Recording]],
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
-) -> MotionCalibration:
+) -> tuple[Calibration, dict[str, Readings]]:
     """Calibrate a cell: arms with ``recordings`` from these and their readings, others from readings with random
-    splits.
+    splits. Return also samples (as readings) of the recorded arms.
 
     Raises
     ------
@@ -129,7 +121,7 @@ def calibrate_with_motion(
         model = replace(found.model, T_R_L=np.asarray(invert(T_M_second) @ T_M_first), pair=(first, second))
         found = replace(found, model=model)
         notes.append("pair: the transform between the bases is that of both arms in the tracker's frame")
-    return MotionCalibration(replace(found, notes=(*found.notes, *notes)), samples)
+    return replace(found, notes=(*found.notes, *notes)), samples
 
 
 def each_recorded(

@@ -649,7 +649,7 @@ def _fading(problem: Problem, solution: Solution, law: Law) -> tuple[JointTerm, 
     gains = _gains(problem, solution, law, parts)
 
     def gain(kind: int, places: Sequence[int]) -> float:
-        return gains.chi_square([(kind * len(REACHES) + place) * len(joints) + j for j, place in enumerate(places)])
+        return gains([(kind * len(REACHES) + place) * len(joints) + j for j, place in enumerate(places)])
 
     kind, place = max(product(range(len(_KINDS)), reaches), key=lambda one: gain(one[0], [one[1]] * len(joints)))
     places = [place] * len(joints)
@@ -707,7 +707,7 @@ def _best_shares(
 
     def gain(chosen: Sequence[tuple[float, ...]]) -> float:
         columns = [place[joint, share] for joint, own in enumerate(chosen) for share in own]
-        return gains.chi_square(columns) - _OF_ITS_OWN * len(columns)
+        return gains(columns) - _OF_ITS_OWN * len(columns)
 
     chosen = [own[len(own) // 2] for own in options]
     for joint in (*range(len(options)), *range(len(options))):
@@ -726,20 +726,11 @@ def _largest_torques(problem: Problem) -> Array:
     return largest
 
 
-@dataclass(frozen=True, eq=False)
-class _Gains:
-    """Normal equations of parts beside the parameters of a fit: ``matrix`` (K, K) and ``right`` (K,)."""
-
-    matrix: Array = field(repr=False)
-    right: Array = field(repr=False)
-
-    def chi_square(self, chosen: Sequence[int]) -> float:
-        """Return the chi-square that some of the parts remove from the residuals."""
-        right = self.right[chosen]
-        return float(right @ solve_psd(self.matrix[np.ix_(chosen, chosen)], right))
-
-
-def _gains(problem: Problem, solution: Solution, law: Law, parts: Sequence[JointTerm]) -> _Gains:
+def _gains(
+    problem: Problem, solution: Solution, law: Law, parts: Sequence[JointTerm]
+) -> Callable[[Sequence[int]], float]:
+    """Return what computes the chi-square that chosen ``parts`` remove from the residuals, beside the parameters of a
+    fit."""
     every = of_all_joints(law, problem.layout.parameters.joints)
     plain = [term for term in every if term not in problem.layout.terms]
     at, first = problem.layout.arm, problem.layout.arm + len(plain)
@@ -753,8 +744,9 @@ def _gains(problem: Problem, solution: Solution, law: Law, parts: Sequence[Joint
     new[first : first + len(parts)] = True
     of_fit = solve_psd(A[~new][:, ~new], np.column_stack([A[~new][:, new], b[~new]]))
     matrix = A[new][:, new] - A[new][:, ~new] @ of_fit[:, :-1]
+    matrix = 0.5 * (matrix + matrix.T)
     right = b[new] - A[new][:, ~new] @ of_fit[:, -1]
-    return _Gains(0.5 * (matrix + matrix.T), right)
+    return lambda chosen: float(right[chosen] @ solve_psd(matrix[np.ix_(chosen, chosen)], right[chosen]))
 
 
 def _thinned(source: Source, most: int) -> Source:

@@ -257,9 +257,9 @@ def _loss(
 
     model = problem.model(values + step)
     total = float(precision @ (values + step - problem.mean) ** 2)
-    lefts = _misses(problem, model, [one.rows for one in sources])
-    for number, (source, left) in enumerate(zip(sources, lefts, strict=True)):
-        white = left.T * source.root(None if robust is None else robust[number])
+    residuals = _residuals(problem, model, [one.rows for one in sources])
+    for number, (source, residual) in enumerate(zip(sources, residuals, strict=True)):
+        white = residual.T * source.root(None if robust is None else robust[number])
         if number < len(problem.tracks) and problem.whitening is not None and robust is None:
             white = lfilter(problem.whitening[number], [1.0], white)
         total += float(np.vdot(white, white))
@@ -356,7 +356,7 @@ def _sums(problem: Problem, model: Model, sources: Sequence[Source], robust: Seq
     return found
 
 
-def _misses(problem: Problem, model: Model, rows: Sequence[NDArray[np.intp]]) -> list[Array]:
+def _residuals(problem: Problem, model: Model, rows: Sequence[NDArray[np.intp]]) -> list[Array]:
     """Return the residuals (n, 3) [m] of the rows of every source."""
     return [residuals(model, one, n, its) for n, (one, its) in enumerate(zip(problem.holders, rows, strict=True))]
 
@@ -376,7 +376,7 @@ def _source(problem: Problem, number: int, rows: NDArray[np.intp], norm: Array) 
 def _with_robust_weights(
     problem: Problem, model: Model, rows: Sequence[NDArray[np.intp]]
 ) -> tuple[list[Source], list[Array]]:
-    norms = [np.linalg.norm(left, axis=1) for left in _misses(problem, model, rows)]
+    norms = [np.linalg.norm(one, axis=1) for one in _residuals(problem, model, rows)]
     usual, sources, weights = _usual(norms[: len(problem.tracks)]), [], []
     for number, (norm, its) in enumerate(zip(norms, rows, strict=True)):
         sources.append(_source(problem, number, its, norm))
@@ -409,7 +409,7 @@ def _usual(norms: Sequence[Array]) -> float:
 def _all_points(problem: Problem, model: Model) -> tuple[Source, ...]:
     """Return all points of every source without gross errors."""
     rows = problem.learnt
-    norms = [np.linalg.norm(left, axis=1) for left in _misses(problem, model, rows)]
+    norms = [np.linalg.norm(one, axis=1) for one in _residuals(problem, model, rows)]
     usual, found = _usual(norms[: len(problem.tracks)]), []
     for number, (norm, its) in enumerate(zip(norms, rows, strict=True)):
         scale: float | Array = max(float(np.median(norm)) / MEDIAN_NORM, _TRACKER_M)

@@ -372,9 +372,9 @@ def _identification(problem: Problem, solution: Solution, model: Model) -> Ident
             chosen = determined_set(estimated, information, 1.0 / np.sqrt(problem.precision[:size]))
     to_table, kept = chosen.from_estimated(estimated)
     in_table = covariance if chosen is estimated else to_table @ covariance @ to_table.T
-    left = np.zeros((0, 3))
+    at_stops = np.zeros((0, 3))
     if stops is not None:
-        left = residuals(model, stops, len(problem.tracks), np.arange(len(stops.q)))
+        at_stops = residuals(model, stops, len(problem.tracks), np.arange(len(stops.q)))
     gram = information[kept[:, None], kept]
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     of_geometry = solution.precision[:size]
@@ -397,8 +397,8 @@ def _identification(problem: Problem, solution: Solution, model: Model) -> Ident
         "message": "converged",
         "scale": float(np.median([source.sigma_m for source in solution.sources])),
         "degrees_of_freedom": max(1, round(3 * sum(s.worth * len(s.rows) for s in solution.sources) - arm)),
-        "residuals": left,
-        "weights": np.ones(len(left)),
+        "residuals": at_stops,
+        "weights": np.ones(len(at_stops)),
         "steps": solution.steps,
         "gram": gram / (scale * scale[:, None]),
         "configurations": sum(len(source.rows) for source in solution.sources),

@@ -375,13 +375,13 @@ class Model:
 
 def residuals(model: Model, holder: Track | Stops, number: int, rows: NDArray[np.intp]) -> Array:
     """Return measured less computed points (n, 3) [m] of some rows of one recording, or of the stops."""
-    left = np.empty((len(rows), 3))
+    residual = np.empty((len(rows), 3))
     for first in range(0, len(rows), CHUNK):
         part = rows[first : first + CHUNK]
         state = _state(model, holder, number, part)
         q = state.q + state.offsets(model.layout.terms, model.of_terms)
-        left[first : first + CHUNK] = holder.p_M[part] - smr_positions(model.geometry, q)
-    return left
+        residual[first : first + CHUNK] = holder.p_M[part] - smr_positions(model.geometry, q)
+    return residual
 
 
 def _state(model: Model, holder: Track | Stops, number: int, rows: NDArray[np.intp]) -> JointState:
@@ -426,14 +426,14 @@ def sums_of(
     past = 0 if whitening is None else len(whitening) - 1
     memory_X, memory_r = np.zeros((3, k, past)), np.zeros((3, past))
     parts, each = [], _block_length(holder, len(rows), _MOST_BLOCKS)
-    for X, left, weight, q in _chunks(model, holder, number, rows, root, each):
+    for X, residual, weight, q in _chunks(model, holder, number, rows, root, each):
         if whitening is not None:
             X, memory_X = lfilter(whitening, [1.0], X, zi=memory_X)
-            left, memory_r = lfilter(whitening, [1.0], left, zi=memory_r)
+            residual, memory_r = lfilter(whitening, [1.0], residual, zi=memory_r)
         flat = X.swapaxes(0, 1).reshape(k, -1)
         A += flat @ flat.T
-        b += flat @ left.ravel()
-        parts.append(_averaged(X, left, weight, q, each))
+        b += flat @ residual.ravel()
+        parts.append(_averaged(X, residual, weight, q, each))
     found = _joined(parts, columns)
     return Sums(A, b, bands_of(found.X, found.columns, found.r, in_time=isinstance(holder, Track)))
 
@@ -471,14 +471,14 @@ def _chunks(
         yield X, (holder.p_M[part].T - P) * weight, weight, state.q
 
 
-def _averaged(X: Array, left: Array, weight: Array, q: Array, each: int) -> tuple[Array, Array, Array]:
+def _averaged(X: Array, residual: Array, weight: Array, q: Array, each: int) -> tuple[Array, Array, Array]:
     """Average one chunk over ``each`` neighbours."""
     starts = np.arange(0, len(weight), each)
     total = np.sqrt(np.maximum(np.add.reduceat(weight**2, starts), 1e-300))
     share = weight / total.repeat(each)[: len(weight)]
     return (
         np.add.reduceat(X * share, starts, axis=2).transpose(2, 0, 1),
-        np.add.reduceat(left * share, starts, axis=1).T,
+        np.add.reduceat(residual * share, starts, axis=1).T,
         q[starts],
     )
 

@@ -451,12 +451,12 @@ def white_residuals(
         yield track, white, u, scale, *_turned(model.geometry, track.path.at(u)[0], filtered)
 
 
-def _turned(geometry: Geometry, q: Array, left: Array) -> tuple[Array, Array]:
+def _turned(geometry: Geometry, q: Array, residuals: Array) -> tuple[Array, Array]:
     """Return the residuals (n, 3) projected on the motion by each joint, and the square of that motion, (n, N) each."""
     parts: list[tuple[Array, Array]] = []
     for first in range(0, len(q), _CHUNK):
         _, J = joint_jacobian(geometry, JointAngles.of(q[first : first + _CHUNK]))
-        own = left[first : first + _CHUNK]
+        own = residuals[first : first + _CHUNK]
         parts.append((np.einsum("ajn,na->nj", J, own), np.einsum("ajn,ajn->nj", J, J)))
     turned, weight = (np.concatenate(each) for each in zip(*parts, strict=True))
     return turned, weight

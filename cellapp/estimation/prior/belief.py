@@ -90,7 +90,7 @@ class Measured:
         for first in range(0, len(self), _CHUNK):
             yield self.take(np.arange(first, min(first + _CHUNK, len(self)), dtype=np.intp))
 
-    def left(self, model: ArmModel) -> Array:
+    def residuals(self, model: ArmModel) -> Array:
         """Return measured less predicted positions (n, 3) [m], and rotations from computed to measured [rad]."""
         computed = model.predict(self.readings.q, conditions=self.conditions)
         return np.asarray(self.readings.p_M - computed)
@@ -119,7 +119,7 @@ def normal_matrix(model: ArmModel, measured: Measured, columns: tuple[int, ...],
     found = NormalMatrix(np.zeros((total, total)), np.zeros(total), 0.0)
     for chunk in measured.chunks():
         rows = design(model, chunk, columns)
-        target = np.einsum("acn,nc->an", whitening(chunk.sigma), chunk.left(model)).ravel() + deviation @ rows
+        target = np.einsum("acn,nc->an", whitening(chunk.sigma), chunk.residuals(model)).ravel() + deviation @ rows
         found += NormalMatrix.of(rows, target)
     return found
 
@@ -181,7 +181,7 @@ class Posterior:
     """Values (p,), their covariance (p, p), the model at the values, and the weights of the readings.
 
     ``scatter_m`` is the standard deviation of a coordinate beyond the stated uncertainty, all of it if none is stated;
-    ``scatter_rad`` that of a component of an orientation. ``left_M`` (n, 3) [m, rad] is measured less computed.
+    ``scatter_rad`` that of a component of an orientation. ``residuals_M`` (n, 3) [m, rad] is measured less computed.
     """
 
     prior: Prior
@@ -190,7 +190,7 @@ class Posterior:
     model: ArmModel
     measured: Measured
     scatter_m: float
-    left_M: Array
+    residuals_M: Array
     scatter_rad: float = 0.0
 
 
@@ -212,29 +212,29 @@ def posterior(model: ArmModel, measured: Measured, prior: Prior, scatter_m: floa
             step = shortened(_FIT, step, partial(_loss, model, measured, prior, values))
         values = values + step
         model = with_values(model, prior.columns, prior.reference, values)
-        left_M = measured.left(model)
+        residuals_M = measured.residuals(model)
         before = scatter
         if scatter_m is None:
-            scatter = _scatter(measured, left_M, float(np.sum(covariance * normal.gram)))
+            scatter = _scatter(measured, residuals_M, float(np.sum(covariance * normal.gram)))
         settled = all(abs(now - then) <= _SCATTER_SETTLED * then for now, then in zip(scatter, before, strict=True))
         if moved < _SETTLED and settled:
             break
     else:
         raise NotConverged.of(_FIT, f"{_STEPS} steps were not enough; the last was {moved:.1e} standard errors long")
     of_turns = 0.0 if measured.turned is None else before[1]
-    return Posterior(prior, values, covariance, model, measured, before[0], left_M, of_turns)
+    return Posterior(prior, values, covariance, model, measured, before[0], residuals_M, of_turns)
 
 
 def _loss(model: ArmModel, measured: Measured, prior: Prior, values: Array, step: Array) -> float:
     """Compute the sum of squares, priors included, a ``step`` (p,) beyond ``values``."""
     after = values + step
-    left_M = measured.left(with_values(model, prior.columns, prior.reference, after))
-    white = np.einsum("acn,nc->an", whitening(measured.sigma), left_M)
+    residuals_M = measured.residuals(with_values(model, prior.columns, prior.reference, after))
+    white = np.einsum("acn,nc->an", whitening(measured.sigma), residuals_M)
     off = after - prior.mean
     return float(np.vdot(white, white) + off @ prior.precision @ off)
 
 
-def _scatter(measured: Measured, left_M: Array, fitted: float) -> tuple[float, float]:
+def _scatter(measured: Measured, residuals_M: Array, fitted: float) -> tuple[float, float]:
     """Estimate the scatter of a coordinate [m] and of an orientation component [rad] about ``fitted`` parameters.
 
     The parameters are charged to both kinds in proportion to their numbers of readings.
@@ -242,7 +242,7 @@ def _scatter(measured: Measured, left_M: Array, fitted: float) -> tuple[float, f
     stated = np.full(len(measured), NOT_STATED) if measured.stated is None else measured.stated
     freedom = max(3 * len(measured) - fitted, 1.0)
     of_turns = freedom * float(np.mean(~measured.points))
-    found = excess_of_kinds(left_M, stated, freedom, measured.turned, of_turns)
+    found = excess_of_kinds(residuals_M, stated, freedom, measured.turned, of_turns)
     least = _LEAST_SCATTER_M if measured.stated is None else 0.0
     return max(math.sqrt(found[0]), least), math.sqrt(found[1])
 

@@ -277,7 +277,7 @@ def _identification(profile: Profile, alone: Identification, found: Posterior) -
         values=reference[kept] + to_table @ found.values[:count],
         standard_errors=np.sqrt(np.diag(in_table)),
         covariance=in_table,
-        residuals=found.left_M,
+        residuals=found.residuals_M,
         turned=found.measured.turned,
         excess_rad=found.scatter_rad,
     )

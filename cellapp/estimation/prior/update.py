@@ -104,7 +104,7 @@ class Evidence:
 
     Attributes
     ----------
-    left : array, shape (d,)
+    residuals : array, shape (d,)
         Residuals of the readings for the mean of the belief.
     rows : array, shape (p, d)
         Derivatives by the arm's own parameters.
@@ -118,7 +118,7 @@ class Evidence:
         Covariance of a scatter of 1 rad in each component of the orientations alone.
     """
 
-    left: Array
+    residuals: Array
     rows: Array
     believed: Array
     stated: Array
@@ -143,8 +143,8 @@ class Evidence:
     def log_likelihood(self, drifts: Mapping[SignaturePart, float], scatters: Sequence[float]) -> float:
         """Return the log marginal likelihood, without the constants."""
         factor, lower = scipy.linalg.cho_factor(self.covariance(drifts, scatters), lower=True, check_finite=False)
-        solved = scipy.linalg.cho_solve((factor, lower), self.left, check_finite=False)
-        return float(-0.5 * self.left @ solved - np.sum(np.log(np.diag(factor))))
+        solved = scipy.linalg.cho_solve((factor, lower), self.residuals, check_finite=False)
+        return float(-0.5 * self.residuals @ solved - np.sum(np.log(np.diag(factor))))
 
     def drifts(self, start: Drifts | None = None) -> Drifts:
         """Return the drifts and the scatter that maximise the likelihood, searched from ``start``; never a worse point.
@@ -178,7 +178,7 @@ class Evidence:
         K = self.covariance(drifts.of_parts, drifts.scatters)
         factor = scipy.linalg.cho_factor(K, lower=True, check_finite=False)
         solved = scipy.linalg.cho_solve(factor, self.rows.T, check_finite=False)
-        moment = solved.T @ self.left
+        moment = solved.T @ self.residuals
         found = []
         for one in candidates:
             S = self.rows[one.places] @ solved[:, one.places]
@@ -195,7 +195,7 @@ class Evidence:
 def evidence(
     free: Array,
     own: Array,
-    left: Array,
+    residuals: Array,
     covariance: Array,
     stated: Array,
     units: Mapping[SignaturePart, Array],
@@ -209,7 +209,7 @@ def evidence(
         Derivatives with respect to base and tool.
     own : array, shape (p, 3 n)
         Derivatives with respect to the arm's own parameters.
-    left : array, shape (3 n,)
+    residuals : array, shape (3 n,)
         Residuals of the readings for the mean of the belief [m], at any base and tool.
     covariance : array, shape (p, p)
         Covariance of the belief.
@@ -226,7 +226,7 @@ def evidence(
     Z = Q[:, int(np.sum(pivots > _DEPENDENT * pivots[0])) :]
     rows = own @ Z
     return Evidence(
-        left=Z.T @ left,
+        residuals=Z.T @ residuals,
         rows=rows,
         believed=rows.T @ covariance @ rows,
         stated=Z.T @ stated @ Z,
@@ -469,7 +469,7 @@ def _evidence(belief: Belief, model: ArmModel, judged: Measured) -> Evidence:
     return evidence(
         free=rows[: len(free)],
         own=rows[len(free) :],
-        left=judged.left(model).T.ravel(),
+        residuals=judged.residuals(model).T.ravel(),
         covariance=belief.covariance,
         stated=_covariance_matrix(judged.stated, len(judged)),
         units={part: _units(belief, part) for part in dict.fromkeys(belief.parts)},

@@ -248,7 +248,6 @@ class EffectContext:
     up_M: Array
     smr_normal: Array | None = None
     q_actual: Array | None = None
-    _waves: dict[tuple[int, Wave], Array] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def joints(self) -> int:
@@ -262,12 +261,6 @@ class EffectContext:
     def posture(self) -> Array:
         """Best known joint positions (n, N) [rad]: actual where known, else as read."""
         return self.q if self.q_actual is None else self.q_actual
-
-    def wave(self, joint: int, wave: Wave) -> Array:
-        """Evaluate a wave at the angles (n,) of a joint (from 0) as read; cached, as many columns share waves."""
-        if (joint, wave) not in self._waves:
-            self._waves[joint, wave] = wave(self.q[:, joint])
-        return self._waves[joint, wave]
 
     @cached_property
     def approach(self) -> Array:

@@ -133,7 +133,7 @@ def error_motions(
                     own,
                     unit,
                     Channel.AXIS,
-                    moved * context.wave(joint, wave)[:, None],
+                    moved * wave(context.q[:, joint])[:, None],
                     -largest,
                     largest,
                     block,

@@ -233,7 +233,7 @@ def _parallel_axes(chain: _Chain, R: Array, o6: Array, free: Array) -> Array:
     z5 = R @ np.array([0.0, s[5], c[5]])
     o5 = o6 - d[5] * z5
     phi1 = _shoulder(chain, o5, d[1] + c[1] * d[2] + sense * (d[3] + d[4] * c[3]))[:, :, None]
-    h = _axis_2(chain, phi1)
+    h = np.stack([s[0] * np.sin(phi1), -s[0] * np.cos(phi1), np.full(phi1.shape, c[0])], axis=-1)  # axis 2
     cos5 = (c[3] * c[4] - sense * np.einsum("nija,na->nij", h, z5)) / (s[3] * s[4])
     phi5 = _arccos(cos5) * np.array([1.0, -1.0])
     # h in the frame before joint 6, and after it
@@ -289,12 +289,6 @@ def _shoulder(chain: _Chain, point: Array, along: float) -> Array:
     k = (along - chain.c[0] * (z - chain.d[0])) / chain.s[0]
     up = 0.5 * np.pi - _arccos(k / np.maximum(np.hypot(x, y), 1e-300))[:, None]
     return np.asarray(np.arctan2(y, x)[:, None] + np.concatenate([up, np.pi - up], axis=1))
-
-
-def _axis_2(chain: _Chain, phi1: Array) -> Array:
-    """Direction h of axis 2 in the base frame, (..., 3)."""
-    c, s = chain.c[0], chain.s[0]
-    return np.stack([s * np.sin(phi1), -s * np.cos(phi1), np.full(phi1.shape, c)], axis=-1)
 
 
 def _frame_1(chain: _Chain, phi1: Array) -> tuple[Array, Array]:

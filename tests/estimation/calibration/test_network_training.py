@@ -166,9 +166,9 @@ def test_all_readings_show_what_a_sample_of_them_does_not(trained_in_batches):
     assert trained_in_batches.batches.used
     assert trained_in_batches.batches.readings == 8_000
     assert (
-        trained_in_batches.left_out_rms
-        == trained_in_batches.batches.left_out_rms
-        < 0.5 * trained_in_batches.batches.committee_rms
+        1e3 * trained_in_batches.left_out_rms
+        == trained_in_batches.batches.left_out_rms_mm
+        < 0.5 * trained_in_batches.batches.committee_rms_mm
     )
     new = poses_in_batches(2000, seed=9)
     assert rms(fine(new) - trained_in_batches.network.correct(new)) < 0.2 * rms(fine(new))
@@ -186,7 +186,7 @@ def test_blocks_are_cut_by_time_and_not_by_the_order_of_rows(monkeypatch):
     slow = rng.normal(0.0, 1e-4, (24, 3))[block]
     training = learn(BATCHES, q, slow, time_s, seed=3)
     assert training.batches is not None
-    assert training.batches.left_out_rms > 0.7 * rms(slow)
+    assert training.batches.left_out_rms_mm > 0.7e3 * rms(slow)
 
 
 def test_without_torch_the_extra_is_named(monkeypatch):

@@ -11,11 +11,11 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.estimation.design.information import NuisanceProjector
+from cellapp.estimation.discovery.arm_data import CandidateLaw, LawScore
 from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.discovery.joint_fit import ProjectedResidual
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.estimation.discovery.terms import CandidateLaw, LawScore
 from cellapp.robot.effects import Channel, EffectColumn, LawForm
 from cellapp.robot.model import CellModel
 

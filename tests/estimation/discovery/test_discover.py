@@ -24,10 +24,10 @@ from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.quantities import conditions_of_arms, measured_quantities, measurement_conditions
 from cellapp.estimation.discovery import all_readings, discover
 from cellapp.estimation.discovery.all_readings import fit_to_all
+from cellapp.estimation.discovery.arm_data import has_smooth_terms
 from cellapp.estimation.discovery.discover import Searched, discover_arm, search_rows
 from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import with_effects
-from cellapp.estimation.discovery.terms import has_smooth_terms
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import Cancelled, CancelToken
@@ -496,4 +496,4 @@ def test_held_out_readings_judge_the_whole_and_select_no_terms():
     )
     left = discover._judged_by_held_out(replace(result, model=spoilt, only_some="spoilt here"), judge)
     assert left.harmful == tuple(dict.fromkeys(term.slug for term in terms))
-    assert left.found.fit.terms == left.found.reviews == left.model.effects == ()
+    assert not left.found.fit.terms and not left.found.reviews and not left.model.effects

@@ -12,7 +12,7 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.accepted import accepted_effect, dominant_cycles, formulas, pictures
-from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.arm_data import ArmData, ModelTerm
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.joint_fit import fit_terms
 from cellapp.estimation.discovery.records import (
@@ -24,7 +24,6 @@ from cellapp.estimation.discovery.records import (
     RunnerUp,
 )
 from cellapp.estimation.discovery.search.state import Scatter
-from cellapp.estimation.discovery.terms import ModelTerm
 from cellapp.estimation.discovery.verdict import CHANCE, remaining_structure, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Wave, joint_column

@@ -24,12 +24,12 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_motion
 from cellapp.commands.discover.run import proposal_result, propose_after
 from cellapp.commands.discover.view import proposal_lines
+from cellapp.estimation.discovery.arm_data import UNKNOWN, CandidateLaw, LawScore, ModelTerm
 from cellapp.estimation.discovery.joint_fit import ProjectedResidual
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.posterior import posteriors
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import Review, possible_score
-from cellapp.estimation.discovery.terms import UNKNOWN, CandidateLaw, LawScore, ModelTerm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import Channel, EffectColumn

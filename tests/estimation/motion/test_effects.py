@@ -249,9 +249,9 @@ def test_dense_lines_and_play_enter_the_model_and_a_lag_does_not():
         p_M=np.zeros((0, 3)),
     )
     with one_blas_thread():
-        moved = calibrate_with_motion(QUICK, {"left": none}, recordings)
-        model = moved.calibration.model
-        samples = moved.samples["left"]
+        calibrated, of_arms = calibrate_with_motion(QUICK, {"left": none}, recordings)
+        model = calibrated.model
+        samples = of_arms["left"]
         search = SearchWithRecordings(model.arms, {"left": none}, recordings)
         found = discover_cell(QUICK, model, {"left": samples}, search_arm=search)
     discovery = found.arms["left"]

@@ -9,7 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cellapp.estimation.design.information import SMALLEST, VISIBLE
-from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.arm_data import (
+    TRANSMISSION_ERROR,
+    UNKNOWN,
+    ArmData,
+    LawScore,
+    ModelTerm,
+    ModelTerms,
+    with_term,
+)
 from cellapp.estimation.discovery.joint_fit import JointFit, cross_validated_gain
 from cellapp.estimation.discovery.posterior import (
     COORDINATES_EACH,
@@ -31,7 +39,6 @@ from cellapp.estimation.discovery.search.state import (
     floor_reached,
     scatter,
 )
-from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, LawScore, ModelTerm, ModelTerms, with_term
 from cellapp.robot.effects import EFFECTS, DriverVariable
 from cellapp.robot.effects.data_driven import DataChannel, channels, data_driven_form
 from cellapp.robot.effects.effect import imitation, is_borrowed, place_in_words

@@ -27,10 +27,9 @@ import numpy as np
 import scipy
 
 from cellapp.estimation.design.information import NuisanceProjector
-from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.arm_data import ArmData, LawScore, ModelTerm, ModelTerms, with_term
 from cellapp.estimation.discovery.joint_fit import JointFit, ProjectedResidual
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchProblem, SearchState, SearchStep
-from cellapp.estimation.discovery.terms import LawScore, ModelTerm, ModelTerms, with_term
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EFFECTS, EffectColumn
 from cellapp.robot.effects.data_driven import FIELD, FIELD_LENGTH, position_in_base

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.design.information import SMALLEST, NuisanceProjector
+from cellapp.estimation.discovery.arm_data import UNKNOWN, CandidateLaw, LawScore, ModelTerm, without_term
 from cellapp.estimation.discovery.joint_fit import JointFit, ProjectedResidual, cross_validated_gain, fit_terms
 from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search.free_part import BesideField, explains_beside_free_parts
@@ -28,7 +29,6 @@ from cellapp.estimation.discovery.search.state import (
     possible_score,
     within_bounds,
 )
-from cellapp.estimation.discovery.terms import UNKNOWN, CandidateLaw, LawScore, ModelTerm, without_term
 from cellapp.ground.counting import counted
 from cellapp.robot.effects import EFFECTS, DriverVariable
 from cellapp.robot.effects.effect import form_without_bounds, sentence

@@ -29,8 +29,8 @@ from cellapp.estimation.design.information import (
     visible_root,
     visible_squares,
 )
+from cellapp.estimation.discovery.arm_data import Block, CandidateLaw, LawScore
 from cellapp.estimation.discovery.joint_fit import MOST_SHARE, ProjectedResidual, bic_gain
-from cellapp.estimation.discovery.terms import Block, CandidateLaw, LawScore
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import Law
 from cellapp.robot.kinematics.transforms import Array

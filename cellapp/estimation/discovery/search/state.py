@@ -13,19 +13,20 @@ import scipy
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.calibration.quantities import states_nothing
 from cellapp.estimation.design.information import visible_root
-from cellapp.estimation.discovery.arm_data import ArmData, whitening
-from cellapp.estimation.discovery.joint_fit import JointFit, ProjectedResidual, fit_terms, refit
-from cellapp.estimation.discovery.records import RunnerUp
-from cellapp.estimation.discovery.search.scan import LawScan, choice_price, corrected_p_value
-from cellapp.estimation.discovery.terms import (
+from cellapp.estimation.discovery.arm_data import (
     BOUND_ERRORS,
     UNKNOWN,
+    ArmData,
     LawScore,
     ModelTerm,
     ModelTerms,
     blocks_beyond_bounds,
+    whitening,
     with_term,
 )
+from cellapp.estimation.discovery.joint_fit import JointFit, ProjectedResidual, fit_terms, refit
+from cellapp.estimation.discovery.records import RunnerUp
+from cellapp.estimation.discovery.search.scan import LawScan, choice_price, corrected_p_value
 from cellapp.ground.errors import tried
 from cellapp.ground.progress import CancelToken
 from cellapp.ground.threads import give_back

@@ -20,7 +20,17 @@ import numpy as np
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.calibration.least_squares import mean_variance
 from cellapp.estimation.calibration.quantities import states_nothing
-from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.arm_data import (
+    UNKNOWN,
+    ArmData,
+    CandidateLaw,
+    LawScore,
+    ModelTerm,
+    has_smooth_terms,
+    smoothness_of,
+    with_term,
+    without_term,
+)
 from cellapp.estimation.discovery.joint_fit import (
     JointFit,
     cross_validated_gain,
@@ -60,16 +70,6 @@ from cellapp.estimation.discovery.search.state import (
     within_bounds,
 )
 from cellapp.estimation.discovery.search.unnamed import smooth_numbers, with_unnamed, without_names
-from cellapp.estimation.discovery.terms import (
-    UNKNOWN,
-    CandidateLaw,
-    LawScore,
-    ModelTerm,
-    has_smooth_terms,
-    smoothness_of,
-    with_term,
-    without_term,
-)
 from cellapp.ground.counting import counted
 from cellapp.ground.progress import CancelToken, Report, ignore_report
 from cellapp.robot.effects import EFFECTS, Channel, DriverVariable

@@ -16,11 +16,11 @@ import numpy as np
 
 from cellapp.estimation.calibration.least_squares import NORMAL_95
 from cellapp.estimation.discovery.accepted import model_without, rms_length
+from cellapp.estimation.discovery.arm_data import UNKNOWN, ModelTerm
 from cellapp.estimation.discovery.joint_fit import JointFit, left_out
 from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import BeforeAfter, HeldOutBeforeAfter, Unnamed
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchResult, SearchState
-from cellapp.estimation.discovery.terms import UNKNOWN, ModelTerm
 from cellapp.ground.grouping import grouped
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.effects.effect import is_unnamed, lent_effect, unnamed

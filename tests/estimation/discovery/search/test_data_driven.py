@@ -10,7 +10,7 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.accepted import describe
-from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.arm_data import TRANSMISSION_ERROR, UNKNOWN, ArmData, ModelTerm
 from cellapp.estimation.discovery.joint_fit import JointFit, fit_terms, refit
 from cellapp.estimation.discovery.process import fit_process, process_terms
 from cellapp.estimation.discovery.search.data_driven import (
@@ -26,7 +26,6 @@ from cellapp.estimation.discovery.search.free_part import (
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchState
 from cellapp.estimation.discovery.search.stepwise import addition, refinement, search
-from cellapp.estimation.discovery.terms import TRANSMISSION_ERROR, UNKNOWN, ModelTerm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import EFFECTS

@@ -13,7 +13,7 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.quantities import measurement_conditions
-from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.arm_data import ArmData, CandidateLaw, ModelTerm
 from cellapp.estimation.discovery.joint_fit import refit
 from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search import stepwise
@@ -26,7 +26,6 @@ from cellapp.estimation.discovery.search.scan import (
     smallest_detectable,
 )
 from cellapp.estimation.discovery.search.state import Posteriors, Review, SearchProblem, SearchResult, SearchState
-from cellapp.estimation.discovery.terms import CandidateLaw, ModelTerm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import CancelToken

@@ -163,5 +163,5 @@ def first_stops(stops: StopRows, count: int) -> StopRows:
         arm_of=stops.arm_of[: d // 3],
         rows=stops.rows[:, :d],
         factor=stops.factor[:d, :d],
-        turned=None if stops.turned is None else stops.turned[: d // 3],
+        points=stops.points[: d // 3],
     )

@@ -259,7 +259,7 @@ def test_what_comes_again_is_expected_and_what_may_not_is_scatter(pair: Simulate
     here = pair.measured([1, 20, 40, 60], 0)["left"]
     here = replace(here, p_M=here.p_M + errors[[1, 20, 40, 60]])
     for belief, expected in ((wild, 3.0), (CheckBelief({"left": calm}), 10.0)):
-        left = stop_rows(belief, {"left": here}, directions_of(belief)).left
+        left = stop_rows(belief, {"left": here}, directions_of(belief)).residuals
         assert np.sqrt(np.mean(left**2)) == pytest.approx(expected * SIGMA_M, rel=0.6)
 
 
@@ -288,7 +288,7 @@ def test_the_same_side_of_a_stop_that_was_measured_from_both_comes_again(pair: S
     known = replace(its, p_M=its.p_M + errors)
     belief = posterior_of(pair, known, MeasurementConditions(approach=its.approach))
     for rows in ([1, 20, 40], np.array([1, 20, 40]) + len(its) // 2):
-        left = stop_rows(belief, {"left": known.take(np.asarray(rows))}, directions_of(belief)).left
+        left = stop_rows(belief, {"left": known.take(np.asarray(rows))}, directions_of(belief)).residuals
         assert np.sqrt(np.mean(left**2)) < 5e-5
 
 
