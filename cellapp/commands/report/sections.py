@@ -418,8 +418,8 @@ def _pair(data: ReportData) -> Section | None:
     return Section(
         [*transform_tables(data.calibrate), *pair_tables(data.calibrate)],
         message=message,
-        about="The transform between the two bases, identified from the distances between the two SMRs, where both flanges"
-        " have a probe together with relative rotations, and for comparison from both bases in the common tracker"
+        about="The transform between the two bases, identified from the distances between the two SMRs, where both"
+        " flanges have a probe together with relative rotations, and for comparison from both bases in the common tracker"
         " frame, on the same stops.",
     )
 
