@@ -419,8 +419,8 @@ def _pair(data: ReportData) -> Section | None:
         [*transform_tables(data.calibrate), *pair_tables(data.calibrate)],
         message=message,
         about="The transform between the two bases, identified from the distances between the two SMRs, where both"
-        " flanges have a probe together with relative rotations, and for comparison from both bases in the common tracker"
-        " frame, on the same stops.",
+        " flanges have a probe together with relative rotations, and for comparison from both bases in the common"
+        " tracker frame, on the same stops.",
     )
 
 
