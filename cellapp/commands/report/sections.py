@@ -187,7 +187,7 @@ _OPEN = frozenset({"accuracy", "targets", "iso9283", "check", "discovery"})
 
 def report_sections(run: RunFile, data: ReportData) -> list[Section]:
     """Build the sections that have contents, in their order."""
-    return placed({key: make(run, data) for key, (_, _, make) in SECTIONS.items()}, data.out_of_date)
+    return placed({key: make(run, data) for key, (_, _, make) in SECTIONS.items()}, data.results.out_of_date)
 
 
 def placed(made: Mapping[str, Section | None], out_of_date: Mapping[StageName, str]) -> list[Section]:
