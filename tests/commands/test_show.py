@@ -109,9 +109,9 @@ def test_a_job_is_called_as_its_request_says() -> None:
 
 TABLE = Table("a table", (Column("name"),), (("<b>",),))
 CHART = Chart("a chart", Axis("x"), Axis("y"), (), "nothing")
-INSIDE = Section("details", ["'cellapp docs x' says more"], folded=True)
+INSIDE = Section(["'cellapp docs x' says more"], folded=True, title="details")
 SHOWN = Section(
-    "shown", [CHART, "word " * 30, Section("empty", [CHART])], message="In a sentence.", about="how to read"
+    [CHART, "word " * 30, Section([CHART], title="empty")], message="In a sentence.", about="how to read", title="shown"
 )
 PARTS: Parts = ["first", Facts((("title", "text"), ("", "more"))), CHART, TABLE, INSIDE, SHOWN, "last"]
 
@@ -127,11 +127,11 @@ def test_plain_text_says_everything_but_charts_and_details_in_its_order() -> Non
 
 
 def test_the_message_of_a_section_is_its_first_line_or_what_is_said() -> None:
-    assert (section_of("t", [TABLE, "it holds", "second"]).message, section_of("t", [], message="yes!").message) == (
+    assert (section_of([TABLE, "it holds", "second"]).message, section_of([], message="yes!").message) == (
         "It holds.",
         "yes!".capitalize(),
     )
-    assert section_of("t", [TABLE, "it holds", "second"]).parts == [TABLE, "second"]
+    assert section_of([TABLE, "it holds", "second"]).parts == [TABLE, "second"]
 
 
 def test_the_page_draws_parts_by_their_kind_and_leaves_empty_charts_out() -> None:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -40,19 +39,11 @@ from cellapp.robot.model.nominal import controller_rows, published_rows
 from drivers.arms.protocol import Arm, ArmError, stale
 
 
-@dataclass(frozen=True)
-class ControllerCheck:
-    """Identities of the controllers of an open cell by arm, and notes about them for a person."""
+def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -> tuple[str, ...]:
+    """Record new controllers in the run, compare the others with their record, and return the notes.
 
-    identities: Mapping[str, ControllerIdentity]
-    notes: tuple[str, ...]
-
-
-def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -> ControllerCheck:
-    """Record new controllers in the run, compare the others with their record, and log the notes, as all later ones.
-
-    With ``insist``, a controller whose own D-H was changed since the run began, or is not that of the profile, is only
-    noted; None if the verb has no such option.
+    The notes are logged, as all later ones. With ``insist``, a controller whose own D-H was changed since the run
+    began, or is not that of the profile, is only noted; None if the verb has no such option.
 
     Raises
     ------
@@ -85,7 +76,7 @@ def check_controllers(run: RunFile, cell: Cell, *, insist: bool | None = None) -
         run.log("warning", note)
     if plugins_of_devices(run.profile):
         run.log("info", f"devices opened by {program_of(run.profile)}")
-    return ControllerCheck(identities, tuple(notes))
+    return tuple(notes)
 
 
 def noting_controllers(run: RunFile, notes: list[str], *, insist: bool | None = None) -> Callable[[Cell], None]:
@@ -95,7 +86,7 @@ def noting_controllers(run: RunFile, notes: list[str], *, insist: bool | None = 
     """
 
     def opened(cell: Cell) -> None:
-        notes.extend(check_controllers(run, cell, insist=insist).notes)
+        notes.extend(check_controllers(run, cell, insist=insist))
 
     return opened
 
@@ -184,7 +175,7 @@ def check_cell(run: RunFile, cell: Cell, commands: Sequence[Command], *, changed
     InputError
         If the run's record of its controllers is damaged.
     """
-    found = check_controllers(run, cell, insist=changed_controller)
+    notes = check_controllers(run, cell, insist=changed_controller)
     wrong = list(_wrong_payloads(run, cell, commands))
     if wrong:
         more = [f"{len(wrong) - _MOST_NAMED} more"] if len(wrong) > _MOST_NAMED else []
@@ -192,7 +183,7 @@ def check_cell(run: RunFile, cell: Cell, commands: Sequence[Command], *, changed
             f"push: {'; '.join([*wrong[:_MOST_NAMED], *more])}; nothing was moved. Set the payload of the load that the"
             " arm carries on its controller, or state it at the target (conditions.payload)"
         )
-    return found.notes
+    return notes
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------

@@ -571,7 +571,7 @@ class _Sessions:
             self.plant = cell.plant
             if run.profile.loads > 1:
                 require_load(cell, profile)
-            notes += [note for note in check_controllers(run, cell).notes if note not in notes]
+            notes += [note for note in check_controllers(run, cell) if note not in notes]
             number = run.begin_session(", ".join(str(stop + 1) for stop in work.stops) if work.again else "")
             with (
                 _session_recorded(run, number),

@@ -10,13 +10,14 @@ import platform
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from cellapp.cell.driving.cell import arm_context, build_plant, tracker_context
+from cellapp.cell.driving.records import ControllerCalibration
 from cellapp.cell.profile.files import controller_file_text
 from cellapp.cell.run.stations import read_reference_nests, tie_sentences
 from cellapp.cell.safety.bodies import place
@@ -253,29 +254,9 @@ CONTROLLER_FILE = "{arm}-calibration.conf"
 """Name of the file with the calibration of an arm's controller."""
 
 
-@dataclass(frozen=True, eq=False)
-class FactoryTable:
-    """Factory calibration in a controller.
-
-    Attributes
-    ----------
-    deltas : array, shape (N, 4)
-        Deltas of the published rows theta, d, a, alpha [rad, m, m, rad]; lengths d may be hundreds of metres.
-    near : array, shape (N, 5)
-        Deltas of equivalent rows theta, d, a, alpha, beta close to the published ones.
-    off_mm : tuple of two floats
-        Mean and largest distance between the SMRs of both chains, after a rigid-body fit [mm].
-    """
-
-    checksum: str
-    deltas: Array
-    near: Array
-    off_mm: tuple[float, float]
-
-
 def factory_tables(
     profile: Profile, reported: Mapping[str, tuple[Sequence[Sequence[float]], str]]
-) -> dict[str, FactoryTable]:
+) -> dict[str, ControllerCalibration]:
     """Return the calibration of each controller that has one, by arm; ``reported`` has rows (N, 4) and checksums."""
     return {
         name: _table(profile.arms[name], np.array(rows), checksum)
@@ -284,7 +265,7 @@ def factory_tables(
     }
 
 
-def _table(arm: Arm, rows: Array, checksum: str) -> FactoryTable:
+def _table(arm: Arm, rows: Array, checksum: str) -> ControllerCalibration:
     published = published_rows(arm)
     near = hayati_rows(rows, published)
     tool = np.zeros(3) if arm.smr.offset == "unknown" else np.array(arm.smr.offset)
@@ -295,19 +276,24 @@ def _table(arm: Arm, rows: Array, checksum: str) -> FactoryTable:
     off = (
         np.linalg.norm(smr_positions(start_from_nominal(chain, q, there, tool_unknown=False), q) - there, axis=1) * 1e3
     )
-    near = off_published(rows, published)
-    return FactoryTable(checksum, rows - published, near, (float(off.mean()), float(off.max())))
+    return ControllerCalibration(
+        checksum=checksum,
+        deltas=tuple(map(tuple, (rows - published).tolist())),
+        near=tuple(map(tuple, off_published(rows, published).tolist())),
+        mean_mm=float(off.mean()),
+        max_mm=float(off.max()),
+    )
 
 
-def factory_findings(profile: Profile, tables: Mapping[str, FactoryTable]) -> list[Finding]:
+def factory_findings(profile: Profile, tables: Mapping[str, ControllerCalibration]) -> list[Finding]:
     """Report whether each arm's nominal rows are those of its controller."""
     return [_finding(name, profile.arms[name], table) for name, table in tables.items()]
 
 
-def _finding(name: str, arm: Arm, table: FactoryTable) -> Finding:
+def _finding(name: str, arm: Arm, table: ControllerCalibration) -> Finding:
     subject, published = f"arm {name}: calibration", published_rows(arm)
     if arm.factory is not None:
-        if same_chain(published + table.deltas, controller_rows(arm), published):
+        if same_chain(published + np.array(table.deltas), controller_rows(arm), published):
             return Finding(subject, "ok", f"the controller's own, {table.checksum}, is that of arms.{name}.factory")
         text = (
             f"the controller's own, {table.checksum}, is not that of arms.{name}.factory"
@@ -315,10 +301,9 @@ def _finding(name: str, arm: Arm, table: FactoryTable) -> Finding:
             " again"
         )
         return Finding(subject, "failed", text)
-    mean, most = table.off_mm
     text = (
-        f"the controller computes with its own, {table.checksum}: its SMR is {mean:.3f} mm (at most {most:.3f} mm) from"
-        f" that of the published rows. --controllers DIR writes it for arms.{name}.factory"
+        f"the controller computes with its own, {table.checksum}: its SMR is {table.mean_mm:.3f} mm (at most"
+        f" {table.max_mm:.3f} mm) from that of the published rows. --controllers DIR writes it for arms.{name}.factory"
     )
     return Finding(subject, "ok", text)
 

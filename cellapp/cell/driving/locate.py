@@ -133,11 +133,6 @@ class LocatedStation:
     fit: StationFit
     notes: tuple[str, ...]
 
-    @property
-    def explained(self) -> bool:
-        """Whether one motion of the tracker explains all points."""
-        return self.fit.explains
-
 
 @dataclass(frozen=True, eq=False)
 class LocateTask:

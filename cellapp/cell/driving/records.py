@@ -220,3 +220,17 @@ class RehearsedMotion(Record):
     seconds: float
     expected_s: float
     off_mrad: Mapping[str, float]
+
+
+class ControllerCalibration(Record):
+    """The factory's calibration in a controller.
+
+    ``deltas`` are added to the published rows theta, d, a, alpha of each joint [rad, m, m, rad]; ``near`` says the same
+    as rows theta, d, a, alpha, beta next to them. ``mean_mm`` and ``max_mm`` are how far the SMR is off by both chains.
+    """
+
+    checksum: str
+    deltas: tuple[tuple[float, ...], ...]
+    near: tuple[tuple[float, ...], ...]
+    mean_mm: float
+    max_mm: float

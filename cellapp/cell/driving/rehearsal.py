@@ -64,7 +64,7 @@ def rehearse(
     found, rung, work = Rehearsal(), RUNGS[name], remaining_work(run, resume=True)
     try:
         with open_arms(run.profile, control, simulation=rung.simulation) as cell, reacting(cell, control) as reaction:
-            found.notes = check_controllers(run, cell).notes
+            found.notes = check_controllers(run, cell)
             _Driver(run, work, rung, tuple(arms), cell, reaction, control, listener, found).drive(confirm)
     except (HardwareError, MotionRefused) as error:
         found.ended = str(error)

@@ -41,6 +41,7 @@ from cellapp.cell.run.recordings import recording_states, store_recording
 from cellapp.cell.run.recordings_csv import Key, RecordedStreams, checked_recording
 from cellapp.cell.run.stream_csv import StreamTable
 from cellapp.cell.safety.gate import CellBodies, predicted_smr
+from cellapp.estimation.iso9283.evaluate import PathTrack
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -642,22 +643,6 @@ MOST_RUNS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class TrackedPath:
-    """Path that an arm followed to its end.
-
-    Attributes
-    ----------
-    track : Track
-        Points measured in the meantime.
-    lost_beams : int
-        Number of earlier runs that ended early because the beam broke.
-    """
-
-    track: Track
-    lost_beams: int = 0
-
-
-@dataclass(frozen=True, eq=False)
 class PathDriver:
     """Drives paths in an open cell."""
 
@@ -673,7 +658,7 @@ class PathDriver:
         begin: Callable[[], None],
         start_M: Array,
         interval_s: float = INTERVAL_S,
-    ) -> TrackedPath:
+    ) -> PathTrack:
         """Let an arm follow a path, and measure its SMR every ``interval_s`` [s].
 
         ``begin`` moves the arm to the path's beginning, where its SMR is at ``start_M`` (3,) [m]. If the beam breaks,
@@ -706,7 +691,8 @@ class PathDriver:
             track = streaming.end_track()
             if beam.error is None:
                 within = (track.time_s >= began_s) & (track.time_s <= began_s + trajectory.duration_s)
-                return TrackedPath(track.within(within), lost_beams)
+                track = track.within(within)
+                return PathTrack(track.time_s, track.p_M, lost_beams)
             self._find_again(name)
         raise TargetLost(
             f"arm {name}: the beam broke each of the {counted(MOST_RUNS, 'time')} that this path was driven; it is not"

@@ -200,29 +200,6 @@ def check_names(table: CsvTable, problems: Problems) -> None:
         problems.add(1, name, "the column is there twice; keep one")
 
 
-def read_table_of(path: Path, what: str, one: str, row: str, columns: Sequence[str], optional: str = "") -> CsvTable:
-    """Read a file that must have ``columns`` and at least one row; it may have the ``optional`` column.
-
-    Messages name ``what`` it should hold, and the ``one`` thing that a ``row`` describes.
-
-    Raises
-    ------
-    InputError
-        As ``csv_rows``; for a column without a name, there twice or missing; if there is no row.
-    """
-    table = read_csv_table(path, what, row)
-    problems = Problems(table.place)
-    check_names(table, problems)
-    expected = ", ".join(columns) + (f" and perhaps {optional}" if optional else "")
-    for name in columns:
-        if name not in table.names:
-            problems.add(1, name, f"the column is missing; expected {expected}")
-    problems.check()
-    if not table.lines:
-        raise InputError(f"{table.place(1)}: there is a header row but no {one}; expected {row}")
-    return table
-
-
 def _named(names: Sequence[str]) -> list[str]:
     """Leave out the last columns without a name, as spreadsheets write them."""
     return [name for place, name in enumerate(names) if any(names[place:])]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, read_table_of, short
+from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short
 from cellapp.cell.run.sqlite_file import select_document
 from cellapp.estimation.calibration.station_location import NestPoint, StationTie, TooFewNests, tie_stations
 from cellapp.estimation.readings import Readings
@@ -42,8 +42,16 @@ def read_reference_nests(path: Path, readings: Mapping[str, Readings]) -> tuple[
         Names file, line and column of a value that is missing, not a number, repeated or off; and a station of the
         readings that the file lacks.
     """
-    table = read_table_of(Path(path), "reference nests", "nest", "a row per nest and station", _COLUMNS, _SIGMA)
+    row = "a row per nest and station"
+    table = read_csv_table(Path(path), "reference nests", row)
     problems = Problems(table.place)
+    check_names(table, problems)
+    for name in _COLUMNS:
+        if name not in table.names:
+            problems.add(1, name, f"the column is missing; expected {', '.join(_COLUMNS)} and perhaps {_SIGMA}")
+    problems.check()
+    if not table.lines:
+        raise InputError(f"{table.place(1)}: there is a header row but no nest; expected {row}")
     rows = _checked_rows(table, problems)
     problems.check()
     points = list(rows.values())

@@ -122,17 +122,17 @@ def certificate_sections(result: CertificateResult) -> list[Section]:
         *(_of_table(table) for table in turn_tables(result)),
         *([_of_table(targets_table(result))] if result.targets else []),
         *([] if result.iso9283 is None else [_of_table(iso_table(result.iso9283), iso_sentence(result.iso9283))]),
-        Section("Object and conditions", [objects, Facts(tuple(_facts(result)))]),
+        Section([objects, Facts(tuple(_facts(result)))], title="Object and conditions"),
         _of_table(instruments_table(result)),
         _of_table(budget_table(result), _UNCERTAINTY),
         *(_of_table(table) for table in turn_budget_tables(result)),
-        Section("Statements", _statements(result)),
-        *([Section("Data (SHA-256)", [Facts(tuple(result.rests_on.items()))])] if result.rests_on else []),
+        Section(_statements(result), title="Statements"),
+        *([Section([Facts(tuple(result.rests_on.items()))], title="Data (SHA-256)")] if result.rests_on else []),
     ]
 
 
 def _of_table(table: Table, about: str = "") -> Section:
-    return Section(table.title, [table], about=about)
+    return Section([table], about=about, title=table.title)
 
 
 def _statements(result: CertificateResult) -> list[str]:

@@ -76,7 +76,7 @@ def locate_run(
         confirm = confirmation(run.profile, work.ask(run.profile.name))
         found = locate_station(task, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with)
         result = _result(run.profile, task, found, (*notes, *found.notes))
-        model = relocated(task.model, found.fit.T_new_old, found.fit.twists) if found.explained else None
+        model = relocated(task.model, found.fit.T_new_old, found.fit.twists) if found.fit.explains else None
         _store(run, used, result, model)  # before the end is reported: listeners then read the run
     return result
 
@@ -128,7 +128,7 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
     placed = None if plant is None or plant.tracker_pose is None else plant.tracker_pose
     rows = {name: iter(own) for name, own in fit.residuals.items()}
     return LocateResult(
-        verdict="located" if found.explained else "not explained",
+        verdict="located" if found.fit.explains else "not explained",
         moved=moved,
         T_new_old=rows_of(fit.T_new_old),
         shift_mm=float(np.linalg.norm(old_station)) * 1e3,
@@ -173,7 +173,7 @@ def _store(run: RunFile, used: StoredStage, result: LocateResult, moved: CellMod
 
 def _station_notes(task: LocateTask, found: LocatedStation, *, moved: bool) -> list[str]:
     """Return notes on a located station for the operator."""
-    if not found.explained:
+    if not found.fit.explains:
         return []
     notes = [
         f"arm {name} was not measured: that its base and SMR are where they were is taken for granted"

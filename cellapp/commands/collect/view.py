@@ -42,7 +42,6 @@ def collection_section(state: CollectionResult) -> Section:
     if drifts:
         words.append(f"references moved by at most {mm(max(drifts))}, limit {mm(state.drift_limit_mm)}")
     return section_of(
-        "",
         stored_view(state).parts,
         message="; ".join(words),
         about="How the readings were collected: sessions, what persons asked and what interrupted them, planned"

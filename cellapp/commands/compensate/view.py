@@ -72,7 +72,6 @@ def paths_section(result: PathResult) -> Section:
     """Show the paths of a run, with how many can be driven."""
     refused = sum(bool(path.refusal) for path in result.paths)
     return section_of(
-        "",
         paths_view(result).parts,
         message=f"{len(result.paths) - refused} of {len(result.paths)} paths can be driven.",
         about="Lines and arcs with speeds, as joint paths of the calibrated model; see 'cellapp docs targets'.",
@@ -129,12 +128,11 @@ def targets_section(
     message = predicted[0] if verify is None else verify_message(verify)
     charts = [*target_charts(verify, floors_mm), *([] if compensate is None else parts_charts(compensate))]
     return section_of(
-        "",
         [
             *(line for line in (*measured, *predicted) if line != message),
             *(chart for chart in charts if not chart.is_empty),
             *_tables(compensate, verify),
-            *([] if compensate is None else [Section(_SOURCES, uncertainty_tables(compensate), folded=True)]),
+            *([] if compensate is None else [Section(uncertainty_tables(compensate), folded=True, title=_SOURCES)]),
         ],
         message=message,
         about=_ABOUT,

@@ -71,7 +71,7 @@ def view(result: DiscoverResult, request: Request | None = None) -> View:
 
 def explanation_text(result: DiscoverResult) -> str:
     """Return all text that explains the tables of a discovery."""
-    arms = [Section(f"Arm {name}", [*_remarks(arm), *_meanings(arm)]) for name, arm in result.arms.items()]
+    arms = [Section([*_remarks(arm), *_meanings(arm)], title=f"Arm {name}") for name, arm in result.arms.items()]
     return "\n".join(line for line in printed(arms) if isinstance(line, str))
 
 
@@ -82,8 +82,8 @@ def discovery_section(discover: DiscoverResult, settings: Discovery, charts: Map
         arm_section(f"discovery-{number}", name, arm, charts[name])
         for number, (name, arm) in enumerate(discover.arms.items(), start=1)
     ]
-    decides = Section("How discovery decides", [_decision_words(settings)], folded=True)
-    return section_of("", [*arms, decides], message="; ".join(verdicts))
+    decides = Section([_decision_words(settings)], folded=True, title="How discovery decides")
+    return section_of([*arms, decides], message="; ".join(verdicts))
 
 
 def arm_section(key: str, name: str, arm: ArmDiscoveryResult, certainty: Sequence[Chart] = ()) -> Section:
@@ -101,15 +101,15 @@ def arm_section(key: str, name: str, arm: ArmDiscoveryResult, certainty: Sequenc
         *certainty,
         *found,
         *_meanings(arm),
-        *(Section(heading, [words]) for heading, words in description_sentences(arm)),
+        *(Section([words], title=heading) for heading, words in description_sentences(arm)),
         *_pictures(name, arm),
     ]
     evidence = with_rows(candidates_table(name, arm), structure_table(name, arm), accepted_table(name, arm))
     undetected = with_rows(invisible_table(name, arm), not_found_table(name, arm))
-    parts.append(Section("All evidence", evidence, folded=True))
+    parts.append(Section(evidence, folded=True, title="All evidence"))
     title = "Effects that were not found, or that these data cannot show"
-    parts.append(Section(title, undetected, folded=True))
-    return Section(f"Arm {name}: {arm.verdict}", parts, sentence(verdict_sentence(name, arm)), key=key)
+    parts.append(Section(undetected, folded=True, title=title))
+    return Section(parts, message=sentence(verdict_sentence(name, arm)), key=key, title=f"Arm {name}: {arm.verdict}")
 
 
 def _motion_sentences(arm: ArmDiscoveryResult) -> list[str]:
@@ -176,7 +176,7 @@ def _meanings(arm: ArmDiscoveryResult) -> Iterator[Section]:
         ):
             rows += [(title if place == 0 else "", line) for place, line in enumerate(lines)]
         words = f"{meaning.cause} Usual size: {size_words(meaning)}."
-        yield Section(f"What it means: {found.title}, {place_words(found.where)}", [words, Facts(tuple(rows))])
+        yield Section([words, Facts(tuple(rows))], title=f"What it means: {found.title}, {place_words(found.where)}")
 
 
 def _pictures(name: str, arm: ArmDiscoveryResult) -> Iterator[Section]:
@@ -188,7 +188,7 @@ def _pictures(name: str, arm: ArmDiscoveryResult) -> Iterator[Section]:
             "Dots are measured values of one effect, with all other parts of the model subtracted, at the readings that"
             " the search used."
         )
-        yield Section("What the effects look like", [*undrawn_sentences(arm), *more, *drawn], about=about)
+        yield Section([*undrawn_sentences(arm), *more, *drawn], about=about, title="What the effects look like")
 
 
 def _decision_words(settings: Discovery) -> str:

@@ -9,22 +9,9 @@ from typing import Any
 
 from pydantic import field_serializer
 
-from cellapp.ground.results import Record, Result
+from cellapp.cell.driving.records import ControllerCalibration
+from cellapp.ground.results import Result
 from drivers.findings import Finding
-
-
-class ControllerCalibration(Record):
-    """The factory's calibration in a controller.
-
-    ``deltas`` are added to the published rows theta, d, a, alpha of each joint [rad, m, m, rad]; ``near`` says the same
-    as rows theta, d, a, alpha, beta next to them. ``mean_mm`` and ``max_mm`` are how far the SMR is off by both chains.
-    """
-
-    checksum: str
-    deltas: tuple[tuple[float, ...], ...]
-    near: tuple[tuple[float, ...], ...]
-    mean_mm: float
-    max_mm: float
 
 
 class DoctorResult(Result, schema="cellapp-doctor"):

@@ -15,7 +15,7 @@ from cellapp.cell.profile.files import write_new
 from cellapp.cell.targets.targets import named_targets
 from cellapp.commands.doctor.bundle import bundle, newest_run, run_log
 from cellapp.commands.doctor.request import DoctorRequest
-from cellapp.commands.doctor.result import ControllerCalibration, DoctorResult
+from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.record import Work
 from cellapp.estimation.calibration.calibrate import planned_splits
 from cellapp.ground.errors import HardwareError, InputError
@@ -72,21 +72,7 @@ def examine_run(profile: Profile, reference_nests: Path | None = None) -> Doctor
     if not tables:
         return found
     findings = (*found.findings, *factory_findings(profile, tables))
-    return found.model_copy(
-        update={
-            "findings": findings,
-            "controllers": {
-                name: ControllerCalibration(
-                    checksum=table.checksum,
-                    deltas=tuple(map(tuple, table.deltas.tolist())),
-                    near=tuple(map(tuple, table.near.tolist())),
-                    mean_mm=table.off_mm[0],
-                    max_mm=table.off_mm[1],
-                )
-                for name, table in tables.items()
-            },
-        }
-    )
+    return found.model_copy(update={"findings": findings, "controllers": tables})
 
 
 def _reports(result: DoctorResult) -> dict[str, tuple[tuple[tuple[float, ...], ...], str]]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from cellapp.cell.driving.records import ControllerCalibration
 from cellapp.cell.profile import load_profile
 from cellapp.commands.doctor.request import DoctorRequest
-from cellapp.commands.doctor.result import ControllerCalibration, DoctorResult
+from cellapp.commands.doctor.result import DoctorResult
 from cellapp.commands.record import View
 from cellapp.commands.view.table import Cell, Table, columns_of
 from cellapp.ground.counting import counted

@@ -45,8 +45,8 @@ def iso9283_section(result: Iso9283Result, about: str) -> Section:
     """Show first what decides: judgements, poses, distances, tests; the other tables are folded."""
     tables = _tables(result)
     first, others = ([table for leads, table in tables if leads is asked] for asked in (True, False))
-    details = [Section("All other characteristics", others, folded=True)] if others else []
-    return section_of("", [*first, *iso9283_sentences(result), *iso9283_charts(result), *details], about=about)
+    details = [Section(others, folded=True, title="All other characteristics")] if others else []
+    return section_of([*first, *iso9283_sentences(result), *iso9283_charts(result), *details], about=about)
 
 
 def iso9283_tables(result: Iso9283Result) -> list[Table]:

@@ -88,7 +88,6 @@ def plan_section(run: RunFile) -> Section | None:
             " size. 'cellapp docs planning' explains them."
         )
     return section_of(
-        "",
         [*sentences[1:], *load_sentences(planned.loads), *sweep_sentences(sweeps), *charts, *design_tables_of(design)],
         message=sentences[0] if sentences else "Where the planned stops are, and what limits them.",
         about=about,

@@ -57,9 +57,8 @@ def log_section(log: RehearsalLog) -> Section:
         rows.append((name, one.when, ", ".join(one.arms), len(one.visited), len(one.refused), off, outcome))
     passed = sum(one.passed for one in log.rungs.values())
     return Section(
-        "",
         [Table("Rungs of the rehearsal", columns, tuple(rows))],
-        f"{passed} of {counted(len(RUNGS), 'rung')} passed before the readings were taken.",
-        "What rehearse recorded of these arms before the plan was collected: the controllers in simulation"
+        message=f"{passed} of {counted(len(RUNGS), 'rung')} passed before the readings were taken.",
+        about="What rehearse recorded of these arms before the plan was collected: the controllers in simulation"
         " mode first, then real arms at 5 % speed.",
     )

@@ -64,11 +64,6 @@ class ReportData:
     next_step: str
 
     @property
-    def out_of_date(self) -> Mapping[StageName, str]:
-        """Results that no longer hold, with the reasons."""
-        return self.results.out_of_date
-
-    @property
     def discover(self) -> DiscoverResult | None:
         """The discovery; None if it no longer holds."""
         return self.results.held.discover
@@ -188,7 +183,7 @@ def warnings(data: ReportData) -> list[str]:
 
 def out_of_date_lines(data: ReportData) -> list[tuple[str, str]]:
     """Return the title and reason of each result that no longer holds, and what a check found."""
-    lines = [(STAGE_TITLES[name], reason) for name, reason in data.out_of_date.items()]
+    lines = [(STAGE_TITLES[name], reason) for name, reason in data.results.out_of_date.items()]
     checked = data.results.held.check
     if checked is not None and checked.found_change:
         lines += [(STAGE_TITLES[CHECK], complaint) for complaint in checked.complaints()]

@@ -163,10 +163,9 @@ def controllers_section(run: RunFile, data: ReportData) -> Section | None:
         return None
     columns = columns_of("arm", "rows", *((f"{what} [mm]", ".4f") for what in ("mean", "rms", "max")))
     return Section(
-        "",
         [Table("Errors at the SMR by whose rows", columns, tuple(rows))],
-        f"Mean error of the SMR by whose D-H rows: {'; '.join(said)}.",
-        _ABOUT,
+        message=f"Mean error of the SMR by whose D-H rows: {'; '.join(said)}.",
+        about=_ABOUT,
     )
 
 
@@ -188,7 +187,7 @@ _OPEN = frozenset({"accuracy", "targets", "iso9283", "check", "discovery"})
 
 def report_sections(run: RunFile, data: ReportData) -> list[Section]:
     """Build the sections that have contents, in their order."""
-    return placed({key: make(run, data) for key, (_, _, make) in SECTIONS.items()}, data.out_of_date)
+    return placed({key: make(run, data) for key, (_, _, make) in SECTIONS.items()}, data.results.out_of_date)
 
 
 def placed(made: Mapping[str, Section | None], out_of_date: Mapping[StageName, str]) -> list[Section]:
@@ -213,7 +212,7 @@ def power_section(run: RunFile) -> Section | None:
         "Effects were hidden in simulated arms of this cell at the planned stops, at sizes that the trials before"
         " suggested, and searched as 'discover' does. Their laws are not those of the library."
     )
-    return Section("", parts, str(sentence), about)
+    return Section(parts, message=str(sentence), about=about)
 
 
 # -- accuracy ---------------------------------------------------------------------------------------------------------
@@ -223,10 +222,9 @@ def _judgements(data: ReportData) -> Section | None:
     if not data.judgements:
         return None
     return Section(
-        "",
         [judgement_table(data.judgements)],
-        judged_sentence(data.judgements),
-        f"{RULE_WORDS[data.profile.tolerances.decision]} U is the expanded uncertainty with coverage factor 2;"
+        message=judged_sentence(data.judgements),
+        about=f"{RULE_WORDS[data.profile.tolerances.decision]} U is the expanded uncertainty with coverage factor 2;"
         " tolerances are those of the profile.",
     )
 
@@ -234,15 +232,14 @@ def _judgements(data: ReportData) -> Section | None:
 def _accuracy(data: ReportData) -> Section:
     calibrate = data.calibrate
     return Section(
-        "",
         [
             *_absent_stages(data),
             *accuracy_charts(data),
             *detailed_tables(calibrate),
             *motion_sentences(calibrate),
-            Section("Terms: models, errors, noise floor", [*_terms(calibrate)], folded=True),
+            Section([*_terms(calibrate)], folded=True, title="Terms: models, errors, noise floor"),
         ],
-        _accuracy_message(data),
+        message=_accuracy_message(data),
     )
 
 
@@ -362,7 +359,7 @@ def _check(data: ReportData) -> Section | None:
         "A few stops were measured again and compared with what the stored model expects there; 'cellapp docs check'"
         " explains how that is judged."
     )
-    return None if result is None else section_of("", check_view(result).parts, about=about)
+    return None if result is None else section_of(check_view(result).parts, about=about)
 
 
 def _discovery(data: ReportData) -> Section | None:
@@ -384,7 +381,7 @@ def _station(data: ReportData) -> Section | None:
     if located is None or not located.moved:
         return None
     about = "The tracker was moved after the readings were taken; what follows was measured from where it stands now."
-    return section_of("", location_view(located).parts, about=about)
+    return section_of(location_view(located).parts, about=about)
 
 
 # -- geometry ---------------------------------------------------------------------------------------------------------
@@ -407,11 +404,10 @@ def _residuals(data: ReportData) -> Section:
         for chart in vector_charts(name, held_out)
     )
     return Section(
-        "",
         [*runs, *vectors, calibration_facts(data.calibrate), *network_tables(data.calibrate)],
-        message if left else "How the identification went, in numbers.",
-        "Residuals of the held-out configurations as arrows, enlarged; the black arrow gives the scale. Residuals in"
-        " the tracker frame are specific to one tracker station; residuals in the base frame move with the arm.",
+        message=message if left else "How the identification went, in numbers.",
+        about="Residuals of the held-out configurations as arrows, enlarged; the black arrow gives the scale. Residuals"
+        " in the tracker frame are specific to one tracker station; residuals in the base frame move with the arm.",
     )
 
 
@@ -420,12 +416,11 @@ def _pair(data: ReportData) -> Section | None:
     if not message:
         return None
     return Section(
-        "",
         [*transform_tables(data.calibrate), *pair_tables(data.calibrate)],
-        message,
-        "The transform between the two bases, identified from the distances between the two SMRs, where both flanges"
-        " have a probe together with relative rotations, and for comparison from both bases in the common tracker"
-        " frame, on the same stops.",
+        message=message,
+        about="The transform between the two bases, identified from the distances between the two SMRs, where both"
+        " flanges have a probe together with relative rotations, and for comparison from both bases in the common"
+        " tracker frame, on the same stops.",
     )
 
 
@@ -451,10 +446,9 @@ def _cell(data: ReportData) -> Section:
     distances = {name: float(np.linalg.norm(arm.geometry.T_M_B()[:3, 3])) for name, arm in data.model.arms.items()}
     words = enumerated(f"arm {name} {distance:.2f} m" for name, distance in distances.items())
     return Section(
-        "",
         [*cell_maps(data), base_table(data.model)],
-        f"Distance of the bases from the tracker: {words}.",
-        "Drawn in the tracker frame, rotated so that z points up; the tracker is at the origin.",
+        message=f"Distance of the bases from the tracker: {words}.",
+        about="Drawn in the tracker frame, rotated so that z points up; the tracker is at the origin.",
     )
 
 
@@ -467,11 +461,10 @@ def _parameters(data: ReportData, lost: list[str]) -> Section:
         f" SMR is off, over the workspace of the readings: {'; '.join(lost)}."
     )
     return Section(
-        "",
         [others, *tables],
-        _parameters_message(in_force, data.model),
-        "Lengths and angles of the chain from tracker to SMR (D-H, with a Hayati angle beta where axes are parallel),"
-        " with one standard error, in the model in force. A parameter that these data cannot"
+        message=_parameters_message(in_force, data.model),
+        about="Lengths and angles of the chain from tracker to SMR (D-H, with a Hayati angle beta where axes are"
+        " parallel), with one standard error, in the model in force. A parameter that these data cannot"
         " separate from others keeps its nominal value and is merged into the others.",
     )
 
@@ -501,7 +494,7 @@ def _collection(run: RunFile, data: ReportData) -> Section | None:
 
 def _notes(data: ReportData) -> Section | None:
     notes = warnings(data)
-    return Section("", notes, f"{counted(len(notes), 'warning or note', 'warnings or notes')}.") if notes else None
+    return Section(notes, message=f"{counted(len(notes), 'warning or note', 'warnings or notes')}.") if notes else None
 
 
 def _provenance(data: ReportData) -> Section:
@@ -509,9 +502,8 @@ def _provenance(data: ReportData) -> Section:
     count = sum(len(readings) for readings in data.readings.values())
     log = Facts(tuple((event.written, f"{event.level}: {event.text}") for event in data.events[-_MOST_EVENTS:]))
     return Section(
-        "",
-        [provenance_facts(data), *([Section("Log of the run", [log])] if log.rows else [])],
-        f"Calibrated by {origin.program} on {day_of(origin.written)} from {counted(count, 'reading')}; hashes"
+        [provenance_facts(data), *([Section([log], title="Log of the run")] if log.rows else [])],
+        message=f"Calibrated by {origin.program} on {day_of(origin.written)} from {counted(count, 'reading')}; hashes"
         " identify the data.",
     )
 

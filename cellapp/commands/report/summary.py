@@ -113,7 +113,7 @@ def summary(data: ReportData, judgements: Sequence[Judgement], today: date) -> S
 
 def verdict(data: ReportData, judgements: Sequence[Judgement]) -> Verdict:
     """Summarize all judgements in a title and a sentence, or say how to give tolerances."""
-    if CALIBRATE in data.out_of_date:
+    if CALIBRATE in data.results.out_of_date:
         return Verdict(
             "cannot say", VERDICT_TITLES["cannot say"], "The calibration is out of date: nothing is judged on it."
         )
@@ -143,7 +143,7 @@ def header_facts(data: ReportData) -> list[str]:
 
 def nothing_found(data: ReportData) -> str:
     """Say why no effect is named if there is no discovery that holds."""
-    if DISCOVER in data.out_of_date:
+    if DISCOVER in data.results.out_of_date:
         return "The search for missing effects is out of date."
     return "Missing effects were not searched for yet."
 
@@ -179,14 +179,14 @@ def _steps(data: ReportData, judgements: Sequence[Judgement], today: date) -> It
     if due is not None and due < today:
         yield Step(f"Have the tracker calibrated: it was due on {due}.")
     driven = any(arm.driver.has_device for arm in data.profile.arms.values())
-    if driven and data.results.check is None and CHECK not in data.out_of_date:
+    if driven and data.results.check is None and CHECK not in data.results.out_of_date:
         yield Step("After each collision, repair or move, and at regular intervals:", f"cellapp check {HERE}")
 
 
 def _next_words(data: ReportData) -> str:
     if " collect " in data.next_step:
         return "Measure the planned stops that are left, then calibrate and discover again:"
-    return "Repeat what is out of date:" if data.out_of_date else "Go on with:"
+    return "Repeat what is out of date:" if data.results.out_of_date else "Go on with:"
 
 
 def _effect_steps(name: str, arm: ArmDiscoveryResult) -> Iterator[Step]:
@@ -316,7 +316,7 @@ def before_after_figure(data: ReportData) -> BeforeAfterFigure | None:
     values = [value for row in rows for value in (row.before_mm, row.after_mm, row.largest_mm)]
     values += [row.tolerance_mm for row in rows if row.tolerance_mm is not None]
     low, high = max(min(values), SMALLEST_MM) / _ROOM, max(*values, SMALLEST_MM) * _ROOM
-    outdated = "Out of date. " if CALIBRATE in data.out_of_date else ""
+    outdated = "Out of date. " if CALIBRATE in data.results.out_of_date else ""
     return BeforeAfterFigure(tuple(rows), low, high, outdated + _message(rows))
 
 

@@ -34,7 +34,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class Section:
-    """Parts that belong together under a title.
+    """Parts that belong together, under a title if it has one.
 
     Attributes
     ----------
@@ -52,10 +52,10 @@ class Section:
         Why its results no longer hold; empty if they do.
     """
 
-    title: str
     parts: Parts
     message: str = ""
     about: str = ""
+    title: str = ""
     folded: bool = False
     key: str = ""
     outdated: str = ""
@@ -95,9 +95,9 @@ def sentence(text: str) -> str:
     return text[:1].upper() + text[1:] + ("" if text.endswith((".", "!", "?")) else ".")
 
 
-def section_of(title: str, parts: Parts, *, message: str = "", about: str = "") -> Section:
-    """Build a section; its default message is the first sentence of its parts."""
+def section_of(parts: Parts, *, message: str = "", about: str = "") -> Section:
+    """Build a section without a title; its default message is the first sentence of its parts."""
     if not message:
         first = next(place for place, part in enumerate(parts) if isinstance(part, str))
         message, parts = str(parts[first]), [*parts[:first], *parts[first + 1 :]]
-    return Section(title, parts, sentence(message), about)
+    return Section(parts, message=sentence(message), about=about)

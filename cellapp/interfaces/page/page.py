@@ -67,7 +67,7 @@ class DrawnCertificate:
 def certificate_of_run(data: ReportData) -> DrawnCertificate | None:
     """Return the stored certificate of a run for its page, marked if out of date; None if there is none."""
     result = data.results.certificate
-    return None if result is None else _drawn(result, data.out_of_date.get(CERTIFICATE, ""))
+    return None if result is None else _drawn(result, data.results.out_of_date.get(CERTIFICATE, ""))
 
 
 def certificate_page(result: CertificateResult) -> str:

@@ -78,7 +78,7 @@ def test_a_changed_checksum_is_refused_by_name_and_noted_where_one_insists(run: 
         check_controllers(run, cell)
     with pytest.raises(HardwareError, match=r"nothing was moved\. Insist with --out-of-date"):
         check_controllers(run, cell, insist=False)
-    (note,) = check_controllers(run, cell, insist=True).notes
+    (note,) = check_controllers(run, cell, insist=True)
     assert note.startswith("arm left: ")
     assert [event.text for event in run.events() if event.level == "warning"] == [note]
 
@@ -94,7 +94,7 @@ def test_another_calibration_than_that_of_the_profile_is_refused(run: RunFile, c
         with pytest.raises(HardwareError, match=r"arm left: its controller has another .*arms\.left\.factory"):
             check_controllers(own, cell)
         left(cell).says = replace(Known.says, dh_rows=rows + deltas)
-        assert check_controllers(own, cell).notes == ()
+        assert check_controllers(own, cell) == ()
         np.testing.assert_array_equal(recorded_controllers(own)["left"].dh_rows, rows + deltas)
         left(cell).says = replace(Known.says, dh_rows=rows + 0.99 * deltas)
         with pytest.raises(HardwareError, match="another calibration"):

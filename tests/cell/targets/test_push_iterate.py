@@ -328,7 +328,7 @@ def off_m(run: RunFile, model: CellModel, plan: PathPlan) -> Array:
         clearance = plant_of(moving.cell).clearance
         assert clearance is not None
         assert min(clearance.arms_m, clearance.floor_m) > 0.0
-    return path.distances(found.track.p_M)
+    return path.distances(found.p_M)
 
 
 def test_the_true_smr_keeps_the_tolerance_and_would_not_without_its_plays(

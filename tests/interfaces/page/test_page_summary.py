@@ -150,7 +150,7 @@ def test_the_summary_says_what_was_approved() -> None:
 
 
 def test_sections_that_have_nothing_are_left_out_and_the_others_keep_their_order() -> None:
-    made = {key: None if key == "paths" else Section("", [], "Something.") for key in reversed(list(SECTIONS))}
+    made = {key: None if key == "paths" else Section([], message="Something.") for key in reversed(list(SECTIONS))}
     sections = placed(made, {"calibrate": "readings were added"})
     assert [section.key for section in sections] == [key for key in SECTIONS if key != "paths"]
     marked = {section.key for section in sections if section.outdated}

@@ -329,8 +329,7 @@ class PathTests:
                 self.paths.mover.go_home_unless_clear(name, q)
                 self.paths.mover.move({name: q})
 
-        found = self.paths.drive(name, trajectory, begin, path.positions(np.zeros(1))[0], self._interval_s)
-        return PathTrack(found.track.time_s, found.track.p_M, found.lost_beams)
+        return self.paths.drive(name, trajectory, begin, path.positions(np.zeros(1))[0], self._interval_s)
 
 
 def _run_up(q: Array) -> Array:

@@ -43,7 +43,6 @@ from cellapp.commands.compensate.view import target_parts
 from cellapp.commands.compensate.words import compensate_summary, unknown_lines, verify_summary
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.push.request import VERB as PUSH
-from cellapp.commands.run_results import RunResults
 from cellapp.commands.view.parts import Part
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
@@ -456,10 +455,6 @@ class TargetsScreen(DayScreen):
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
-    @property
-    def _results(self) -> RunResults | None:
-        return self.workspace.results
-
     def show_state(self, state: RunState) -> None:
         """Say why nothing was computed."""
         self.query_one("#target-results", PartsView).say_empty(state.nothing(self.STEP, _NOT_MEASURED))
@@ -481,7 +476,7 @@ class TargetsScreen(DayScreen):
 
     def _draw_list(self) -> None:
         """Draw all rows; the cursor stays in its row."""
-        results, edits = self._results, self._edits
+        results, edits = self.workspace.results, self._edits
         outdated = [] if results is None else [results.out_of_date.get(name, "") for name in ("compensate", "verify")]
         reasons = "; ".join(dict.fromkeys(filter(None, outdated)))
         mark = f"\n! results are out of date: {reasons}; {SHOWN['go']} compensates again" if reasons else ""
@@ -505,7 +500,7 @@ class TargetsScreen(DayScreen):
     @on(DataTable.RowHighlighted, "#grid")
     def _draw_target(self) -> None:
         """Draw what is known about the target under the cursor."""
-        words = target_words(self._edits.targets[self._index], self._results) if self._rows else ""
+        words = target_words(self._edits.targets[self._index], self.workspace.results) if self._rows else ""
         self.query_one("#about-target", Static).update(words)
         if self.query_one("#targets", TabbedContent).active == "target":
             self._draw_details()
@@ -517,20 +512,20 @@ class TargetsScreen(DayScreen):
             return
         parts: list[Part] = []
         if self._rows:
-            target, results = self._edits.targets[self._index], self._results
+            target, results = self._edits.targets[self._index], self.workspace.results
             known = [] if results is None else target_parts(results, target_state(target, results))
             parts = [target_words(target, results), *known]
         self.query_one("#details", PartsView).show(words_first(parts))
 
     def _shown_rows(self) -> list[int]:
         """Return the indices of the shown targets."""
-        states = target_states(self._edits.targets, self._results)
+        states = target_states(self._edits.targets, self.workspace.results)
         return [row for row, state in enumerate(states) if state.needs_attention or not self._attention]
 
     def _draw_results(self) -> None:
         """Draw sentences, charts and tables of the last program, of what was measured and of the commands."""
         parts: list[Part] = [] if self._corrected is None else [correct_table(self._corrected)]
-        results, profile = self._results, self.workspace.profile
+        results, profile = self.workspace.results, self.workspace.profile
         if results is not None and (verify := results.verify) is not None:
             arms = {} if results.calibrate is None else results.calibrate.arms
             names = () if profile is None else profile.arms
