@@ -18,9 +18,11 @@ from cellapp.estimation.calibration.records import (
     PairEstimate,
     PairHeldOut,
     PairMethodResult,
+    ParameterEstimate,
     Scatter,
+    largest_correlations,
 )
-from cellapp.ground.results import Estimate, Method
+from cellapp.ground.results import Method
 from cellapp.robot.kinematics.transforms import zyx_angles
 
 _SCATTER = "root of chi-square per degree of freedom against the stated uncertainty, or metres without one"
@@ -40,10 +42,20 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
     """Build the result of one arm."""
     found = arm.identification
     estimates = zip(found.names, found.values.tolist(), found.standard_errors.tolist(), found.units, strict=True)
+    nominal = dict(zip(arm.model.nominal.names, arm.model.nominal.vector().tolist(), strict=True))
+    related = largest_correlations(found.names, found.covariance)
     return ArmCalibrationResult.like(
         found,
         identified={
-            name: Estimate(value=value, standard_error=error, unit=unit) for name, value, error, unit in estimates
+            name: ParameterEstimate(
+                value=value,
+                standard_error=error,
+                unit=unit,
+                nominal=nominal.get(name),
+                prior_sigma=found.prior_sigma.get(name),
+                correlations=related[name],
+            )
+            for name, value, error, unit in estimates
         },
         rank=len(found.parameter_set.columns),
         parameter_set=found.parameter_set.name,

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
+
+import numpy as np
 
 from cellapp.ground.results import (
     STAGES,
@@ -18,6 +20,7 @@ from cellapp.ground.results import (
     Stage,
     StageErrors,
 )
+from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.model import Inputs
 
 
@@ -210,6 +213,30 @@ class MotionResult(Record):
     undetermined: tuple[str, ...] = ()
 
 
+class ParameterEstimate(Estimate):
+    """An identified parameter of a geometry, and the ``nominal`` value that it had before.
+
+    ``prior_sigma`` is the standard deviation of its prior about that value, None where only the readings determine it;
+    ``correlations`` are its largest ones with others, by name. Earlier versions stored neither of the three.
+    """
+
+    nominal: float | None = None
+    prior_sigma: float | None = None
+    correlations: Mapping[str, float] = {}
+    omitted_when_none = frozenset({"nominal", "prior_sigma"})
+
+
+def largest_correlations(names: Sequence[str], covariance: Array) -> dict[str, dict[str, float]]:
+    """Return the two largest correlations of each parameter with others; ``covariance`` (k, k) has its names' order."""
+    sd = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    rho = covariance / np.outer(sd, sd) - np.eye(len(sd))
+    largest = np.argsort(-np.abs(rho), axis=1)[:, :2].tolist()
+    return {
+        name: {names[other]: float(rho[row, other]) for other in largest[row] if other != row}
+        for row, name in enumerate(names)
+    }
+
+
 class ArmCalibrationResult(Record):
     """Calibration of one arm.
 
@@ -223,7 +250,7 @@ class ArmCalibrationResult(Record):
     has no held-out readings at rest, ``validate_`` and ``splits`` are those of the points in motion.
     """
 
-    identified: Mapping[str, Estimate]
+    identified: Mapping[str, ParameterEstimate]
     rank: int
     parameter_set: str
     merged: Mapping[str, Mapping[str, float]]
