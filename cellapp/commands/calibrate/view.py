@@ -22,6 +22,7 @@ from cellapp.estimation.calibration.records import (
 from cellapp.ground.counting import counted
 from cellapp.ground.results import METHODS, STAGES, ErrorSummary
 from cellapp.robot.effects import EFFECTS
+from cellapp.robot.kinematics.chain import parameter_unit
 
 MM = ".4f"
 """Number format of errors in mm: a tenth of a micrometre, below the tracker's resolution."""
@@ -129,8 +130,14 @@ def parameter_tables(result: CalibrateResult) -> list[Table]:
     for name, arm in result.arms.items():
         rows = [(parameter, *_parameter_cells(estimate)) for parameter, estimate in arm.identified.items()]
         merged = [(key, *[None] * 4, "", None, f"merged into {merged_words(its)}") for key, its in arm.merged.items()]
-        tables.append(Table(f"Arm {name}: parameters", columns, (*rows, *merged)))
+        held = {key: _parameter_cells(_fixed_at(key, value)) for key, value in (arm.fixed or {}).items()}
+        fixed = [(key, *cells[:-1], "fixed") for key, cells in held.items()]
+        tables.append(Table(f"Arm {name}: parameters", columns, (*rows, *fixed, *merged)))
     return tables
+
+
+def _fixed_at(parameter: str, value: float) -> ParameterEstimate:
+    return ParameterEstimate(value=value, nominal=value, standard_error=None, unit=parameter_unit(parameter))
 
 
 def _parameter_cells(estimate: ParameterEstimate) -> tuple[Cell, ...]:

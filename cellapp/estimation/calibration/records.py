@@ -241,9 +241,7 @@ class ArmCalibrationResult(Record):
     """Calibration of one arm.
 
     ``identified`` are the parameters of the geometry, ``rank`` their number, ``merged`` maps each dropped parameter to
-    those that take its place and their shares. ``excess_mm`` is the scatter of a coordinate beyond the stated
-    uncertainty, ``excess_mrad`` that of an orientation where it was measured, ``tracker_mm`` and ``probe_mrad`` the rms
-    length of the stated noise of positions and of orientations. Where an earlier calibration was taken as ``prior``,
+    omitted_when_none = frozenset({"fixed", "excess_mrad", "probe_mrad", "prior", "clocks", "motion"})
     the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those
     of readings with gross errors, on which nothing here rests, ``left_out_splits`` their number in each split;
     ``splits`` counts the others. An arm that was recorded in ``motion`` has the ``clocks`` of its recordings; where it
@@ -254,6 +252,7 @@ class ArmCalibrationResult(Record):
     rank: int
     parameter_set: str
     merged: Mapping[str, Mapping[str, float]]
+    fixed: Mapping[str, float] | None = None
     iterations: int
     converged: bool
     message: str
@@ -273,7 +272,7 @@ class ArmCalibrationResult(Record):
     validate_: Mapping[Stage, StageErrors]
     clocks: Mapping[str, ClockResult] | None = None
     motion: MotionResult | None = None
-    omitted_when_none = frozenset({"excess_mrad", "probe_mrad", "prior", "clocks", "motion"})
+    omitted_when_none = frozenset({"fixed", "excess_mrad", "probe_mrad", "prior", "clocks", "motion"})
 
     @property
     def best_stage(self) -> Stage:
