@@ -123,7 +123,7 @@ def test_from_an_empty_folder_to_a_report(site: Path, tmp_path: Path) -> None:
     text = profile.read_text("utf-8").replace("stops: 80", "stops: 20")
     profile.write_text(f"{text}network: {{kind: none}}\n", "utf-8")
     verbs = ["plan profiles/twin-small.yaml --run run", *(f"{verb} run" for verb in ("collect", "calibrate", "report"))]
-    printed = alone(site, tmp_path, *verbs, "certificate run", "docs targets", "schema cellapp-error")
+    printed = alone(site, tmp_path, *verbs, "certificate run", "docs targets", "docs --schema cellapp-error")
     assert {path.name for path in (tmp_path / "run").iterdir()} >= {"report.html", "certificate.html", "run.sqlite"}
     assert "cellapp compensate" in printed
     assert '"exit_code"' in printed

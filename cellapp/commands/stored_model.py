@@ -8,7 +8,7 @@ from dataclasses import replace
 from cellapp.cell.exports.dh_tables import parameter_rows
 from cellapp.cell.run.file import RunFile
 from cellapp.commands.stages import CALIBRATION_FILE, Basis, RunStages, StoredStage, append_stage
-from cellapp.estimation.calibration.records import CalibrateResult
+from cellapp.estimation.calibration.records import CalibrateResult, largest_correlations
 from cellapp.estimation.calibration.station_location import factory_doubt
 from cellapp.estimation.discovery.records import DiscoverResult, with_effects
 from cellapp.estimation.monitoring.moved import CalibratedArm
@@ -39,9 +39,18 @@ def values_in_force(result: CalibrateResult, model: CellModel) -> CalibrateResul
     """Return the calibration with the values of the identified parameters in ``model``, that of the stage in force."""
     arms = dict(result.arms)
     for name, arm in result.arms.items():
-        rows = {row.parameter: row for row in parameter_rows(model.arms[name], model.arms[name].geometry)}
+        own = model.arms[name]
+        rows = {row.parameter: row for row in parameter_rows(own, own.geometry)}
+        related = {} if own.covariance is None else largest_correlations(own.identified, own.covariance)
         found = {
-            key: one.model_copy(update={"value": rows[key].identified, "standard_error": rows[key].standard_error})
+            key: one.model_copy(
+                update={
+                    "value": rows[key].identified,
+                    "standard_error": rows[key].standard_error,
+                    "nominal": rows[key].nominal,
+                    "correlations": related.get(key, {}),
+                }
+            )
             for key, one in arm.identified.items()
         }
         arms[name] = arm.model_copy(update={"identified": found})

@@ -30,7 +30,7 @@ _HEAD = 256 * 1024
 _DATABASE = b"SQLite format 3\0"
 _COMPANION = re.compile(r"(.+)-(?:wal|shm|journal)")
 """Names of the files beside a database that hold what is not in it yet."""
-_PROFILE = re.compile(rb'^\s?"?schema"?\s*:\s*["\']?cellapp-profile\b', re.MULTILINE)
+_PROFILE = re.compile(rb'^\s?"?schema"?\s*:\s*["\']?cellapp-profile\b|^extends\s*:', re.MULTILINE)
 _SECTIONS = (re.compile(rb"^arms\s*:", re.MULTILINE), re.compile(rb"^tracker\s*:", re.MULTILINE))
 """Sections that every profile has at its top level, one without the line ``schema`` too."""
 _ARM_TYPE = (re.compile(rb"^model\s*:", re.MULTILINE), re.compile(rb"^joints\s*:", re.MULTILINE))

@@ -112,7 +112,6 @@ FEW = {
     "validate": 4,
     "pair_identify": 8,
     "pair_validate": 4,
-    "null_simulations": 50,
 }
 
 
@@ -124,7 +123,7 @@ def wire_profile(folder: Path) -> Path:
     for key, size in FEW.items():
         text, found = re.subn(rf"^  {key}: \d+ *", f"  {key}: {size} ", text, flags=re.MULTILINE)
         assert found == 1, key
-    text = re.sub(r"^  kind: mlp .*$", "  kind: none", text, flags=re.MULTILINE)
+    text += "network: {kind: none}\ndiscovery: {null_simulations: 50}\n"
     for name, usual in (("left", "127.0.0.2"), ("right", "127.0.0.3")):
         text = text.replace(f"host: {usual}", f"host: {CLI_HOSTS[name]}, settle_time: {SETTLE_S}")
     path.write_text(text.replace("127.0.0.1:50960", f"{CLI_TRACKER_HOST}:{free_port(CLI_TRACKER_HOST)}"), "utf-8")

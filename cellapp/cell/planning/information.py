@@ -180,7 +180,7 @@ def geometry_priors(profile: Profile, name: str, model: ArmModel) -> tuple[Param
 
     Raise ``InputError`` if the set of the profile is not for this arm.
     """
-    stated = prior_sigmas(model.nominal, profile.calibration.priors)
+    stated = prior_sigmas(model.nominal, profile.calibration.priors, profile.arms[name].fixed)
     try:
         parameters, _ = estimated_parameters(profile.calibration.parameter_set, model.nominal, stated)
     except ValueError as error:

@@ -47,6 +47,7 @@ from cellapp.robot.effects import EFFECTS, DriverVariable, MeasurementConditions
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.nominal import prior_sigmas
 
 # -- Approaches to a pose: the last step of each joint and the dwell before the measurement ---------------------------
 
@@ -219,7 +220,8 @@ class ArmHypotheses:
         arm = profile.arms[name]
         rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
         rows = rows[~np.isin(readings.configuration[rows], discovery.result.left_out_configurations)]
-        geometry_only = ArmData.of(profile, model.arms[name], readings.take(rows), conditions.take(rows))
+        sigma = prior_sigmas(model.arms[name].nominal, profile.calibration.priors, arm.fixed)
+        geometry_only = ArmData.of(profile, model.arms[name], readings.take(rows), conditions.take(rows), sigma)
         data, fit = refitted_discovery(geometry_only, discovery)
         others = [(other, model.arms[other]) for other in model.arms if other != name]
         run = RunConditions(name, others[0] if len(others) == 1 else None, conditions, count)

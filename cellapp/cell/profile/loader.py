@@ -6,7 +6,7 @@ import contextlib
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from cellapp.cell.profile.messages import (
     Place,
     PlacedError,
     described,
+    dotted,
     plain,
     short,
     validation_message,
@@ -30,7 +31,7 @@ from cellapp.ground.profile.device_plugins import ARM_TYPES
 from cellapp.ground.profile.schema import VERSION, ArmType, Profile
 from cellapp.ground.removed import without_removed_keys
 from cellapp.ground.results import plain_data
-from cellapp.ground.starters import starters_folder
+from cellapp.ground.starters import TWIN, starters_folder
 
 _MOST_LEVELS = 50
 """Limit of nesting: a profile has about eight levels; an alias that contains itself gives more."""
@@ -61,16 +62,59 @@ for _loader in (_Loader, _FastLoader):
 def load_profile(path: Path) -> Profile:
     """Read and check a profile.
 
-    ``type`` of an arm may be the path of an arm-type file, relative to the profile's file, or the name of one that a
-    plug-in brings; a file beside the profile comes first.
+    ``extends`` names a profile beside it, or one that comes with the program: keys of the file override its keys at
+    every level, and ``null`` removes one. ``type`` of an arm may be the path of an arm-type file, relative to the
+    profile's file, or the name of one that a plug-in brings; a file beside the profile comes first.
 
     Raises
     ------
     InputError
         One sentence for each of the first few errors, with file, line and key.
     """
-    path = Path(path)
-    return checked_profile(load_text(path), (path.parent,))
+    document = load_text(Path(path))
+    return checked_profile(document, _folders(document))
+
+
+def explained(path: Path) -> list[tuple[str, str, str]]:
+    """Return key, value as JSON, and origin of every value of a profile: file and line, or that it is the default.
+
+    Raises
+    ------
+    InputError
+        As ``load_profile``.
+    """
+    document = load_text(Path(path))
+    values = leaves(checked_profile(document, _folders(document)))
+    return [(dotted(at), value, _origin(document.places, at)) for at, value in values.items()]
+
+
+def _origin(places: Mapping[KeyPath, Place], at: KeyPath) -> str:
+    given = next((at[:end] for end in range(len(at), 0, -1) if at[:end] in places), ())
+    has_keys = any(len(key) > len(given) and key[: len(given)] == given for key in places)
+    if not given or (given != at and has_keys):  # a section that is given, without this key
+        return "default"
+    return f"{places[given].file}:{places[given].line}"
+
+
+def leaves(profile: Profile) -> dict[KeyPath, str]:
+    """Return every value of a profile as JSON, by its keys, as ("arms", "left", "base", "position", 0)."""
+    return {at: json.dumps(value, ensure_ascii=False) for at, value in _walk((), json.loads(profile_to_json(profile)))}
+
+
+def _walk(at: KeyPath, value: object) -> Iterator[tuple[KeyPath, object]]:
+    if isinstance(value, dict) and value:
+        for key, inside in value.items():
+            yield from _walk((*at, str(key)), inside)
+    elif isinstance(value, list) and value:
+        for index, inside in enumerate(value):
+            yield from _walk((*at, index), inside)
+    else:
+        yield at, value
+
+
+def _folders(document: Document) -> tuple[Path, ...]:
+    """Return the folder of a document's file, then those of the files that it extends."""
+    return tuple(dict.fromkeys(Path(place.file).parent for place in (document.places[()], *document.places.values())))
 
 
 def profile_from_dict(content: Mapping[str, Any], folder: Path = Path()) -> Profile:
@@ -145,10 +189,13 @@ def with_sections(profile: Profile, path: Path, names: Sequence[str]) -> Profile
 
 
 def _completed(stored: Any, given: Any) -> Any:
-    """Merge ``given`` into ``stored``, key by key at every level; ``given`` wins."""
+    """Merge ``given`` into ``stored``, at every level: ``given`` wins, None removes, another kind replaces."""
     if not isinstance(stored, dict) or not isinstance(given, dict):
         return given
-    return stored | {key: _completed(stored.get(key), value) for key, value in given.items()}
+    if any(key in given and given[key] != stored.get(key) for key in ("kind", "shape")):
+        return given
+    merged = stored | {key: _completed(stored.get(key), value) for key, value in given.items()}
+    return {key: value for key, value in merged.items() if given.get(key, "") is not None}
 
 
 def load_text(path: Path) -> Document:
@@ -161,9 +208,25 @@ def read_document(text: str, path: Path) -> Document:
 
     Types of arms are still the paths of their files.
     """
-    document = _parse_yaml(text, path)
+    document = _extended(_parse_yaml(text, path), path)
     _check_version(document)
     return document
+
+
+def _extended(document: Document, path: Path, below: tuple[Path, ...] = ()) -> Document:
+    """Complete a document by the profile that it extends, if any; ``below`` are those that extend this one."""
+    if "extends" not in document.data:
+        return document
+    name, place = document.data.pop("extends"), document.places["extends",]
+    base = path.parent / str(name)
+    if not base.is_file() and f"{name}.yaml" in (one.name for one in starters_folder().glob("*.yaml")):
+        base = starters_folder() / f"{name}.yaml"
+    if not base.is_file():
+        raise PlacedError(place, f"no such profile: {short(str(name))}; give a file beside this one, or '{TWIN}'")
+    if base.resolve() in (path.resolve(), *below):
+        raise PlacedError(place, f"{short(str(name))} extends this profile, too; one of them must stand alone")
+    its = _extended(_parse_yaml(_read_text(base), base), base, (path.resolve(), *below))
+    return replace(document, data=_completed(its.data, document.data), places=its.places | document.places)
 
 
 def _read_arm_types(document: Document, folders: Sequence[Path]) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from cellapp.commands.calibrate.view import MM, batches_words, merged_words
+from cellapp.commands.calibrate.view import MM, batches_words
 from cellapp.commands.view.table import Cell, Number, Table, columns_of
 from cellapp.commands.view.words import METHOD_WORDS, geometry_unit
 from cellapp.estimation.calibration.records import ArmCalibrationResult, CalibrateResult, NetworkResult, NetworkTrial
-from cellapp.ground.results import METHODS, Estimate
+from cellapp.ground.results import METHODS
 from cellapp.robot.model import CellModel
 
 
@@ -31,46 +31,6 @@ def pair_tables(calibrate: CalibrateResult) -> list[Table]:
         title = f"Pair: base of {first} in the base of {second}, with {METHOD_WORDS[method]}"
         tables.append(Table(title, columns, tuple(rows)))
     return tables
-
-
-def nominal_and_identified_tables(calibrate: CalibrateResult, model: CellModel) -> list[Table]:
-    """Show identified parameters beside their nominal values and the difference, one table for each arm."""
-    columns = columns_of(
-        "parameter", ("nominal", ".5f"), ("value", ".5f"), ("delta", "+.5f"), ("standard error", ".5f"), "unit"
-    )
-    tables = []
-    for name, arm in calibrate.arms.items():
-        nominal = model.arms[name].nominal
-        values = dict(zip(nominal.names, nominal.vector().tolist(), strict=True))
-        rows = [
-            (parameter, *_difference_cells(values[parameter], estimate))
-            for parameter, estimate in arm.identified.items()
-        ]
-        tables.append(Table(f"Arm {name}: identified parameters", columns, tuple(rows)))
-    return tables
-
-
-def _difference_cells(nominal: float, estimate: Estimate) -> tuple[Cell, ...]:
-    factor, unit = geometry_unit(estimate.unit)
-    delta = estimate.value - nominal
-    if estimate.unit == "rad":
-        delta = math.remainder(delta, 2.0 * math.pi)
-    error = estimate.standard_error
-    return (nominal * factor, estimate.value * factor, delta * factor, None if error is None else error * factor, unit)
-
-
-def merged_tables(calibrate: CalibrateResult) -> list[Table]:
-    """Show the parameters that the data cannot separate from others, and those that stand for them."""
-    columns = columns_of("parameter", "merged into")
-    return [
-        Table(
-            f"Arm {name}: parameters that act like others",
-            columns,
-            tuple((parameter, merged_words(shares)) for parameter, shares in arm.merged.items()),
-        )
-        for name, arm in calibrate.arms.items()
-        if arm.merged
-    ]
 
 
 def calibration_facts(calibrate: CalibrateResult) -> Table:

@@ -17,10 +17,13 @@ from cellapp.estimation.calibration.records import (
     PairEstimate,
     PairHeldOut,
     PairMethodResult,
+    ParameterEstimate,
     Scatter,
+    largest_correlations,
 )
-from cellapp.ground.results import Estimate, Method
+from cellapp.ground.results import Method
 from cellapp.robot.kinematics.transforms import zyx_angles
+from cellapp.robot.model.nominal import FIXED_SD
 
 _SCATTER = "root of chi-square per degree of freedom against the stated uncertainty, or metres without one"
 
@@ -39,14 +42,27 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
     """Build the result of one arm."""
     found = arm.identification
     estimates = zip(found.names, found.values.tolist(), found.standard_errors.tolist(), found.units, strict=True)
+    nominal = dict(zip(arm.model.nominal.names, arm.model.nominal.vector().tolist(), strict=True))
+    fixed = {name: nominal[name] for name, sd in found.prior_sigma.items() if sd <= FIXED_SD}
+    related = largest_correlations(found.names, found.covariance)
     return ArmCalibrationResult.like(
         found,
         identified={
-            name: Estimate(value=value, standard_error=error, unit=unit) for name, value, error, unit in estimates
+            name: ParameterEstimate(
+                value=value,
+                standard_error=error,
+                unit=unit,
+                nominal=nominal.get(name),
+                prior_sigma=found.prior_sigma.get(name),
+                correlations=related[name],
+            )
+            for name, value, error, unit in estimates
+            if name not in fixed
         },
         rank=len(found.parameter_set.columns),
         parameter_set=found.parameter_set.name,
-        merged=found.parameter_set.merged,
+        merged={name: its for name, its in found.parameter_set.merged.items() if name not in fixed},
+        fixed=fixed or None,
         condition=found.condition if math.isfinite(found.condition) else None,
         scatter=Scatter(value=found.scale, meaning=_SCATTER),
         excess_mm=arm.excess_m * 1e3,

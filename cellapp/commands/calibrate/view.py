@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from cellapp.commands.calibrate.request import CalibrateRequest
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Interval, Table, columns_of
-from cellapp.commands.view.words import METHOD_WORDS, display_unit, geometry_unit
+from cellapp.commands.view.words import METHOD_WORDS, display_unit
 from cellapp.estimation.calibration.records import (
     ArmCalibrationResult,
     ArmPriorResult,
@@ -16,14 +16,22 @@ from cellapp.estimation.calibration.records import (
     CalibrateResult,
     ClockResult,
     PairMethodResult,
+    ParameterEstimate,
     PartDrift,
 )
 from cellapp.ground.counting import counted
 from cellapp.ground.results import METHODS, STAGES, ErrorSummary
 from cellapp.robot.effects import EFFECTS
+from cellapp.robot.kinematics.chain import parameter_unit
 
 MM = ".4f"
 """Number format of errors in mm: a tenth of a micrometre, below the tracker's resolution."""
+
+_MOST_SHARES = 3
+PARAMETERS_ABOUT = (
+    "prior: standard deviation about the nominal value that holds a parameter beside the readings; free without one."
+    " A merged parameter keeps its nominal value: these data cannot separate it from others"
+)
 
 ERROR_COLUMNS = (*((title, MM) for title in ("mean", "rms", "std", "max")), ("n", "d"))
 _DETAILED = ("mean", "95 % of mean", "rms", "std", "p50", "p95", "max")
@@ -42,7 +50,7 @@ def view(result: CalibrateResult, request: Request | None = None) -> View:
 
 def parameters_view(result: CalibrateResult) -> View:
     """Show identified parameters, and which parameters were merged into others."""
-    return View((*parameter_tables(result), *merged_sentences(result)))
+    return View((*parameter_tables(result), PARAMETERS_ABOUT))
 
 
 def calibration_tables(result: CalibrateResult) -> list[Table]:
@@ -113,31 +121,41 @@ def transform_words(transform: str, method: PairMethodResult) -> str:
 
 
 def parameter_tables(result: CalibrateResult) -> list[Table]:
-    """Show identified parameters with standard errors, one table for each arm."""
-    columns = columns_of("parameter", ("value", ".5f"), ("standard error", ".5f"), "unit")
+    """Show identified parameters with nominal value, difference, standard error, prior and largest correlation, and
+    the parameters that were merged into them; one table for each arm.
+    """
+    numbers = (("nominal", ".4f"), ("value", ".4f"), ("difference", "+.4f"), ("standard error", ".4f"))
+    columns = columns_of("parameter", *numbers, "unit", ("prior", ".4f"), "largest correlation, or merged into")
     tables = []
     for name, arm in result.arms.items():
-        rows: list[tuple[Cell, ...]] = []
-        for parameter, estimate in arm.identified.items():
-            factor, unit = geometry_unit(estimate.unit)
-            error = estimate.standard_error
-            rows.append((parameter, estimate.value * factor, None if error is None else error * factor, unit))
-        tables.append(Table(f"Arm {name}: identified parameters", columns, tuple(rows)))
+        rows = [(parameter, *_parameter_cells(estimate)) for parameter, estimate in arm.identified.items()]
+        merged = [(key, *[None] * 4, "", None, f"merged into {merged_words(its)}") for key, its in arm.merged.items()]
+        held = {key: _parameter_cells(_fixed_at(key, value)) for key, value in (arm.fixed or {}).items()}
+        fixed = [(key, *cells[:-1], "fixed") for key, cells in held.items()]
+        tables.append(Table(f"Arm {name}: parameters", columns, (*rows, *fixed, *merged)))
     return tables
 
 
-def merged_sentences(result: CalibrateResult) -> list[str]:
-    """Say which parameters were merged into others, and into which."""
-    return [
-        f"arm {name}: {parameter} is merged into {merged_words(shares)}"
-        for name, arm in result.arms.items()
-        for parameter, shares in arm.merged.items()
-    ]
+def _fixed_at(parameter: str, value: float) -> ParameterEstimate:
+    return ParameterEstimate(value=value, nominal=value, standard_error=None, unit=parameter_unit(parameter))
+
+
+def _parameter_cells(estimate: ParameterEstimate) -> tuple[Cell, ...]:
+    unit, nominal = {"m": "mm", "rad": "mrad"}.get(estimate.unit, estimate.unit), estimate.nominal
+    difference = None if nominal is None else estimate.value - nominal
+    if difference is not None and estimate.unit == "rad":
+        difference = math.remainder(difference, math.tau)
+    values = (nominal, estimate.value, difference, estimate.standard_error, estimate.prior_sigma)
+    *shown, prior = (None if one is None else one * (1.0 if unit == estimate.unit else 1e3) for one in values)
+    largest = next((f"{other} {rho:+.2f}" for other, rho in estimate.correlations.items()), "")
+    return (*shown, unit, prior, largest)
 
 
 def merged_words(shares: Mapping[str, float]) -> str:
-    """List the parameters that stand for a merged one, with their shares."""
-    return ", ".join(f"{share:+.4g} {kept}" for kept, share in shares.items()) or "nothing (no effect)"
+    """List the parameters that stand for a merged one, with their shares; of many the largest."""
+    largest = sorted(shares.items(), key=lambda one: -abs(one[1]))[:_MOST_SHARES]
+    words = ", ".join(f"{share:+.4g} {kept}" for kept, share in largest) or "nothing (no effect)"
+    return f"{words} and {len(shares) - len(largest)} more" if len(shares) > len(largest) else words
 
 
 def tracker_sentences(result: CalibrateResult) -> list[str]:

@@ -23,6 +23,7 @@ class DoctorRequest(Request):
         ),
     ] = None
     cell: Annotated[bool, Asked("First print what the profile says of the cell.")] = False
+    explain: Annotated[bool, Asked("First print every value in force and where it comes from.")] = False
     controllers: Annotated[
         Path | None,
         Asked(

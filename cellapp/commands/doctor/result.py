@@ -10,8 +10,16 @@ from typing import Any
 from pydantic import field_serializer
 
 from cellapp.cell.driving.records import ControllerCalibration
-from cellapp.ground.results import Result
+from cellapp.ground.results import Record, Result
 from drivers.findings import Finding
+
+
+class ProfileValue(Record):
+    """A value of the profile in force, as JSON, and its ``origin``: file and line, or "default"."""
+
+    key: str
+    value: str
+    origin: str
 
 
 class DoctorResult(Result, schema="cellapp-doctor"):
@@ -21,7 +29,8 @@ class DoctorResult(Result, schema="cellapp-doctor"):
     controllers: Mapping[str, ControllerCalibration] | None = None
     """Arm -> calibration that its controller reports; None if none does."""
     written: tuple[Path, ...] | None = None
-    omitted_when_none = frozenset({"controllers", "written"})
+    profile: tuple[ProfileValue, ...] | None = None
+    omitted_when_none = frozenset({"controllers", "written", "profile"})
 
     @field_serializer("findings")
     def _reported(self, findings: tuple[Finding, ...]) -> list[dict[str, Any]]:

@@ -12,10 +12,11 @@ from cellapp.cell.driving.examination import controller_files, examine, factory_
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.files import write_new
+from cellapp.cell.profile.loader import explained
 from cellapp.cell.targets.targets import named_targets
 from cellapp.commands.doctor.bundle import bundle, newest_run, run_log
 from cellapp.commands.doctor.request import DoctorRequest
-from cellapp.commands.doctor.result import DoctorResult
+from cellapp.commands.doctor.result import DoctorResult, ProfileValue
 from cellapp.commands.record import Work
 from cellapp.estimation.calibration.calibrate import planned_splits
 from cellapp.ground.errors import HardwareError, InputError
@@ -36,6 +37,9 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
     if _end_left_programs(profile, result, work):
         result = examine_run(profile, request.reference_nests)
     result = result.model_copy(update={"findings": (*result.findings, *run_findings(profile, request.profile))})
+    if request.explain:
+        values = tuple(ProfileValue(key=key, value=value, origin=at) for key, value, at in explained(request.profile))
+        result = result.model_copy(update={"profile": values})
     seconds = time.monotonic() - began_s
     if request.bundle is not None:
         work.outputs.write(request.bundle, bundle(request.profile, profile, result, log, seconds))

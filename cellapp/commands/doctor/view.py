@@ -159,11 +159,12 @@ _UNITS = ("mrad", "mm", "mm", "mrad", "mrad")
 def view(result: DoctorResult, request: DoctorRequest | None = None) -> View:
     """Show on request the cell as in the profile, and every finding."""
     described = profile_tables(load_profile(request.profile)) if request is not None and request.cell else []
+    values = [f"{one.key}: {one.value}  # {one.origin}" for one in result.profile or ()]
     findings = [f"{finding.status:8} {finding.subject}: {finding.text}" for finding in result.findings]
     tables = [_controller_table(name, its) for name, its in (result.controllers or {}).items()]
     written = [f"written: {path}" for path in result.written or ()]
     failed = f"{len(result.failed)} of {counted(len(result.findings), 'check')} failed"
-    return View((*described, *findings, *tables, *written), (failed,) if result.failed else ())
+    return View((*described, *values, *findings, *tables, *written), (failed,) if result.failed else ())
 
 
 def _controller_table(name: str, its: ControllerCalibration) -> Table:

@@ -31,9 +31,7 @@ from cellapp.commands.calibrate.charts import (
 from cellapp.commands.calibrate.detail_tables import (
     base_table,
     calibration_facts,
-    merged_tables,
     network_tables,
-    nominal_and_identified_tables,
     pair_tables,
 )
 from cellapp.commands.calibrate.view import (
@@ -42,6 +40,7 @@ from cellapp.commands.calibrate.view import (
     detailed_tables,
     distance_mm,
     motion_sentences,
+    parameter_tables,
     transform_tables,
     transform_words,
 )
@@ -454,7 +453,7 @@ def _cell(data: ReportData) -> Section:
 
 def _parameters(data: ReportData, lost: list[str]) -> Section:
     in_force = values_in_force(data.calibrate, data.model)
-    tables = [*nominal_and_identified_tables(in_force, data.model), *merged_tables(data.calibrate)]
+    tables = parameter_tables(in_force)
     others = (
         "Other programs read the geometry of the model in force: 'cellapp export DIR --as FORMAT --out FILE', with"
         f" {', '.join(formats_of(ExportFormat))}. No file of a rigid chain holds the rest of the model; without it the"

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 
-from cellapp.cell.profile import profile_to_json
-from cellapp.cell.profile.messages import KeyPath, dotted
+from cellapp.cell.profile.loader import leaves
+from cellapp.cell.profile.messages import dotted
 from cellapp.cell.run.file import RunFile
 from cellapp.cell.run.run_arms import arm_identities
 from cellapp.commands.run_results import RunResults, read_results
@@ -151,27 +150,10 @@ def _missing(results: RunResults) -> Iterator[str]:
 
 
 def _profile_differences(a: Profile, b: Profile) -> Iterator[ProfileDifference]:
-    first, second = _leaves(a), _leaves(b)
+    first, second = leaves(a), leaves(b)
     for key in dict.fromkeys([*first, *second]):
         if first.get(key) != second.get(key):
-            yield ProfileDifference(key=key, a=first.get(key), b=second.get(key))
-
-
-def _leaves(profile: Profile) -> dict[str, str]:
-    """Return every value of a profile as JSON, by its key, as ``arms.left.base.position[0]``."""
-    content = json.loads(profile_to_json(profile))
-    return {dotted(at): json.dumps(value, ensure_ascii=False) for at, value in _walk((), content)}
-
-
-def _walk(at: KeyPath, value: object) -> Iterator[tuple[KeyPath, object]]:
-    if isinstance(value, dict) and value:
-        for key, inside in value.items():
-            yield from _walk((*at, str(key)), inside)
-    elif isinstance(value, list) and value:
-        for index, inside in enumerate(value):
-            yield from _walk((*at, index), inside)
-    else:
-        yield at, value
+            yield ProfileDifference(key=dotted(key), a=first.get(key), b=second.get(key))
 
 
 # -- values -----------------------------------------------------------------------------------------------------------

@@ -692,7 +692,7 @@ def _identify(
             R_M_S=learn.R_M_S,
             sigma=learn.stated,
             parameter_set=settings.parameter_set,
-            prior_sigma=prior_sigmas(nominal, settings.priors),
+            prior_sigma=prior_sigmas(nominal, settings.priors, profile.arms[name].fixed),
             robust=robust_loss(settings, robust=robust),
             tool_unknown=profile.arms[name].smr.offset == "unknown",
             tolerance=settings.tolerance,

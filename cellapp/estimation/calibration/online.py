@@ -172,7 +172,7 @@ class OnlineFit:
         self._nominal, self._bodies, self._up_M = nominal, bodies_of(its), up_in_tracker(profile)
         self._planned = JointAngles.of(planned_q)
         typical = replace(nominal, tool=OFF_AXIS) if self._tool_unknown else nominal
-        stated = prior_sigmas(nominal, settings.priors)
+        stated = prior_sigmas(nominal, settings.priors, its.fixed)
         try:
             parameters, _ = estimated_parameters(settings.parameter_set, typical, stated)
         except ValueError as error:

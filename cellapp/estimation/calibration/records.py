@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal
+
+import numpy as np
 
 from cellapp.ground.results import (
     STAGES,
@@ -18,6 +20,7 @@ from cellapp.ground.results import (
     Stage,
     StageErrors,
 )
+from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.model import Inputs
 
 
@@ -210,23 +213,46 @@ class MotionResult(Record):
     undetermined: tuple[str, ...] = ()
 
 
+class ParameterEstimate(Estimate):
+    """An identified parameter of a geometry, and the ``nominal`` value that it had before.
+
+    ``prior_sigma`` is the standard deviation of its prior about that value, None where only the readings determine it;
+    ``correlations`` are its largest ones with others, by name. Earlier versions stored neither of the three.
+    """
+
+    nominal: float | None = None
+    prior_sigma: float | None = None
+    correlations: Mapping[str, float] = {}
+    omitted_when_none = frozenset({"nominal", "prior_sigma"})
+
+
+def largest_correlations(names: Sequence[str], covariance: Array) -> dict[str, dict[str, float]]:
+    """Return the two largest correlations of each parameter with others; ``covariance`` (k, k) has its names' order."""
+    sd = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
+    rho = covariance / np.outer(sd, sd) - np.eye(len(sd))
+    largest = np.argsort(-np.abs(rho), axis=1)[:, :2].tolist()
+    return {
+        name: {names[other]: float(rho[row, other]) for other in largest[row] if other != row}
+        for row, name in enumerate(names)
+    }
+
+
 class ArmCalibrationResult(Record):
     """Calibration of one arm.
 
     ``identified`` are the parameters of the geometry, ``rank`` their number, ``merged`` maps each dropped parameter to
-    those that take its place and their shares. ``excess_mm`` is the scatter of a coordinate beyond the stated
-    uncertainty, ``excess_mrad`` that of an orientation where it was measured, ``tracker_mm`` and ``probe_mrad`` the rms
-    length of the stated noise of positions and of orientations. Where an earlier calibration was taken as ``prior``,
+    omitted_when_none = frozenset({"fixed", "excess_mrad", "probe_mrad", "prior", "clocks", "motion"})
     the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those
     of readings with gross errors, on which nothing here rests, ``left_out_splits`` their number in each split;
     ``splits`` counts the others. An arm that was recorded in ``motion`` has the ``clocks`` of its recordings; where it
     has no held-out readings at rest, ``validate_`` and ``splits`` are those of the points in motion.
     """
 
-    identified: Mapping[str, Estimate]
+    identified: Mapping[str, ParameterEstimate]
     rank: int
     parameter_set: str
     merged: Mapping[str, Mapping[str, float]]
+    fixed: Mapping[str, float] | None = None
     iterations: int
     converged: bool
     message: str
@@ -246,7 +272,7 @@ class ArmCalibrationResult(Record):
     validate_: Mapping[Stage, StageErrors]
     clocks: Mapping[str, ClockResult] | None = None
     motion: MotionResult | None = None
-    omitted_when_none = frozenset({"excess_mrad", "probe_mrad", "prior", "clocks", "motion"})
+    omitted_when_none = frozenset({"fixed", "excess_mrad", "probe_mrad", "prior", "clocks", "motion"})
 
     @property
     def best_stage(self) -> Stage:

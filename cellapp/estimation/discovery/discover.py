@@ -59,6 +59,7 @@ from cellapp.ground.threads import give_back
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
+from cellapp.robot.model.nominal import prior_sigmas
 
 _MOST_SEARCHED = 400
 """Largest number of readings to search. The cost grows with it, and some hundred readings show effects of the size of
@@ -194,6 +195,8 @@ def discover_arm(
     held_out = HeldOut.of(readings.take(~wrong), conditions.take(~wrong))
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
     rows = rows[~wrong[rows]]
+    if prior_sigma is None:
+        prior_sigma = prior_sigmas(model.nominal, profile.calibration.priors, profile.arms[name].fixed)
     found = search_rows(profile, model, readings.take(rows), conditions.take(rows), cancel, report, prior_sigma)
     left_out = tuple(sorted({*readings.configuration[wrong].tolist(), *found.left_out}))
     result = _judged_by_held_out(replace(found, left_out=left_out), held_out)

@@ -235,7 +235,7 @@ class ArmDesign:
         cls, profile: Profile, name: str, model: ArmModel, readings: Readings, conditions: MeasurementConditions
     ) -> ArmDesign:
         """Build the design from the results of ``expected_readings`` and ``conditions_of_arms``."""
-        stated = prior_sigmas(model.nominal, profile.calibration.priors)
+        stated = prior_sigmas(model.nominal, profile.calibration.priors, profile.arms[name].fixed)
         wanted = profile.calibration.parameter_set
         try:
             estimated, _ = estimated_parameters(wanted, model.nominal, stated)

@@ -151,7 +151,7 @@ def recorded_arm(profile: Profile, name: str, readings: Readings, recordings: Se
         stops=stops,
         held_out_stops=held_out_stops,
         parameter_set=settings.parameter_set,
-        prior_sigma=prior_sigmas(nominal, settings.priors),
+        prior_sigma=prior_sigmas(nominal, settings.priors, arm.fixed),
         bodies=bodies_of(arm),
         up_M=up_in_tracker(profile),
         seed=profile.seed,

@@ -143,7 +143,9 @@ class Arm(GrownSection, defer_build=True):
     speed_scale: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 0.5
     factory: ControllerTable | None = None
     """The controller's own calibration, which then is nominal instead of the published rows: a ``calibration.conf``."""
-    later_keys = frozenset({"payloads", "factory"})
+    fixed: tuple[str, ...] = ()
+    """Parameters that keep their nominal values, as ``tx``, ``ty``, ``tz`` of a measured ``smr.offset``."""
+    later_keys = frozenset({"payloads", "factory", "fixed"})
 
     @property
     def joint_limits(self) -> tuple[tuple[float, float], ...]:
@@ -158,6 +160,17 @@ class Arm(GrownSection, defer_build=True):
     def listed_load(self, mass: float) -> Payload | None:
         """The load of this mass [kg] among those that the arm carries in a plan; None if there is none."""
         return next((one for one in (self.payload, *self.payloads) if abs(one.mass - mass) <= SAME_PAYLOAD_KG), None)
+
+    @model_validator(mode="after")
+    def _fixed_are_its_own(self) -> Self:
+        tool = ("tx", "ty", "tz")
+        joints = range(1, len(self.type.joints) + 1)
+        rows = (f"{name}{joint}" for name in ("theta", "d", "a", "alpha", "beta") for joint in joints)
+        if unknown := [name for name in self.fixed if name not in {*tool, *rows}]:
+            raise ValueError(f"fixed: '{unknown[0]}' is no parameter of a D-H row or of the SMR's offset (tx, ty, tz)")
+        if self.smr.offset == "unknown" and (hidden := [name for name in self.fixed if name in tool]):
+            raise ValueError(f"fixed: {hidden[0]} has no value to keep: smr.offset is unknown; give it")
+        return self
 
     @model_validator(mode="after")
     def _factory_fits_the_type(self) -> Self:

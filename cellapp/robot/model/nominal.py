@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -70,11 +71,15 @@ def up_in_tracker(profile: Profile) -> Array:
     return np.asarray(pose_matrix(profile.tracker.pose)[:3, :3].T @ np.array([0.0, 0.0, 1.0]))
 
 
-def prior_sigmas(geometry: Geometry, priors: Priors) -> dict[str, float]:
-    """Map names of D-H parameters to prior standard deviations [m, rad]; base and tool have none."""
+FIXED_SD = 1e-9
+"""Prior standard deviation [m, rad] of a parameter that is fixed: far below what any reading tells."""
+
+
+def prior_sigmas(geometry: Geometry, priors: Priors, fixed: Iterable[str] = ()) -> dict[str, float]:
+    """Map names of parameters to prior standard deviations [m, rad]; base and tool have none unless ``fixed``."""
     sigma = {"m": priors.length, "rad": priors.angle}
     return {
         name: value
         for name in parameter_names(geometry.joints)[6:-3]
         if (value := sigma[parameter_unit(name)]) is not None
-    }
+    } | dict.fromkeys(fixed, FIXED_SD)

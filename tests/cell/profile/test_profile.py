@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from cellapp.cell.profile import load_profile, profile_from_json, profile_to_json
+from cellapp.cell.profile.loader import explained
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.sections import Traceability
 
@@ -55,6 +56,38 @@ def test_shipped_profiles_load_and_survive_json_exactly(path: Path) -> None:
     text = profile_to_json(profile)
     assert profile_from_json(text) == profile
     assert profile_to_json(profile_from_json(text)) == text
+
+
+DIFFERENCES = """\
+extends: twin.yaml
+name: mine
+arms: {left: {driver: {kind: ur, host: 127.0.0.9}}}
+plan: {stops: 90}
+tolerances: null
+"""
+
+
+def test_a_profile_stands_as_differences_to_another_and_every_value_says_where_it_is_from(twin: Path) -> None:
+    path = twin.with_name("mine.yaml")
+    path.write_text(DIFFERENCES, "utf-8")
+    profile, base = load_profile(path), load_profile(twin)
+    assert (profile.name, profile.plan.stops, profile.arms["left"].driver.kind) == ("mine", 90, "ur")
+    assert profile.tolerances == type(profile.tolerances)() != base.tolerances
+    assert (profile.arms["right"], profile.plan.clearance) == (base.arms["right"], base.plan.clearance)
+    origins = {key: Path(origin).name for key, _, origin in explained(path)}
+    assert (origins["plan.stops"], origins["plan.clearance"].split(":")[0]) == ("mine.yaml:4", "twin.yaml")
+    assert (origins["plan.reserve"], origins["arms.left.type.model"].split(":")[0]) == ("default", "ur10.yaml")
+    path.write_text("extends: twin\nname: mine\n", "utf-8")  # the one that comes with the program
+    assert load_profile(path).arms == base.arms
+
+
+@pytest.mark.parametrize(
+    ("base", "says"), [("none.yaml", "no such profile: none.yaml"), ("mine.yaml", "mine.yaml extends this profile")]
+)
+def test_a_profile_that_cannot_be_extended_is_named_with_its_line(twin: Path, base: str, says: str) -> None:
+    path = twin.with_name("mine.yaml")
+    path.write_text(f"name: mine\nextends: {base}\n", "utf-8")
+    assert f"mine.yaml:2: extends: {says}" in refusal(path)
 
 
 def test_units_become_si() -> None:
@@ -110,6 +143,13 @@ WRONG = [
     ("type: arms/ur10.yaml", "type: arms/ur11.yaml", "arms.left.type", "file not found"),
     ("type: arms/ur10.yaml", 'type: "a\\0b"', "arms.left.type", "file not found"),
     ("name: twin", 'name: "\\ud800"', "name", "half a character"),
+    ("    speed_scale: 0.5 ", "    fixed: [a2, x0] #", "arms.left.fixed", "'x0' is no parameter of a D-H row"),
+    (
+        "    smr: {offset: [0.045, 0.020, 0.060]",
+        "    fixed: [tz]\n    smr: {offset: unknown",
+        "arms.left.fixed",
+        "tz has no value",
+    ),
     ("    home: ", "    # ", "arms.left.home", "missing; arm left has a driver: planning and pointing need it"),
     ("    base: ", "    # ", "arms.left.base", "missing; arm left has a driver"),
     ("  pose: ", "  # ", "tracker.pose", "missing; arm left has a driver"),

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 
 from cellapp.cell.profile import load_profile
 from cellapp.cell.profile.starters import arm_type_files
+from cellapp.commands.calibrate.result import arm_result
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.identification import (
     TooFewReadings,
@@ -39,7 +40,7 @@ from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import GeometryErrors
 from tests.arms import HALF_TURN, OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plant_of, true_geometry
 from tests.series import series
-from tests.twin import PROFILES
+from tests.twin import PROFILES, with_arm
 
 SIGMA = 15e-6
 
@@ -225,13 +226,30 @@ def test_scatter_beyond_the_stated_uncertainty_enters_the_weights():
     assert identify_with_excess(start, q, p_M, sigma=np.full(300, SIGMA))[1] == 0.0
 
 
-def test_a_profile_that_allows_too_few_steps_ends_with_an_error_that_names_the_arm():
-    profile = load_profile(PROFILES / "twin-small.yaml")
+def sixty_readings():
     one = series(1, 60)["left"]
-    readings = Readings(
+    return Readings(
         configuration=np.arange(60), time_s=np.arange(60.0), q=one.q, approach=np.zeros((60, 6), np.int8), p_M=one.p_M,
         split=tuple("identify" if k % 3 else "validate" for k in range(60)),
     )  # fmt: skip
+
+
+def test_fixed_parameters_keep_their_values_and_others_take_their_part():
+    profile, readings = load_profile(PROFILES / "twin-small.yaml"), sixty_readings()
+    plain = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": "none"})})
+    free, *_ = calibrate_arm(plain, "left", readings)
+    held, *_ = calibrate_arm(with_arm(plain, "left", fixed=("tx", "ty", "tz", "a2")), "left", readings)
+    result = arm_result(held)
+    assert np.allclose(held.model.geometry.tool, profile.arms["left"].smr.offset, rtol=0.0, atol=1e-12)
+    assert result.fixed == {"a2": -0.612, "tx": 0.045, "ty": 0.02, "tz": 0.06}
+    assert not {*result.fixed} & {*result.identified, *result.merged}
+    assert {"theta6", "a6", "d6"} <= {*result.identified}
+    assert {"theta6", "a6", "d6"} <= {*arm_result(free).merged}
+    assert held.validate["geometry"].position_mm.rms < 1.2 * free.validate["geometry"].position_mm.rms
+
+
+def test_a_profile_that_allows_too_few_steps_ends_with_an_error_that_names_the_arm():
+    profile, readings = load_profile(PROFILES / "twin-small.yaml"), sixty_readings()
     few = profile.model_copy(update={"calibration": profile.calibration.model_copy(update={"max_iterations": 1})})
     with pytest.raises(NotConverged, match="arm 'left': the identification did not converge: 1 steps were not enough"):
         calibrate_arm(few, "left", readings)

@@ -496,4 +496,4 @@ def test_held_out_readings_judge_the_whole_and_select_no_terms():
     )
     left = discover._judged_by_held_out(replace(result, model=spoilt, only_some="spoilt here"), judge)
     assert left.harmful == tuple(dict.fromkeys(term.slug for term in terms))
-    assert not left.found.fit.terms and not left.found.reviews and not left.model.effects
+    assert not any((left.found.fit.terms, left.found.reviews, left.model.effects))

@@ -46,11 +46,11 @@ def test_the_twin_in_an_empty_folder(call: Any) -> None:
     ("line", "other", "words"),
     [
         ("  stops: 80", "  stops: 1", "at least 4 and 1 are needed"),
-        ("targets: targets/twin.yaml", "targets: none.yaml", "none.yaml: cannot be read"),
-        ("driver: {kind: simulated}", "driver: {kind: none}", "arms.left.driver: 'none' has no device"),
-        ("tracker:\n  driver: {kind: simulated}", "tracker:\n  driver: {kind: none}", "tracker.driver: 'none' has no"),
+        ("plan:", "targets: none.yaml\nplan:", "none.yaml: cannot be read"),
+        ("plan:", "arms: {left: {driver: {kind: none}}}\nplan:", "arms.left.driver: 'none' has no device"),
+        ("plan:", "tracker: {driver: {kind: none}}\nplan:", "tracker.driver: 'none' has no"),
         ("  stops: 80", "  stops: 80\n  effects: [bogus]", "plan.effects: 'bogus' is no effect"),
-        ("    speed_scale: 0.5", f"    speed_scale: 0.5\n    payloads: [{'{mass: 0.3}, ' * 90}]", "few for 91 loads"),
+        ("plan:", f"arms: {{left: {{payloads: [{'{mass: 0.3}, ' * 90}]}}}}\nplan:", "few for 91 loads"),
         ("  identify: 40", "  identify: 900", ""),
     ],
 )

@@ -27,7 +27,7 @@ from cellapp.commands.calibrate.charts import (
     pair_histogram_chart,
     stage_chart,
 )
-from cellapp.commands.calibrate.view import calibration_tables, merged_sentences, parameter_tables, tracker_sentences
+from cellapp.commands.calibrate.view import calibration_tables, parameters_view, tracker_sentences
 from cellapp.commands.export.request import STAGES, VERB
 from cellapp.commands.report.data import ReportData
 from cellapp.commands.view.charts import Chart
@@ -192,7 +192,7 @@ class CalibrateScreen(DayScreen):
             return
         outdated = self.outdated(CALIBRATE, "go", "calibrates again")
         tables.show((*calibration_tables(result), *tracker_sentences(result), *result.notes), outdated)
-        parameters.show((*parameter_tables(result), *merged_sentences(result)), outdated)
+        parameters.show(parameters_view(result).parts, outdated)
         self._read(workspace)
 
     def show_state(self, state: RunState) -> None:
