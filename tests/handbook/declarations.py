@@ -36,7 +36,7 @@ def verbs_part() -> str:
         start = f"| {panel if panel != shown else ''} | `cellapp {name_of(word)}` |"
         rows.append(f"{start} {words} | {moves} | [{chapter}]({chapter}.md) |")
         shown = panel
-    head = ["| | command | what it does | moves the arms | chapter |", "| --- | --- | --- | --- | --- |"]
+    head = ["| | command | what it does | moves the arms |", "| --- | --- | --- | --- |"]
     return "\n".join(["<!--declared:verbs-->", *head, *rows, "<!--end-->", ""])
 
 
