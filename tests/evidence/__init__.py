@@ -2,7 +2,7 @@
 
 A program is one module of this folder with
 
-- ``TITLE`` and a docstring: what the figures show, two or three sentences for the page;
+- ``TITLE`` and a docstring; what the page asks and shows of them stands in ``page.SHOWN``;
 - ``options(parser)`` (optional): arguments of its own, with the defaults that made the figures that are kept;
 - ``cases(asked)``: name -> case, all that ``one`` needs, writable as JSON;
 - ``one(case)``: the results of a case as a dict, computed in a process of its own, by seed the same anywhere;

@@ -146,10 +146,11 @@ SHOWN: Mapping[str, Shown] = {
         " doubled. Twice an arm that had its motion already began to move after the other controller had the stop; it"
         " was braked, too. The full storm was not repeated since."
     ),
+    "mutants": Shown("Do the tests notice a wrong program? Of mutants at random, {noticed} were noticed."),
     "bridge": Shown("Does a tracker bridge lose measurements under faults? {delivered} delivered, none twice."),
 }
 """What the chapter shows, in its order: real arms first; other programs follow by name, whole."""
-_UNTABLED = ("wire",)
+_UNTABLED = ("wire", "mutants")
 """Programs whose first table is too long for the chapter."""
 
 

@@ -33,10 +33,10 @@ def verbs_part() -> str:
     for word, panel in PANEL.items():
         words, chapter = others.get(word) or (verbs[word].summary, verbs[word].chapter)
         moves = "**yes**" if word in verbs and verbs[word].moves_arms else ""
-        start = f"| {panel if panel != shown else ''} | `cellapp {name_of(word)}` |"
-        rows.append(f"{start} {words} | {moves} | [{chapter}]({chapter}.md) |")
+        start = f"| {panel if panel != shown else ''} | [`cellapp {name_of(word)}`]({chapter}.md) |"
+        rows.append(f"{start} {words} | {moves} |")
         shown = panel
-    head = ["| | command | what it does | moves the arms | chapter |", "| --- | --- | --- | --- | --- |"]
+    head = ["| | command | what it does | moves the arms |", "| --- | --- | --- | --- |"]
     return "\n".join(["<!--declared:verbs-->", *head, *rows, "<!--end-->", ""])
 
 
