@@ -242,8 +242,8 @@ def train_network(
     scale = max(float(np.sqrt(np.mean(residual**2))), 1e-12)
     group = undivided(q)
     if group.max() + 1 < 2 * folds:
-        left = float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
-        return Training(network=None, shape=shapes[0], left_out_rms=left, without_rms=left, tried=())
+        rms = float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+        return Training(network=None, shape=shapes[0], left_out_rms=rms, without_rms=rms, tried=())
     fold = folds_of(group, folds, np.random.default_rng([seed, 0xF01D])) if fold is None else fold
     outputs = {False: residual / scale, True: rotate_about_z(residual / scale, -q[:, 0])}
     inputs = {kind: network_inputs(kind, low, high, q) for kind in {shape.inputs for shape in shapes}}
@@ -577,12 +577,12 @@ def _better(
 
 def _left_out_squares(network: ResidualNetwork | None, q: Array, residual: Array, fold: NDArray[np.int64]) -> Array:
     """Compute squared errors (n,) [m^2] by the member that did not learn from a reading's fold, or by no network."""
-    left = residual.copy()
+    errors = residual.copy()
     if network is not None:
         for number, member in enumerate(network.members):
             rows = fold == number
-            left[rows] -= replace(network, members=(member,)).correct(q[rows])
-    return np.asarray(np.sum(left**2, axis=1))
+            errors[rows] -= replace(network, members=(member,)).correct(q[rows])
+    return np.asarray(np.sum(errors**2, axis=1))
 
 
 # -- Training of the residual network from all readings, in batches, by torch -----------------------------------------

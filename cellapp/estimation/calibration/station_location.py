@@ -239,8 +239,8 @@ def _with_prior(problem: _Problem, station: Array) -> tuple[Array, Array]:
     r, J = _linearised(problem, station)
     if problem.rough is None:
         return r, J
-    left = -_twist(station @ invert(problem.rough.T_new_old))
-    return np.concatenate([r, left]), np.concatenate([J, np.eye(6)])
+    moved = -_twist(station @ invert(problem.rough.T_new_old))
+    return np.concatenate([r, moved]), np.concatenate([J, np.eye(6)])
 
 
 def _linearised(problem: _Problem, station: Array) -> tuple[Array, Array]:
@@ -393,8 +393,8 @@ def tie_stations(first: str, points: Sequence[NestPoint]) -> dict[str, StationTi
 
     best = LeastSquares(linearised, after).best("fit of the tracker's stations to reference nests", (T, x)).point
     (T, x), b, A = best.state, best.r, best.A
-    left = len(b) - A.shape[1]
-    scatter = max(1.0, math.sqrt(float(b @ b) / left)) if left > 0 else 1.0
+    freedom = len(b) - A.shape[1]
+    scatter = max(1.0, math.sqrt(float(b @ b) / freedom)) if freedom > 0 else 1.0
     covariance: Array = np.asarray(np.linalg.inv(A.T @ A) * scatter**2, dtype=np.float64)
     places: dict[str, Array] = {nest: np.asarray(at, dtype=np.float64) for nest, at in zip(nests, x, strict=True)}
     return {

@@ -101,9 +101,9 @@ def model_without(found: SearchResult, out: Collection[int]) -> ArmModel:
     columns, first = list(fit.identification.estimated.columns), fit.layout.geometric
     vector = fit.model.geometry.vector()
     values = np.concatenate([(vector - found.data.model.nominal.vector())[columns], fit.identification.effect_values])
-    left = fit.residual + sum(fit.signal(number) for number in out)
-    left = fit.rows[kept] @ left - (fit.precision * values)[kept]
-    values[kept] += fit.normal.take(kept).with_priors(fit.precision[kept]).solve(left)
+    residual = fit.residual + sum(fit.signal(number) for number in out)
+    residual = fit.rows[kept] @ residual - (fit.precision * values)[kept]
+    values[kept] += fit.normal.take(kept).with_priors(fit.precision[kept]).solve(residual)
     vector[columns] = found.data.model.nominal.vector()[columns] + values[:first]
     effects = tuple(
         replace(effect, values=values[fit.layout.parameters(other)])

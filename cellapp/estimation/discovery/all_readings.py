@@ -161,8 +161,8 @@ def _gathered(data: ArmData, fit: JointFit, further: Sequence[Component] = ()) -
         estimated = fit.identification.estimated.columns
         linear = LinearModel.of(fit.model.geometry, q, white, estimated, columns, R_M_S)
         predicted = smr_positions(fit.model.geometry, q, R_M_S) + moved.shift_M
-        left = np.einsum("acn,nc->an", white, chunk.readings.p_M - predicted)
-        found += NormalMatrix.of(linear.rows, left.ravel())
+        residual = np.einsum("acn,nc->an", white, chunk.readings.p_M - predicted)
+        found += NormalMatrix.of(linear.rows, residual.ravel())
     return found
 
 

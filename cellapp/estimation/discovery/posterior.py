@@ -212,10 +212,10 @@ class ChannelScan:
         ``residual`` is that of the fit if None, else for instance that without a term.
         """
         n, residual = len(data), fit.projected_residual if residual is None else residual
-        left = residual.projected.reshape(3, n)
+        projected = residual.projected.reshape(3, n)
 
         def direction(unit: Array) -> _Direction:
-            return _Direction(unit, np.einsum("an,an->n", unit, left))
+            return _Direction(unit, np.einsum("an,an->n", unit, projected))
 
         found: dict[DataChannel, tuple[_Direction, ...]] = {}
         several = []

@@ -287,8 +287,8 @@ def path_values(
     """
     m, n = attained.shape[:2]
     mean = attained.mean(axis=1, keepdims=True)
-    left = attained - mean
-    root = np.sqrt(np.einsum("mna,mna->ma", left, left) / (n - 1))
+    deviations = attained - mean
+    root = np.sqrt(np.einsum("mna,mna->ma", deviations, deviations) / (n - 1))
     widened = _widened(rng, n, (_PATH_DRAWS, 1, 1, 1))
     drawn = mean + widened * root[:, None] * rng.standard_normal((_PATH_DRAWS, m, n, 3))
     shared = rng.multivariate_normal(np.zeros(3), tracker + frame, size=(_PATH_DRAWS, 1, 1), method="eigh")

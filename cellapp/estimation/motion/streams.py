@@ -284,10 +284,10 @@ def _steps(time: Array, values: Array, period: float) -> NDArray[np.bool_]:
             continue
         each = (before[-1] - before[0]) / (len(before) - 1) / 2.0 + (after[-1] - after[0]) / (len(after) - 1) / 2.0
         missed = values[i + 1] - values[i] - each
-        per_sample, left = float(np.linalg.norm(each)), float(np.linalg.norm(missed))
+        per_sample, off = float(np.linalg.norm(each)), float(np.linalg.norm(missed))
         spread = np.linalg.norm(np.diff(before, axis=0) - (before[-1] - before[0]) / (len(before) - 1), axis=1)
         moving = per_sample > _OF_SPREAD * float(spread.mean()) / np.sqrt(len(spread))
-        jump[i] = moving and left < _MOVED_PERIODS * per_sample
+        jump[i] = moving and off < _MOVED_PERIODS * per_sample
     return jump
 
 
@@ -308,9 +308,9 @@ def _counted(time: Array, period: float) -> Array:
             continue
         number = np.arange(last - first)
         slope, at_zero = np.polyfit(number, time[first:last], 1)
-        left = time[first:last] - slope * number - at_zero
+        residual = time[first:last] - slope * number - at_zero
         regular[first:last] = (
-            slope * number + at_zero + scipy.ndimage.uniform_filter1d(left, 2 * half + 1, mode="nearest")
+            slope * number + at_zero + scipy.ndimage.uniform_filter1d(residual, 2 * half + 1, mode="nearest")
         )
     return np.maximum.accumulate(regular)
 

@@ -185,13 +185,13 @@ def _tried(
         except TooFewReadings:
             return None
         computed = smr_positions(arm, q)
-        left = p_M[some] - computed
-        misses = np.linalg.norm(left, axis=1)
+        residuals = p_M[some] - computed
+        misses = np.linalg.norm(residuals, axis=1)
         found = ClockStart(offset, float(correlation), arm, float(np.median(misses)))
         # delays are known to a grid step: the residuals along the motion give the rest
         moved = smr_positions(arm, path.at(time_s[some] - offset + _GRID_S)[0]) - computed
         usual = misses <= 3.0 * found.rms_m
-        share = float(np.vdot(moved[usual], left[usual]) / max(float(np.vdot(moved[usual], moved[usual])), 1e-300))
+        share = float(np.vdot(moved[usual], residuals[usual]) / max(float(np.vdot(moved[usual], moved[usual])), 1e-300))
         offset -= _GRID_S * float(np.clip(share, -3.0, 3.0))
     return found
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import excess_of_kinds, inverse_psd, shortened, solve_psd, with_excess
 from cellapp.estimation.calibration.parameters import candidate_columns, typical_spreads
-from cellapp.estimation.calibration.quantities import NOT_STATED, measured_quantities
+from cellapp.estimation.calibration.quantities import NOT_STATED, Quantities, measured_quantities
 from cellapp.estimation.calibration.records import SignaturePart
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.joint_fit import LinearModel, NormalMatrix
@@ -42,22 +42,16 @@ _CHUNK = 512
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
-    """Measured vectors of one arm, their conditions, and the uncertainty (n,) [m] or (n, 3, 3) [m^2] that weights them.
+class Measured(Quantities):
+    """Measured vectors of one arm, and the uncertainty ``sigma`` (n,) [m] or (n, 3, 3) [m^2] that weights them."""
 
-    ``stated`` is the uncertainty that the readings state, in the same shapes; None if they state none.
-    """
-
-    readings: Readings
-    conditions: MeasurementConditions
     sigma: Array
-    stated: Array | None = None
 
     @classmethod
     def of(cls, readings: Readings, conditions: MeasurementConditions) -> Measured:
         """Take all measurements of some readings, positions and then orientations, with equal weights."""
         its = measured_quantities(readings, conditions)
-        return cls(its.readings, its.conditions, np.ones(len(its.readings)), its.stated)
+        return cls(its.reading, its.readings, its.conditions, its.stated, np.ones(len(its.readings)))
 
     def __len__(self) -> int:
         return len(self.readings)
@@ -65,12 +59,8 @@ class Measured:
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Measured:
         """Return some of the vectors."""
         stated = None if self.stated is None else self.stated[rows]
-        return Measured(self.readings.take(rows), self.conditions.take(rows), self.sigma[rows], stated)
-
-    @property
-    def turned(self) -> NDArray[np.bool_] | None:
-        """Mask (n,) of the vectors that are orientations; None if there are none."""
-        return self.conditions.turned
+        readings, conditions = self.readings.take(rows), self.conditions.take(rows)
+        return Measured(self.reading[rows], readings, conditions, stated, self.sigma[rows])
 
     @property
     def points(self) -> NDArray[np.bool_]:
