@@ -34,10 +34,9 @@ from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion, visible_stops
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.design.information import HOPELESS, Discrimination, SequentialDesign, joint_gains
-from cellapp.estimation.discovery.arm_data import ArmData
+from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData
 from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.discovery.records import Unnamed
-from cellapp.estimation.discovery.terms import UNKNOWN
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
