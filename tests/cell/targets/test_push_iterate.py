@@ -192,7 +192,7 @@ def test_noise_explains_95_of_100_errors() -> None:
 
 @pytest.mark.parametrize(
     ("iterate", "verify", "words"),
-    [(0, True, "expected 1 to 20 rounds, got 0"), (21, True, "got 21"), (2, False, "add --verify")],
+    [(0, True, "expected 1 to 20 rounds, got 0"), (21, True, "got 21"), (2, False, "--iterate belongs to --verify")],
 )
 def test_rounds_that_make_no_sense_are_refused(run: RunFile, iterate: int, verify: bool, words: str) -> None:
     with pytest.raises(InputError, match=words):
