@@ -117,6 +117,7 @@ FRICTION = {"friction": [8.0] * 6, "load_friction": [0.1] * 6, "stiffness": [6e4
 )
 def test_what_a_calibration_left_unexplained_is_no_change(tmp_path: Path, hidden: dict[str, Any]) -> None:
     profile = finished_twin(80)
+    profile = profile.model_copy(update={"plan": profile.plan.model_copy(update={"method": "random"})})
     for name in profile.arms:
         profile = profile.model_copy(update={"plant": changed(profile, name, **hidden)})
     with new_planned_run(profile, tmp_path / "run") as run:

@@ -36,7 +36,7 @@ Hook = Callable[[Any, str, int], None]
 
 @pytest.fixture(scope="module")
 def profile() -> Profile:
-    return small_twin(STOPS, plan={"method": "random"})
+    return small_twin(STOPS)
 
 
 @pytest.fixture(scope="module")

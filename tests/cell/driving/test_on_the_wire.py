@@ -33,7 +33,7 @@ AVERAGING_S = 0.3
 
 @pytest.fixture(scope="module")
 def profile() -> Profile:
-    twin = small_twin(1, plan={"method": "random"})
+    twin = small_twin(1, plan={"reserve": 0})
     arms = {
         name: arm.model_copy(update={"driver": UrSettings(host=HOSTS[name], watchdog_hz=2.0)})
         for name, arm in twin.arms.items()

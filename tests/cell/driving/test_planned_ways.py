@@ -196,7 +196,7 @@ def test_a_person_confirms_the_first_leg_and_nothing_moves_without(driven: Drive
 
 @pytest.fixture(scope="module")
 def plan_of_conditions() -> dict[str, np.ndarray]:
-    return plan_stops(small_twin(3, plan={"method": "random"}))
+    return plan_stops(small_twin(3))
 
 
 class Moves:

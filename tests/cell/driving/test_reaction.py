@@ -161,6 +161,29 @@ def test_arms_that_were_not_seen_at_rest_are_named(arms: dict[str, Braking]) -> 
     assert reaction.wait_at_rest() == {"right": "arm right: not seen"}
 
 
+def test_an_arm_is_watched_by_one_thread_and_in_simulated_time_by_none(
+    arms: dict[str, Braking], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watched, end = threading.Semaphore(0), threading.Event()
+
+    def stop() -> None:
+        watched.release()
+        end.wait(WITHIN_S)
+
+    monkeypatch.setattr(arms["left"], "stop", stop)
+    fault, person = StopCause("fault", "something", "left"), StopCause("stop", "a person stopped the arms")
+    reaction_of(arms, Halted(), one_by_one).trigger(fault)
+    assert not watched.acquire(blocking=False)
+    reaction = reaction_of(arms, Halted(), lambda calls: [call() for call in calls])
+    first = threading.Thread(target=reaction.trigger, args=(fault,))
+    first.start()
+    assert watched.acquire(timeout=WITHIN_S)
+    reaction.trigger(person)
+    end.set()
+    first.join(WITHIN_S)
+    assert not watched.acquire(blocking=False)
+
+
 def test_a_driver_that_fails_unexpectedly_does_not_end_the_wait(
     arms: dict[str, Braking], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,7 +33,7 @@ STOPS = 4
 
 @pytest.fixture(scope="module")
 def plan() -> dict[str, np.ndarray]:
-    return plan_stops(small_twin(STOPS, plan={"method": "random"}))
+    return plan_stops(small_twin(STOPS))
 
 
 def with_sections(folder: Path, sensors: str = "", driver: str = "") -> Profile:
@@ -232,7 +232,7 @@ RPY = (0.1, -0.2, 0.3)
 
 
 def cell_with() -> Profile:
-    profile = small_twin(STOPS_OF_MORE_THAN_A_POINT, plan={"method": "random"})
+    profile = small_twin(STOPS_OF_MORE_THAN_A_POINT)
     right = profile.arms["right"]
     smr = Smr.model_validate({**right.smr.model_dump(), "probe": {"rpy": RPY, "sigma": 5e-5}})
     return profile.model_copy(update={"arms": {**profile.arms, "right": right.model_copy(update={"smr": smr})}})

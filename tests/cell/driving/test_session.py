@@ -36,7 +36,7 @@ Act = Callable[["Bench"], None]
 
 @pytest.fixture(scope="module")
 def planned() -> tuple[Profile, dict[str, np.ndarray]]:
-    profile = small_twin(STOPS, plan={"reserve": RESERVE, "method": "random"})
+    profile = small_twin(STOPS, plan={"reserve": RESERVE})
     return profile, plan_stops(profile)
 
 

@@ -232,7 +232,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A calibrated run whose controllers have a calibration; that of the left one is nominal."""
 
     def make(folder: Path) -> None:
-        twin = small_twin(30, plant={"factory": FactoryErrors(length=1e-4, angle=1e-4), "effects": {}})
+        twin = small_twin(
+            30, plan={"method": "random"}, plant={"factory": FactoryErrors(length=1e-4, angle=1e-4), "effects": {}}
+        )
         twin = twin.model_copy(update={"network": twin.network.model_copy(update={"kind": "none"})})
         own, left = factory_calibration(build_plant(twin), "left"), twin.arms["left"]
         assert own is not None

@@ -169,6 +169,11 @@ def test_a_bad_header_names_the_column(path: Path, old: str, new: str, column: s
     assert says in told
 
 
+def test_a_header_of_one_column_tells_which_separator_is_expected(path: Path) -> None:
+    write(path, header=HEADER.replace(",", ";"))
+    assert refusal(path).startswith(f"{path}:1: the header is one column; separate columns by commas")
+
+
 @pytest.mark.parametrize("sign", ["2", "0.5", "+", "-2"])
 def test_approach_is_a_sign(path: Path, sign: str) -> None:
     header = "configuration,arm,q1,q2,x_m,y_m,z_m,approach1,approach2"

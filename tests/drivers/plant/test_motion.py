@@ -62,7 +62,7 @@ def test_what_happens_during_a_measurement_breaks_it(plant: Plant) -> None:
     tracker = SimulatedTracker(plant)
     tracker.connect()
     profile = load_profile(PROFILES / "twin.yaml")
-    q = plan_stops(small_twin(2, plan={"method": "random"}))
+    q = plan_stops(small_twin(2))
     arm = SimulatedArm(plant, "left")
     arm.connect()
     arm.start_move(q["left"][0], SLOW, SLOW)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from cellapp.commands.run_results import RunResults, evidence_of
 from cellapp.estimation.calibration.records import Repeatability
@@ -62,14 +60,6 @@ def test_a_sum_without_a_contribution_that_nobody_gave_is_no_uncertainty() -> No
     assert expanded_mm(lines(None)) is None
     assert expanded_mm([]) is None
     assert not_given(lines(0.01, None)) == ["source 1"]
-
-
-@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=8))
-def test_the_combined_uncertainty_is_between_the_largest_and_the_sum(values: list[float]) -> None:
-    combined = combined_mm(lines(*values))
-    assert combined is not None
-    assert max(values) <= combined + 1e-12
-    assert combined <= sum(values) + 1e-12
 
 
 def test_contributions_of_the_twin_at_four_metres() -> None:
