@@ -309,6 +309,9 @@ def _p_in_words(p_value: float) -> str:
 _FLOOR = 1.05
 """Ratio of held-out rms error to noise floor up to which the gap counts as closed: with the twin's plan of a hundred
 held-out stops it scatters by 4 %."""
+_MOST_EXPECTED = 1.25
+"""Ratio to the floor up to which uncertain parameters explain a held-out error: more than a geometry and one law from a
+few tens of stops. What is more uncertain is not known."""
 _FAR = 5.0
 """Ratio of scatter to stated noise that exceeds the repeatability of an arm: 75 µm of a coordinate against the 15 µm of
 a tracker. Readings too few to show structure then still lack an explanation."""
@@ -402,6 +405,7 @@ def _gap_closed(floor_mm: float, expected_mm: float, after_mm: float, held_out: 
     noise = scatter.p_value > FLOOR_CHANCE
     if not held_out:
         return noise
+    expected_mm = min(expected_mm, floor_mm * _MOST_EXPECTED)
     at_floor = after_mm <= expected_mm * max(sampling_allowance(held_out), _FLOOR)
     return after_mm <= floor_mm * _FLOOR or (at_floor and (noise or scatter.ratio < _FLOOR))
 
