@@ -226,9 +226,8 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
     nameless, claim = unnamed_record(found, held_out), _contradicted_claim(found, stated_mm)
     if claim is not None and left is not None:
         left = replace(left, against="estimated")
-    expected_mm = math.hypot(floor_mm, math.sqrt(3.0) * held_out.predicted_rms_mm(fitted_model))
     errors = BeforeAfter(before=before.rms, after=after.rms)
-    word, sentence = verdict(accepted, floor_mm, expected_mm, errors, len(held_out), left, structure, nameless)
+    word, sentence = verdict(accepted, floor_mm, errors, len(held_out), left, structure, nameless)
     if result.harmful:
         word = "unknown effect"  # the search fitted something real, but not by its true cause
     # if nothing was found, the arm stays as it was calibrated

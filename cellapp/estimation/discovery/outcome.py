@@ -101,11 +101,6 @@ class HeldOut:
         sigma = stated_uncertainty(self.readings)
         return math.nan if sigma is None else rms_length_mm(sigma)
 
-    def predicted_rms_mm(self, model: ArmModel) -> float:
-        """Return the rms uncertainty of a coordinate that a model predicts here [mm], without noise; zero if none."""
-        predicted = model.uncertainty(self.readings.q, self.conditions)
-        return 1e3 * float(np.sqrt(np.mean(predicted**2))) if len(predicted) else 0.0
-
     def predicted_uncertainty_mm(self, model: ArmModel) -> PredictedUncertainty | None:
         """Return the median and largest uncertainty that a model predicts here [mm]; None if it predicts none."""
         predicted = model.uncertainty(self.readings.q, self.conditions)

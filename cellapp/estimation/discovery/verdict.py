@@ -309,6 +309,9 @@ def _p_in_words(p_value: float) -> str:
 _FLOOR = 1.05
 """Ratio of held-out rms error to noise floor up to which the gap counts as closed: with the twin's plan of a hundred
 held-out stops it scatters by 4 %."""
+_MOST_UNCERTAIN = 1.25
+"""Ratio to the floor up to which uncertain parameters explain a held-out error: about that of a geometry and one law
+from a few tens of stops. What is more uncertain is not explained."""
 _FAR = 5.0
 """Ratio of scatter to stated noise that exceeds the repeatability of an arm: 75 µm of a coordinate against the 15 µm of
 a tracker. Readings too few to show structure then still lack an explanation."""
@@ -320,7 +323,6 @@ _SAMPLING_ERRORS = 2.5
 def verdict(
     accepted: Sequence[AcceptedEffect],
     floor_mm: float,
-    expected_mm: float,
     errors: BeforeAfter,
     held_out: int,
     scatter: Scatter | None,
@@ -329,9 +331,8 @@ def verdict(
 ) -> tuple[Verdict, str]:
     """Return the verdict and its sentence.
 
-    ``errors`` are the rms of ``held_out`` readings, of which ``expected_mm`` would be due to noise and uncertain
-    parameters. ``scatter`` and ``structure`` are those of the residuals. An error at the stated noise counts as
-    explained. If none is stated, the residuals must show no structure.
+    ``errors`` are the rms of ``held_out`` readings; ``scatter`` and ``structure`` are those of the residuals. An error
+    at the stated noise counts as explained. If none is stated, the residuals must show no structure.
     """
     after_mm = errors.after
     driven = [effect.description for effect in accepted if effect.description is not None]
@@ -342,7 +343,7 @@ def verdict(
         also = f"{names}, and " if names else ""
         described = "; ".join(description.sentence for description in driven)
         return "unknown effect", f"{also}something that the library does not have: {described}"
-    closed = scatter is not None and _gap_closed(floor_mm, expected_mm, after_mm, held_out, scatter)
+    closed = scatter is not None and _gap_closed(floor_mm, after_mm, held_out, scatter)
     left = _left(floor_mm, after_mm, scatter, structure, closed=closed)
     if nameless := unnamed is not None and unnamed.in_force:
         left = f"{unnamed_words(unnamed)}; {left}"
@@ -397,12 +398,12 @@ def sampling_allowance(held_out: int) -> float:
     return 1.0 + _SAMPLING_ERRORS / math.sqrt(6.0 * max(held_out, 1))
 
 
-def _gap_closed(floor_mm: float, expected_mm: float, after_mm: float, held_out: int, scatter: Scatter) -> bool:
+def _gap_closed(floor_mm: float, after_mm: float, held_out: int, scatter: Scatter) -> bool:
     """Return whether the held-out error is at the noise floor, and the residuals, too, may be the stated noise."""
     noise = scatter.p_value > FLOOR_CHANCE
     if not held_out:
         return noise
-    at_floor = after_mm <= expected_mm * max(sampling_allowance(held_out), _FLOOR)
+    at_floor = after_mm <= floor_mm * _MOST_UNCERTAIN * sampling_allowance(held_out)
     return after_mm <= floor_mm * _FLOOR or (at_floor and (noise or scatter.ratio < _FLOOR))
 
 

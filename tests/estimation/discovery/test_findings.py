@@ -69,7 +69,7 @@ def errors(after_mm: float) -> BeforeAfter:
         ([], 0.3, None, NONE, "nothing missing"),
         ([], 0.3, None, STRUCTURE, "unknown effect"),
         ([accepted()], 0.1, NOISE, NONE, "explained"),
-        ([accepted()], 0.14, NOISE, NONE, "unknown effect"),
+        ([accepted()], 0.16, NOISE, NONE, "unknown effect"),
         ([accepted()], 1.0, None, NONE, "unknown effect"),
         ([accepted()], 0.1, NOISE, STRUCTURE, "explained"),
         ([accepted(rival(distinguishable=True))], 0.1, NOISE, NONE, "explained"),
@@ -83,7 +83,7 @@ def errors(after_mm: float) -> BeforeAfter:
     ],
 )
 def test_the_verdict_follows_from_effects_rivals_and_what_is_left(effects, after_mm, scatter, structure, word) -> None:
-    found, sentence = verdict(effects, 0.1, 0.11, errors(after_mm), 100, scatter, structure)
+    found, sentence = verdict(effects, 0.1, errors(after_mm), 100, scatter, structure)
     assert found == word
     assert ("state no uncertainty" in sentence) == (scatter is None)
     assert ("still depends on time" in sentence) == (word == "unknown effect" and structure is STRUCTURE)
@@ -92,12 +92,12 @@ def test_the_verdict_follows_from_effects_rivals_and_what_is_left(effects, after
 
 
 def test_a_scatter_is_not_compared_with_a_stated_uncertainty_that_it_contradicts() -> None:
-    _, sentence = verdict([], 0.1, 0.1, errors(0.3), 100, Scatter(1.9, 0.0, "estimated"), NONE)
+    _, sentence = verdict([], 0.1, errors(0.3), 100, Scatter(1.9, 0.0, "estimated"), NONE)
     assert "readings scatter 1.90 times as estimated but without structure" in sentence
 
 
 def test_readings_that_are_too_few_for_a_search_do_not_say_that_nothing_is_missing() -> None:
-    found, sentence = verdict([], 0.1, 0.1, errors(1.3), 10, Scatter(50.0, 0.0), UNTESTED)
+    found, sentence = verdict([], 0.1, errors(1.3), 10, Scatter(50.0, 0.0), UNTESTED)
     assert found == "unknown effect"
     assert "scatter 50 times as stated and are too few to look for effects" in sentence
 
