@@ -11,8 +11,8 @@ from typing import Literal
 from pydantic import Field
 
 from cellapp.cell.planning.records import PlanDesignResult, PlannedTime
-from cellapp.cell.run.records import ArmOrder, MissingReading, RecordingState, ReferenceDrift
-from cellapp.cell.run.sqlite_file import Session
+from cellapp.cell.run.records import ArmOrder, RecordingState, ReferenceDrift
+from cellapp.cell.run.sqlite_file import Outcome, Session
 from cellapp.ground.asking import Verb
 from cellapp.ground.results import Record, Result
 
@@ -68,7 +68,7 @@ class CollectResult(Result, schema="cellapp-collect"):
     stops: int
     notes: tuple[str, ...]
     outcome: End = "complete"
-    missing: tuple[MissingReading, ...] = ()
+    missing: tuple[Outcome, ...] = ()
     missing_share: float = 0.0
     tolerated_share: float = 1.0
     references: tuple[ReferenceDrift, ...] = ()
@@ -157,7 +157,7 @@ class CollectionResult(Result, schema="cellapp-collection"):
 
     run: str
     sessions: tuple[Session, ...]
-    missing: tuple[MissingReading, ...]
+    missing: tuple[Outcome, ...]
     missing_share: float
     tolerated_share: float
     references: tuple[ReferenceDrift, ...]

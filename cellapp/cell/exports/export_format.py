@@ -168,8 +168,8 @@ def smr_in_plain_flange(export: ArmExport) -> Array:
 
 
 @dataclass(frozen=True)
-class ExportFormat:
-    """Format of files for calibrated arms.
+class Format:
+    """Format of files.
 
     Attributes
     ----------
@@ -179,6 +179,19 @@ class ExportFormat:
         What the file is, in a few words.
     suffix : str
         Usual file name suffix.
+    """
+
+    name: str
+    what: str
+    suffix: str
+
+
+@dataclass(frozen=True)
+class ExportFormat(Format):
+    """Format of files for calibrated arms.
+
+    Attributes
+    ----------
     text : callable
         Function that returns the text of the file.
     held : callable
@@ -189,9 +202,6 @@ class ExportFormat:
         Whether the file lists the values of effects, though no chain computes them.
     """
 
-    name: str
-    what: str
-    suffix: str
     text: Text
     held: Callable[[Geometry], Geometry] = lambda geometry: geometry
     smr: Callable[[ArmExport], Array] = lambda export: export.geometry.tool
@@ -199,25 +209,19 @@ class ExportFormat:
 
 
 @dataclass(frozen=True)
-class CellFormat:
-    """Format of files for the whole calibrated cell; ``text`` takes the arms by name. See ``ExportFormat``."""
+class CellFormat(Format):
+    """Format of files for the whole calibrated cell; ``text`` takes the arms by name."""
 
-    name: str
-    what: str
-    suffix: str
     text: Callable[[Mapping[str, ArmExport], Sequence[str]], str]
 
 
 @dataclass(frozen=True)
-class CommandFormat:
+class CommandFormat(Format):
     """Format of files for the commands of one arm at targets; ``held`` returns the number of commands in a file.
 
     ``drives`` means that a controller runs the file as it is, so that its motions must have been checked.
     """
 
-    name: str
-    what: str
-    suffix: str
     text: Callable[[ArmCommands, Sequence[str]], str]
     held: Callable[[ArmCommands], int]
     drives: bool = False

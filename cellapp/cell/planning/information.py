@@ -22,7 +22,13 @@ from cellapp.estimation.calibration.parameters import (
     prior_sds,
     typical_spreads,
 )
-from cellapp.estimation.discovery.arm_data import TRANSMISSION_ERROR, UNKNOWN, whitened_displacements, whitening
+from cellapp.estimation.discovery.arm_data import (
+    TRANSMISSION_ERROR,
+    UNKNOWN,
+    ModelTerm,
+    whitened_displacements,
+    whitening,
+)
 from cellapp.estimation.discovery.plan_forecast import nominal_model, tracker_covariance
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -59,15 +65,6 @@ _ROWS_AT_ONCE = 2000
 """Number of candidates whose columns are computed at once: bounds the memory for intermediate arrays."""
 
 
-@dataclass(frozen=True)
-class _EffectPart:
-    """The columns ``names`` of one law of an effect."""
-
-    slug: str
-    law: Law
-    names: tuple[str, ...]
-
-
 @dataclass(frozen=True, eq=False)
 class InformationModel:
     """The p columns of one arm and their sizes: first geometry, then effects, then potential terms.
@@ -91,7 +88,7 @@ class InformationModel:
     name: str
     model: ArmModel
     parameters: ParameterSet
-    parts: tuple[_EffectPart, ...]
+    parts: tuple[ModelTerm, ...]
     size: Array
     potential: int
 
@@ -188,7 +185,7 @@ def geometry_priors(profile: Profile, name: str, model: ArmModel) -> tuple[Param
     return parameters, prior_sds(parameters, {**typical_spreads(model.nominal.joints), **stated})
 
 
-def _effect_parts(profile: Profile, name: str, context: EffectContext) -> Iterator[tuple[_EffectPart, Array]]:
+def _effect_parts(profile: Profile, name: str, context: EffectContext) -> Iterator[tuple[ModelTerm, Array]]:
     """Yield the wanted effects of an arm, each with the sizes of its coefficients."""
     listed = profile.plan.effects
     unknown = [slug for slug in listed or () if slug not in EFFECTS or slug == UNKNOWN]
@@ -210,7 +207,7 @@ def _effect_parts(profile: Profile, name: str, context: EffectContext) -> Iterat
             )
 
 
-def _potential_terms(context: EffectContext) -> tuple[_EffectPart, Array] | None:
+def _potential_terms(context: EffectContext) -> tuple[ModelTerm, Array] | None:
     """Return periodic errors of several cycles per revolution of each joint that moves the SMR; None without any."""
     joints = range(1, context.joints + 1)
     waves = frozenset(f"{wave}{n}q{j}" for j in joints for n in POTENTIAL_CYCLES for wave in ("cos", "sin"))
@@ -220,7 +217,7 @@ def _potential_terms(context: EffectContext) -> tuple[_EffectPart, Array] | None
 
 def _sized(
     slug: str, law: Law, context: EffectContext, expected_m: float, names: frozenset[str] | None = None
-) -> Iterator[tuple[_EffectPart, Array]]:
+) -> Iterator[tuple[ModelTerm, Array]]:
     """Yield the columns of a law that move the SMR, with coefficients that displace it by ``expected_m`` rms."""
     chosen, sizes = [], []
     columns, joints = EFFECTS[slug].columns(context, law, names), tuple(6 + 5 * j for j in range(context.joints))
@@ -235,10 +232,10 @@ def _sized(
             chosen.append(column.name)
             sizes.append(min(expected_m / rms, bound))
     if chosen:
-        yield _EffectPart(slug, law, tuple(chosen)), np.array(sizes)
+        yield ModelTerm(slug, law, tuple(chosen)), np.array(sizes)
 
 
-def _columns_of(part: _EffectPart, context: EffectContext) -> list[EffectColumn]:
+def _columns_of(part: ModelTerm, context: EffectContext) -> list[EffectColumn]:
     by_name = {column.name: column for column in EFFECTS[part.slug].columns(context, part.law, frozenset(part.names))}
     return [by_name[name] for name in part.names]
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.run.file import RunFile, check_readings, insert_readings, select_readings
-from cellapp.cell.run.records import MissingReading, ReferenceDrift
+from cellapp.cell.run.records import ReferenceDrift
 from cellapp.cell.run.sqlite_file import Outcome, insert_outcome, schema_version, stored_columns, utc_now
 from cellapp.estimation.readings.readings import Reading, Readings
 
@@ -104,7 +104,7 @@ def _set_aside(connection: sqlite3.Connection, arm: str, stop: int) -> tuple[str
     return (row[0],)
 
 
-def missing_readings(run: RunFile) -> tuple[MissingReading, ...]:
+def missing_readings(run: RunFile) -> tuple[Outcome, ...]:
     """List the planned readings that a run lacks, with reasons; reserve stops that were not needed are not missing."""
     plan = run.read_plan()
     total = len(next(iter(plan.values()))) if plan else 0
@@ -117,14 +117,11 @@ def missing_readings(run: RunFile) -> tuple[MissingReading, ...]:
             outcome = outcomes.get((stop, name))
             if stop in stored[name] or (outcome is None and stop in reserves):
                 continue
-            if outcome is None:
-                missing.append(MissingReading(stop=stop, arm=name, kind="not tried", reason="the session ended before"))
-            else:
-                missing.append(MissingReading.like(outcome))
+            missing.append(outcome or Outcome(stop, name, "not tried", "the session ended before"))
     return tuple(missing)
 
 
-def missing_share(run: RunFile, missing: Sequence[MissingReading]) -> float:
+def missing_share(run: RunFile, missing: Sequence[Outcome]) -> float:
     """Return the share of the required readings that is missing; a measured reserve stop replaces a missing one."""
     asked = sum(len(q) - len(run.profile.plan.reserves(len(q))) for q in run.read_plan().values())
     counts = run.split_counts()

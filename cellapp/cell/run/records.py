@@ -7,15 +7,6 @@ from typing import Literal
 from cellapp.ground.results import Record
 
 
-class MissingReading(Record):
-    """An arm has no reading at a planned stop, and why."""
-
-    stop: int
-    arm: str
-    kind: Literal["not measured", "left out", "not tried"]
-    reason: str
-
-
 class ReferenceDrift(Record):
     """A reference measurement: distance from the first one of the same name, after a number of stops."""
 

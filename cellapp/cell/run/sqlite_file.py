@@ -379,7 +379,7 @@ def sync_folder(folder: Path) -> None:
 
 SessionEnd = Literal["complete", "accurate enough", "stopped", "aborted", "failed"]
 """How a collecting session ended; "accurate enough": the required standard errors were reached early."""
-OutcomeKind = Literal["not measured", "left out"]
+OutcomeKind = Literal["not measured", "left out", "not tried"]
 
 
 @dataclass(frozen=True)
@@ -410,7 +410,10 @@ class Session:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Why an arm has no reading at a stop. The newest row of a stop and arm counts, and only without a reading."""
+    """Why an arm has no reading at a stop. The newest row of a stop and arm counts, and only without a reading.
+
+    A stop that was not tried has no row.
+    """
 
     stop: int
     arm: str

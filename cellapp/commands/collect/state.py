@@ -10,11 +10,10 @@ import numpy as np
 from cellapp.cell.driving.live_model import LiveModel
 from cellapp.cell.driving.records import CollectedStop, CollectionResult, ReplacedReading, ResidualRange, SweepTrace
 from cellapp.cell.planning.sweeps import read_sweeps
-from cellapp.cell.run import RunFile
+from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.run.columns import POINT
 from cellapp.cell.run.measured_again import earlier_readings, missing_readings, missing_share, reference_drifts
 from cellapp.cell.run.recordings import read_stream, recording_states
-from cellapp.cell.run.records import MissingReading
 from cellapp.commands.run_results import RunResults
 from cellapp.estimation.calibration.online import Residuals
 from cellapp.estimation.calibration.records import ArmCalibrationResult
@@ -110,7 +109,7 @@ def _replaced(run: RunFile, model: LiveModel) -> Iterator[ReplacedReading]:
             yield ReplacedReading(stop=stop, arm=name, replaced=when, residual_mm=residual_mm)
 
 
-def _unmeasured(missing: Sequence[MissingReading]) -> Iterator[CollectedStop]:
+def _unmeasured(missing: Sequence[Outcome]) -> Iterator[CollectedStop]:
     """Yield stops without a reading although they were tried or left out on purpose."""
     for one in missing:
         if one.kind != "not tried":

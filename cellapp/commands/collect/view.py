@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from cellapp.cell.driving.records import CollectedStop, CollectionResult, CollectResult
-from cellapp.cell.run.records import MissingReading, RecordingState
+from cellapp.cell.run import Outcome
+from cellapp.cell.run.records import RecordingState
 from cellapp.cell.run.sqlite_file import Session
 from cellapp.commands.collect.charts import drift_by_reference, drift_chart, sweep_chart
 from cellapp.commands.record import Request, View
@@ -140,10 +141,10 @@ def _doubt(one: CollectedStop) -> tuple[bool, float]:
     return bool(one.suspicion), residual_ratio(one) or 0.0
 
 
-def _grouped(missing: Sequence[MissingReading]) -> list[tuple[str, str, str, str]]:
+def _grouped(missing: Sequence[Outcome]) -> list[tuple[str, str, str, str]]:
     """Return stops, arm, kind and reason of missing readings; successive stops with the same values share a row."""
-    groups: list[list[MissingReading]] = []
-    latest: dict[str, list[MissingReading]] = {}
+    groups: list[list[Outcome]] = []
+    latest: dict[str, list[Outcome]] = {}
     for one in missing:
         group = latest.get(one.arm)
         last = group[-1] if group else None

@@ -31,7 +31,7 @@ from cellapp.commands.view.words import (
 )
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import AcceptedEffect, ArmDiscoveryResult
-from cellapp.estimation.uncertainty.records import Conformity, Judgement, overall
+from cellapp.estimation.uncertainty.records import Judgement, overall
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import BEST_METHODS, CALIBRATE, CHECK, DISCOVER, ErrorSummary, Method, day_of
@@ -209,12 +209,9 @@ def _capitalised(text: str) -> str:
 
 
 @dataclass(frozen=True)
-class RunVerdict:
-    """The judgements on a run with a title and a sentence, and next steps; ``state`` is None if nothing is judged."""
+class RunVerdict(Verdict):
+    """The judgements on a run with their verdict, and next steps."""
 
-    state: Conformity | None
-    title: str
-    sentence: str
     judgements: tuple[Judgement, ...]
     steps: tuple[str, ...]
 

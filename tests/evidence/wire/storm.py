@@ -16,9 +16,8 @@ import numpy as np
 
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.planned_stops import PlannedStops, read_planned_stops, write_planned_stops
-from cellapp.cell.run import RunFile
+from cellapp.cell.run import Outcome, RunFile
 from cellapp.cell.run.measured_again import missing_readings
-from cellapp.cell.run.records import MissingReading
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -52,7 +51,7 @@ class StormResult(Result, schema="cellapp-trials-storm"):
     ----------
     stops, readings : int
         Planned stops, and stored readings.
-    missing : tuple of MissingReading
+    missing : tuple of Outcome
         Planned readings that the run lacks, each with its reason.
     lost, doubled : int
         Readings that were seen as stored and are gone or changed; readings stored twice or from one measurement.
@@ -75,7 +74,7 @@ class StormResult(Result, schema="cellapp-trials-storm"):
 
     stops: int
     readings: int
-    missing: tuple[MissingReading, ...]
+    missing: tuple[Outcome, ...]
     lost: int
     doubled: int
     sessions: int

@@ -18,7 +18,6 @@ from cellapp.cell.planning.planned_stops import (
     write_planned_stops,
 )
 from cellapp.cell.run import Outcome, ReferenceRow, RunFile
-from cellapp.cell.run.records import MissingReading
 from cellapp.cell.targets.records import (
     ArmVerification,
     CompensateResult,
@@ -278,14 +277,14 @@ def test_the_parts_add_up_to_the_uncertainty(whole: RunFile) -> None:
 # -- plans, collecting -----------------------------------------------------------------------------------------------
 
 
-def missing(count: int) -> tuple[MissingReading, ...]:
-    return tuple(MissingReading(stop=2 * k, arm="left", kind="not measured", reason="no SMR") for k in range(count))
+def missing(count: int) -> tuple[Outcome, ...]:
+    return tuple(Outcome(stop=2 * k, arm="left", kind="not measured", reason="no SMR") for k in range(count))
 
 
 def collections() -> Parts:
     """Few and many missing readings, rows of stops, notes; the chosen stop in its chart."""
     ended = tuple(
-        MissingReading(stop=stop, arm=arm, kind="not tried", reason="the session ended before")
+        Outcome(stop=stop, arm=arm, kind="not tried", reason="the session ended before")
         for stop in range(10, 30)
         for arm in ("left", "right")
     )
