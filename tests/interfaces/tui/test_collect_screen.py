@@ -240,7 +240,7 @@ async def test_a_log_that_cannot_be_read_is_a_sentence(monkeypatch: pytest.Monke
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
         (run / "run.sqlite").write_bytes(b"no run")
-        await pilot.press("o")
+        await pilot.press("o", "o")  # the run's sessions are its log; the log of this session, and back
         await until(pilot, lambda: "run.sqlite" in app.message, "the sentence")
         assert app.is_running
 
