@@ -11,7 +11,7 @@ _EVIDENCE = "the source's 'python -m tests.evidence' has what made the project's
 COMMANDS: Mapping[str, str] = {
     "follow": "'cellapp compensate DIR PATHS --out FILE' writes the joint path for the controller",
     "iso9283 compliance": "measure static compliance with a force gauge and your own dial indicator",
-    "iso9283 stabilisation": "'cellapp iso9283' measures poses, distances, drift and paths",
+    "iso9283 stabilisation": "'cellapp iso9283 --run DIR' measures poses, distances, drift and paths",
     "fleet": "use 'cellapp runs FOLDER --history ARM' for an arm, 'cellapp show DIR --against DIR' for two runs",
     "check-certificate": "use 'sha256sum -c SHA256SUMS' in the folder of the certificate, and minisign or GPG",
     "sign-key": "use minisign or GPG to sign the SHA256SUMS that 'cellapp certificate DIR' writes",

@@ -104,7 +104,7 @@ def remaining_work(run: RunFile, *, resume: bool) -> Work:
     """Return the remaining work. Raise ``InputError`` without a plan, or if stops are stored and not ``resume``."""
     route = read_planned_stops(run)
     if not len(route):
-        raise InputError(f"{run.path}: there is no plan; make one with 'cellapp plan'")
+        raise InputError(f"{run.path}: there is no plan; make one with 'cellapp plan PROFILE --run NEW'")
     done = run.stops_done()
     if done and not resume:
         raise InputError(

@@ -123,7 +123,10 @@ def required_plan(run: RunFile) -> dict[str, Array]:
     """Read the plan of a run, arm -> q (n, N) [rad]. Raise ``InputError`` if there is none."""
     plan = run.read_plan()
     if not plan or not len(next(iter(plan.values()))):
-        raise InputError(f"{run.path}: the run has no plan (its readings were imported); make one with 'cellapp plan'")
+        raise InputError(
+            f"{run.path}: the run has no plan (its readings were imported); make one with"
+            " 'cellapp plan PROFILE --run NEW'"
+        )
     return plan
 
 

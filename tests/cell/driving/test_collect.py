@@ -196,7 +196,7 @@ def test_stopped_between_stops_the_arms_rest_and_the_run_goes_on(
 def test_no_plan(profile: Profile, tmp_path: Path) -> None:
     with (
         RunFile.create(tmp_path / "run", profile) as run,
-        pytest.raises(InputError, match="there is no plan; make one with 'cellapp plan'"),
+        pytest.raises(InputError, match="there is no plan; make one with 'cellapp plan PROFILE --run NEW'"),
     ):
         collect_run(run)
 
