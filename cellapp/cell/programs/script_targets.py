@@ -406,7 +406,7 @@ def read_urp(data: bytes, where: str, table: Array, published: Array) -> ReadPro
         left=tuple(reader.left),
         payload_kg=None,
         encode=lambda changed: gzip.compress(changed.encode("latin-1"), mtime=0),
-        notes=("PolyScope compares a checksum (crcValue) when it loads the program; save it there once",),
+        notes=("PolyScope compares a checksum (crcValue) when it loads the copy; save it there once",),
     )
 
 

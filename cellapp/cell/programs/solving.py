@@ -489,6 +489,8 @@ def gate_findings(profile: Profile, model: CellModel, name: str, targets: Sequen
     Motions between targets are not judged, because the controller computes blends and straight lines itself. If the
     profile does not describe the cell, one sentence says so.
     """
+    if all(one.q_new is None for one in targets):
+        return []
     homes = home_positions(profile)
     missing = [other for other in profile.arms if other != name and other not in homes]
     if missing:
@@ -559,7 +561,7 @@ def correct_lines(result: CorrectResult) -> list[str]:
     done = sum(not one.reason for one in result.targets)
     refused = result.refused
     kept = sum(one.significant is False for one in result.targets)
-    lines = [SIZES, f"arm {result.arm}: {counted(done - kept, 'target')} corrected, {len(refused)} not"]
+    lines = [*[SIZES][:done], f"arm {result.arm}: {counted(done - kept, 'target')} corrected, {len(refused)} not"]
     if kept:
         lines.append(
             f"{counted(kept, 'target is', 'targets are')} left as taught: the correction is not significant against the"

@@ -46,7 +46,10 @@ def cell_bodies(profile: Profile, model: CellModel | None = None) -> CellBodies:
     geometries = {}
     for name, arm in profile.arms.items():
         if arm.base is None or T_C_M is None:
-            raise InputError(f"profile {profile.name}: arms.{name}.base and tracker.pose are needed to move")
+            raise InputError(
+                f"profile {profile.name}: arms.{name}.base and tracker.pose are needed to move; 'cellapp docs cell'"
+                " explains both"
+            )
         if model is None:
             geometries[name] = nominal_arm(arm).with_T_M_B(pose_matrix(arm.base))
         else:

@@ -32,7 +32,7 @@ from cellapp.commands.compensate.request import CompensateRequest
 from cellapp.commands.record import View
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
-from cellapp.commands.view.table import Cell, Table, columns_of
+from cellapp.commands.view.table import Cell, Table, columns_of, with_rows
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import CORRECTED, NEW_ONLY, Outputs, require_suffix
 from cellapp.ground.profile import Arm
@@ -177,7 +177,7 @@ def _read(program: Path, out: Path, settings: Arm, tcp: Six | None) -> ReadProgr
 
 def program_view(result: CorrectResult) -> View:
     """Show every target, the assumptions, and what could not be corrected."""
-    return View((correct_table(result), *correct_lines(result)), refused=refusal(result))
+    return View((*with_rows(correct_table(result)), *correct_lines(result)), refused=refusal(result))
 
 
 def correct_table(result: CorrectResult) -> Table:

@@ -95,7 +95,9 @@ def _stored(run: RunFile, request: ShowRequest) -> Shown:
     stored = getattr(results, name)
     if stored is None:
         why = f"{name} is stored, but {reason}" if reason else f"{how.missing} stored"
-        raise InputError(f"{run.path}: {why}; run {made_by} first")
+        driven = any(arm.driver.has_device for arm in run.profile.arms.values())
+        lacks = verb.moves_arms and not driven
+        raise InputError(f"{run.path}: {why}{'; these arms have no device' if lacks else f'; run {made_by} first'}")
     if request.part == "parameters" and (used := read_stages(run).in_force) is not None:
         stored = values_in_force(stored, model_of(run, used))
     return Shown(part=request.part, result=stored, out_of_date=reason, made_by=made_by)

@@ -166,6 +166,7 @@ def test_sigma_is_the_targets_own_and_what_is_common_stands_once(call: Any) -> N
     said = call("compensate", "run", "a.script", "--out", "b.script").out
     assert "sigma is not stated: only a discovery estimates" in " ".join(said.split())
     call("discover", "run")
+    one_sentence(call("show", "run", "verification"), "no verification is stored; these arms have no device")
     said = call("compensate", "run", "a.script", "--out", "c.script", "--json", "c.json").out
     assert "2 targets are left as taught" in " ".join(said.split())
     taught = Path("a.script").read_text("utf-8")
