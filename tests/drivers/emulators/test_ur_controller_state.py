@@ -197,16 +197,6 @@ def test_an_impossible_request_ends_the_program(command: int, doubles: tuple[flo
     assert bench.controller.moves == 0
 
 
-def test_ending_or_replacing_a_program_brakes_the_arm(bench: Bench) -> None:
-    bench.command(MOVE, (*goal(bench, j1=2.0), 1.0, 2.0), argument=1)
-    bench.until(lambda: bench.controller.q[0] > 0.3)
-    bench.start_script()
-    assert not bench.controller.moving
-    assert bench.controller.q[0] < 1.0
-    bench.write(END)
-    bench.until(lambda: bench.controller.runtime is ProgramState.STOPPED)
-
-
 @given(st.lists(st.tuples(st.integers(-3, 300), st.floats(allow_nan=True, allow_infinity=True)), max_size=12))
 def test_no_registers_break_the_controller(writes: list[tuple[int, float]]) -> None:
     bench = Bench()
@@ -610,15 +600,3 @@ def test_the_slider_scales_a_motion_in_progress_and_at_zero_the_arm_stands() -> 
     bench.controller.set_slider(1.0)
     bench.until(lambda: not bench.controller.moving)
     assert bench.controller.values["actual_q"] == goal(bench, j1=4.0)
-
-
-def test_an_arm_that_stands_at_slider_zero_can_be_stopped() -> None:
-    bench = moving_bench()
-    bench.controller.set_slider(0.0)
-    bench.cycles(int(0.6 / bench.controller.period_s))
-    stands = bench.controller.q
-    bench.controller.stop_program()
-    bench.until(lambda: bench.controller.runtime is ProgramState.STOPPED)
-    bench.controller.set_slider(1.0)
-    bench.cycles(200)
-    assert bench.controller.q == stands
