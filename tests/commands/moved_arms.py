@@ -46,10 +46,7 @@ def write_recording(
     p_M = smr_positions(true, q(seen)) + rng.normal(0.0, SIGMA_M, (len(seen), 3))
     stamps = seen + OFFSET_S + 1e-6 * RATE_PPM * (seen - seconds / 2.0) + step_s * (seen > seconds / 2.0)
     points = {"time_s": stamps, **dict(zip(("x_m", "y_m", "z_m"), p_M.T, strict=True))}
-    return (
-        write_columns(folder / f"{name}_joints.csv", joints),
-        write_columns(folder / f"{name}_points.csv", points),
-    )
+    return (write_columns(folder / f"{name}_joints.csv", joints), write_columns(folder / f"{name}_points.csv", points))
 
 
 def add_arm(path: Path, arm: str) -> Path:

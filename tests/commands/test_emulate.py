@@ -105,14 +105,7 @@ def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_tw
 # -- as a user does it -------------------------------------------------------------------------------------------------
 
 CLI_TRACKER_HOST = own_address(55)
-FEW = {
-    "stops": 16,
-    "identify": 11,
-    "train": 1,
-    "validate": 4,
-    "pair_identify": 8,
-    "pair_validate": 4,
-}
+FEW = {"stops": 16, "identify": 11, "train": 1, "validate": 4, "pair_identify": 8, "pair_validate": 4}
 
 
 def wire_profile(folder: Path) -> Path:

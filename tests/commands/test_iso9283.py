@@ -90,9 +90,7 @@ def test_a_calibrated_run_is_tested_as_found_and_as_left(finished_copy: Path) ->
     assert "as found" in message
     assert "as left" in message
     assert section.message.lower() == f"{message.lower()}."
-    assert [part.title for part in section.parts if isinstance(part, Chart)] == [
-        "Pose accuracy at the five poses",
-    ]
+    assert [part.title for part in section.parts if isinstance(part, Chart)] == ["Pose accuracy at the five poses"]
     assert any("characteristics of orientation" in line for line in others)
     assert any("3 cycles at 100% of the profile's speed" in line and "payload: left 0.3 kg" in line for line in others)
 

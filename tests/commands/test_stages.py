@@ -20,14 +20,7 @@ from cellapp.commands.discover.run import discover_run
 from cellapp.commands.run_results import read_results
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.view import overview_sentences
-from cellapp.commands.stages import (
-    CALIBRATION_FILE,
-    NOT_RECORDED,
-    append_stage,
-    basis_of,
-    read_stages,
-    readings_digest,
-)
+from cellapp.commands.stages import CALIBRATION_FILE, NOT_RECORDED, append_stage, basis_of, read_stages, readings_digest
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, COMPENSATE, DISCOVER, VERIFY
 from cellapp.interfaces.page.page import write_page

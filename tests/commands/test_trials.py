@@ -21,23 +21,8 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.trials.blind import beyond_geometry, beyond_law, registered_model
 from cellapp.commands.trials.judge import TRIAL_RESULT, StoredTrial, judge_run, judge_trials, score_run, source_digest
 from cellapp.commands.trials.scoring import ArmFindings, JudgeResult, NoiseLengths, ScoredRun, scores
-from cellapp.commands.trials.sealed import (
-    DescribedTerm,
-    GroundTruth,
-    HiddenLaw,
-    check_seal,
-    open_truth,
-    seal_trials,
-)
-from cellapp.commands.trials.sealed_setup import (
-    EXPECTED,
-    LOOK_ALIKES,
-    PAIRS,
-    TRIPLES,
-    Setup,
-    cases,
-    library_name,
-)
+from cellapp.commands.trials.sealed import DescribedTerm, GroundTruth, HiddenLaw, check_seal, open_truth, seal_trials
+from cellapp.commands.trials.sealed_setup import EXPECTED, LOOK_ALIKES, PAIRS, TRIPLES, Setup, cases, library_name
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import BeforeAfter
@@ -588,8 +573,7 @@ def test_brier_score_and_reliability() -> None:
         judged(truth("one", "backlash"), named("backlash", posteriors={"backlash": 0.9, "base_step": 0.3})),
         judged(truth("one", "backlash"), named("base_step", posteriors={"backlash": 0.2, "base_step": 0.7})),
         judged(
-            truth("one", "base_drift", visible_um=1.0),
-            named(posteriors={"base_drift": 0.1}, invisible=("backlash",)),
+            truth("one", "base_drift", visible_um=1.0), named(posteriors={"base_drift": 0.1}, invisible=("backlash",))
         ),
         judged(truth("one", "backlash"), named("backlash")),  # nothing stated
     ]

@@ -134,7 +134,8 @@ def run(name: str, arguments: Sequence[str]) -> int:
     }
     print(words(stated))
     write(name, stated)
-    kept.unlink(missing_ok=True)
+    if not gathered.failed:  # else --resume computes these alone
+        kept.unlink(missing_ok=True)
     return int(bool(gathered.failed) or not all(limit.met for limit in evidence.limits))
 
 

@@ -24,14 +24,7 @@ import cellapp
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.executors import ComputingLost, Work, gather
-from cellapp.ground.progress import (
-    Cancelled,
-    CancelToken,
-    Progress,
-    eta_words,
-    in_lines,
-    with_eta,
-)
+from cellapp.ground.progress import Cancelled, CancelToken, Progress, eta_words, in_lines, with_eta
 from cellapp.ground.results import Record
 
 

@@ -16,14 +16,7 @@ from pydantic import ValidationError
 from cellapp.cell.driving.cell import Cell, open_cell
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.planned_stops import read_planned_stops
-from cellapp.cell.planning.sweeps import (
-    SWEEPS_RESULT,
-    PlannedSweep,
-    PlannedSweeps,
-    Swing,
-    read_sweeps,
-    refuse_sweep,
-)
+from cellapp.cell.planning.sweeps import SWEEPS_RESULT, PlannedSweep, PlannedSweeps, Swing, read_sweeps, refuse_sweep
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import read_recordings_of, read_stream, recording_states
 from cellapp.cell.safety.cell_bodies import cell_bodies

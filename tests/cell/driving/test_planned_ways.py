@@ -17,11 +17,7 @@ from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.driving.motion import Mover
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.planning.plan import plan_stops
-from cellapp.cell.planning.planned_stops import (
-    STOP_CONDITIONS_RESULT,
-    PlannedStops,
-    write_planned_stops,
-)
+from cellapp.cell.planning.planned_stops import STOP_CONDITIONS_RESULT, PlannedStops, write_planned_stops
 from cellapp.cell.planning.view import check_plan_run
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions

@@ -14,11 +14,7 @@ import pytest
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.candidates import CandidatePool, draw_pool
 from cellapp.cell.planning.designed import select_stops
-from cellapp.cell.planning.information import (
-    InformationModel,
-    drawn_conditions,
-    information_model,
-)
+from cellapp.cell.planning.information import InformationModel, drawn_conditions, information_model
 from cellapp.cell.planning.planned_stops import planned_time, read_planned_stops
 from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 from cellapp.cell.planning.sweeps import SweepDesign
@@ -26,11 +22,7 @@ from cellapp.cell.planning.view import check_plan_run, forecast_run
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.commands.plan.check_view import (
-    check_sentences,
-    forecast_sentences,
-    forecast_tables,
-)
+from cellapp.commands.plan.check_view import check_sentences, forecast_sentences, forecast_tables
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

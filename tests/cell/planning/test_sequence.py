@@ -18,10 +18,7 @@ from cellapp.cell.planning.balance import correlations, travel_time
 from cellapp.cell.planning.plan import draw_stops
 from cellapp.cell.planning.planned_stops import PlannedStops, route_s
 from cellapp.cell.planning.sequence import Sequenced, nearest_turns, sequenced
-from cellapp.cell.planning.transit_paths import (
-    TransitPath,
-    TransitPlanner,
-)
+from cellapp.cell.planning.transit_paths import TransitPath, TransitPlanner
 from cellapp.cell.safety.bodies import place, segment_distance
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion

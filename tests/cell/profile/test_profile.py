@@ -41,13 +41,7 @@ def refusal(path: Path) -> str:
 
 
 def test_there_are_profiles() -> None:
-    assert {path.stem for path in SHIPPED} >= {
-        "twin",
-        "ur10-ur5",
-        "ur10-real",
-        "ur10-real-d",
-        "ur5-real",
-    }
+    assert {path.stem for path in SHIPPED} >= {"twin", "ur10-ur5", "ur10-real", "ur10-real-d", "ur5-real"}
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)

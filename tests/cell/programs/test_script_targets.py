@@ -20,14 +20,7 @@ from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.profile.files import controller_file_text, controller_table
 from cellapp.cell.programs.records import CorrectedTarget, ReadProgram
 from cellapp.cell.programs.script_targets import read_script, read_urp
-from cellapp.cell.programs.solving import (
-    Workplace,
-    controller_chain,
-    flange_of,
-    rewritten,
-    solve_targets,
-    true_flange,
-)
+from cellapp.cell.programs.solving import Workplace, controller_chain, flange_of, rewritten, solve_targets, true_flange
 from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.run_arms import recorded_controllers

@@ -225,12 +225,7 @@ def test_export_then_import_gives_the_same_readings_with_and_without_the_flag(
 # -- Rows of several SMRs on a flange through the one door: one position and one rotation a stop, or one SMR of them ---
 
 STOPS = 24
-PLACES_S = {
-    "A": (0.0, 0.0, 0.0),
-    "B": (0.11, 0.0, 0.0),
-    "C": (0.02, 0.09, 0.0),
-    "D": (0.04, 0.03, 0.06),
-}
+PLACES_S = {"A": (0.0, 0.0, 0.0), "B": (0.11, 0.0, 0.0), "C": (0.02, 0.09, 0.0), "D": (0.04, 0.03, 0.06)}
 SIGMA_M = 2e-5
 
 

@@ -176,10 +176,7 @@ BAD: dict[str, tuple[Callable[[Columns, Columns], tuple[Columns, Columns]], str]
         r"p\.csv:1: time_s: the column is missing; is 'time_of_day' meant\?.* the file has time_of_day, x_m, y_m, z_m",
     ),
     "no rows": (lambda j, p: (j, {name: np.empty(0) for name in p}), r"p\.csv:1: there is a header row but no sample"),
-    "few rows": (
-        lambda j, p: (j, {name: its[:5] for name, its in p.items()}),
-        r"p\.csv: time_s: 5 rows are no",
-    ),
+    "few rows": (lambda j, p: (j, {name: its[:5] for name, its in p.items()}), r"p\.csv: time_s: 5 rows are no"),
     "constant clock": (lambda j, p: (j, {**p, "time_s": 0.0 * p["time_s"]}), r"p\.csv: time_s: most stamps"),
     "split": (lambda j, p: (j, {**p, "split": ["test"] * len(p["x_m"])}), r"p\.csv:2: split: 'test' is no split"),  # type: ignore[dict-item]
     "arm": (lambda j, p: ({**j, "arm": ["top"] * len(j["q1"])}, p), r"j\.csv:2: arm: 'top' is not in the profile"),  # type: ignore[dict-item]

@@ -18,9 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from cellapp.cell.run import Outcome, RunFile
@@ -28,16 +27,13 @@ from cellapp.cell.run.run_arms import BY_PERSON, note_at_rest, note_halt, unseen
 from cellapp.cell.run.sqlite_file import ReferenceRow
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.show.view import overview_sentences
-from cellapp.estimation.readings import Reading, Readings
+from cellapp.estimation.readings import Reading
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Halt
-from tests.cell.run.small_runs import SPOILED, assert_same, older_reading_table, two_arms
+from tests.cell.run.small_runs import SPOILED, older_reading_table, two_arms
 from tests.twin import small_twin
 from tests.waiting import WAIT_S, within
-
-FINITE = st.floats(allow_nan=False, allow_infinity=False)
-ALL_FLOATS = st.floats(allow_infinity=False)
 
 
 @pytest.fixture
@@ -90,52 +86,6 @@ def test_reading_does_not_change_the_file(profile: Profile, folder: Path) -> Non
             with pytest.raises(InputError, match="open for reading only"):
                 write()
     assert files(folder) == before
-
-
-@settings(max_examples=50, deadline=None)
-@given(data=st.data())
-def test_every_bit_of_a_stop_comes_back(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:
-    n = data.draw(st.integers(1, 4))
-    configuration = data.draw(st.lists(st.integers(-(2**63), 2**63 - 1), min_size=n, max_size=n, unique=True))
-
-    def column(shape: int | tuple[int, ...]) -> np.ndarray:
-        return data.draw(hnp.arrays(np.float64, shape, elements=ALL_FLOATS))
-
-    def optional(shape: int | tuple[int, ...]) -> np.ndarray | None:
-        values = column(shape)
-        return None if bool(np.isnan(values).all()) or data.draw(st.booleans()) else values
-
-    half = optional((n, 6))
-    covariance = None
-    if half is not None:
-        covariance = np.empty((n, 3, 3))
-        for position, (row, col) in enumerate(zip(*np.triu_indices(3), strict=True)):
-            covariance[:, row, col] = covariance[:, col, row] = half[:, position]
-    split = data.draw(st.lists(st.sampled_from([None, "identify", "train", "validate"]), min_size=n, max_size=n))
-    names = data.draw(st.lists(st.text(), max_size=2, unique=True))
-    given_readings = Readings(
-        configuration=np.array(configuration, dtype=np.int64),
-        time_s=column(n),
-        q=data.draw(hnp.arrays(np.float64, (n, 3), elements=FINITE)),
-        approach=data.draw(hnp.arrays(np.int8, (n, 3), elements=st.integers(-1, 1))),
-        p_M=data.draw(hnp.arrays(np.float64, (n, 3), elements=FINITE)),
-        payload_kg=optional(n),
-        temperature_c=optional(n),
-        joint_temperature_c=optional((n, 3)),
-        step=optional((n, 3)),
-        dwell_s=optional(n),
-        covariance_M=covariance,
-        sigma_m=optional(n),
-        split=None if not any(split) else tuple(split),
-        extras={name: tuple(data.draw(st.lists(st.text(), min_size=n, max_size=n))) for name in names},
-    )
-    folder = tmp_path_factory.mktemp("bits")
-    with RunFile.create(folder, two_arms()) as run:
-        run.add_readings("right", given_readings)
-    with RunFile.open(folder) as run:
-        back = run.readings("right")
-    assert_same(back, given_readings.take(np.argsort(configuration)))
-    shutil.rmtree(folder)
 
 
 def test_a_stop_is_stored_for_all_arms_or_for_none(profile: Profile, folder: Path) -> None:

@@ -13,13 +13,7 @@ import pytest
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop, visible
-from cellapp.cell.targets.compensate import (
-    Command,
-    compensate,
-    compensate_result,
-    invert_model,
-    with_approach,
-)
+from cellapp.cell.targets.compensate import Command, compensate, compensate_result, invert_model, with_approach
 from cellapp.cell.targets.prediction import command_record
 from cellapp.cell.targets.targets import Partner, Target, load_targets
 from cellapp.estimation.readings import Readings

@@ -11,12 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cellapp.cell.targets.prediction import length_bounds, outside_notes, predicted_verdict, predictions, spread_of
-from cellapp.cell.targets.ranges import (
-    ConditionRanges,
-    MeasuringNoise,
-    approach_sides,
-    unknown_conditions,
-)
+from cellapp.cell.targets.ranges import ConditionRanges, MeasuringNoise, approach_sides, unknown_conditions
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.model import ArmModel, CellModel
 from cellapp.robot.model.model import PosteriorDraws

@@ -18,12 +18,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate, compensate_result
 from cellapp.cell.targets.goals import work_frame_pose
 from cellapp.cell.targets.records import VerifyResult
-from cellapp.cell.targets.targets import (
-    FramePoint,
-    WorkFrame,
-    load_targets,
-    same_target,
-)
+from cellapp.cell.targets.targets import FramePoint, WorkFrame, load_targets, same_target
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.certificate.view import certificate_sections, certificate_tables
 from cellapp.commands.compensate.tables import measured_turn_tables, turn_tables

@@ -128,19 +128,12 @@ def test_another_dh_checksum_is_refused_unless_one_insists(
     ],
 )
 def test_a_payload_that_fits_no_target_is_refused(
-    run: RunFile,
-    cells: list[Any],
-    monkeypatch: pytest.MonkeyPatch,
-    set_kg: float,
-    stated_kg: float | None,
-    words: str,
+    run: RunFile, cells: list[Any], monkeypatch: pytest.MonkeyPatch, set_kg: float, stated_kg: float | None, words: str
 ) -> None:
     """The controller of the left arm says another payload; the load itself is not simulated."""
     tool = SimulatedArm.tool
     monkeypatch.setattr(
-        SimulatedArm,
-        "tool",
-        lambda self: replace(tool(self), payload_kg=set_kg) if self.name == "left" else tool(self),
+        SimulatedArm, "tool", lambda self: replace(tool(self), payload_kg=set_kg) if self.name == "left" else tool(self)
     )
     target = TARGETS[0].model_copy(update={"conditions": WorkingConditions(payload=stated_kg)})
     if not words:

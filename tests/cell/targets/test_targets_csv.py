@@ -69,10 +69,7 @@ def test_every_column(path: Path) -> None:
         approach=(1, 0, 0, 0, 0, -1),
         conditions=WorkingConditions(payload=2.5, temperature=23.0, time=60.0, dwell=1.0),
         partner=Partner(
-            arm="right",
-            position=(0.0, 0.0, 0.1),
-            rpy=(math.pi, 0.0, 0.0),
-            conditions=WorkingConditions(payload=0.5),
+            arm="right", position=(0.0, 0.0, 0.1), rpy=(math.pi, 0.0, 0.0), conditions=WorkingConditions(payload=0.5)
         ),
     )
 

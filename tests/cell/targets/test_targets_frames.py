@@ -13,9 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from cellapp.cell.targets.goals import work_frame_pose
-from cellapp.cell.targets.target_text import (
-    targets_text,
-)
+from cellapp.cell.targets.target_text import targets_text
 from cellapp.cell.targets.targets import (
     FramePoint,
     Partner,

@@ -8,14 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.arms.path_checks import driven
-from drivers.arms.protocol import (
-    ArmError,
-    EmergencyStop,
-    LimitExceeded,
-    LinkLost,
-    MotionStopped,
-    ProtectiveStop,
-)
+from drivers.arms.protocol import ArmError, EmergencyStop, LimitExceeded, LinkLost, MotionStopped, ProtectiveStop
 from drivers.arms.simulated import CYCLE_S, SimulatedArm
 from drivers.plant.motion import braked, travel
 from drivers.plant.servo import GAIN, LOOKAHEAD_S, ServoMotion, servo_rate
@@ -124,8 +117,7 @@ def test_a_goal_outside_the_limits_moves_nothing(plant, arm, q, speed, accelerat
 
 
 @pytest.mark.parametrize(
-    ("cause", "error"),
-    [(SimulatedArm.protective_stop, ProtectiveStop), (SimulatedArm.emergency_stop, EmergencyStop)],
+    ("cause", "error"), [(SimulatedArm.protective_stop, ProtectiveStop), (SimulatedArm.emergency_stop, EmergencyStop)]
 )
 def test_a_stopped_arm_rests_refuses_and_comes_back(arm, cause, error):
     arm.start_move(np.full(6, 2.0), SPEED, ACCELERATION)

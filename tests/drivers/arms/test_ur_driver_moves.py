@@ -22,14 +22,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from drivers.arms import ur_supervisor
-from drivers.arms.protocol import (
-    ArmError,
-    JointLimits,
-    LimitExceeded,
-    LinkLost,
-    ProtectiveStop,
-    WrongRobot,
-)
+from drivers.arms.protocol import ArmError, JointLimits, LimitExceeded, LinkLost, ProtectiveStop, WrongRobot
 from drivers.arms.settings import ArmContext
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_links import RTDE_PORT, Connection, stop_program

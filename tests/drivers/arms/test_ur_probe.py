@@ -245,8 +245,7 @@ def test_the_kinematics_sub_package_has_its_published_size_and_order() -> None:
 
 
 @given(
-    before=st.lists(st.tuples(st.integers(7, 255), st.binary(max_size=60)), max_size=5),
-    appended=st.binary(max_size=20),
+    before=st.lists(st.tuples(st.integers(7, 255), st.binary(max_size=60)), max_size=5), appended=st.binary(max_size=20)
 )
 def test_unknown_sub_packages_and_appended_fields_are_skipped(before: list[tuple[int, bytes]], appended: bytes) -> None:
     longer = sub_package(5, KINEMATICS[5:] + appended)

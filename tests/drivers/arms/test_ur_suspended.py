@@ -12,12 +12,7 @@ import pytest
 
 from drivers.emulators.ur_controller import EmulatorProcess
 from tests.at_once import in_parallel
-from tests.drivers.arms.emulated_ur_cell import (
-    FOUR_HOSTS,
-    PATIENT_S,
-    assert_stays_at_rest,
-    pause,
-)
+from tests.drivers.arms.emulated_ur_cell import FOUR_HOSTS, PATIENT_S, assert_stays_at_rest, pause
 from tests.waiting import until, within
 
 pytestmark = pytest.mark.waits

@@ -20,7 +20,7 @@ from drivers.emulators.ur_controller.script import ControlScript, ForeignProgram
 
 READY, DONE = 1, 2
 RUNNING_BIT = 1 << 15
-MOVE, STOP_JOINTS, PAYLOAD, TCP, WATCHDOG, STEADY, KICK, END, SERVO = 1, 34, 17, 29, 35, 47, 0, 255, 11
+MOVE, STOP_JOINTS, PAYLOAD, TCP, WATCHDOG, STEADY, END, SERVO = 1, 34, 17, 29, 35, 47, 255, 11
 
 
 class Bench:
@@ -197,36 +197,6 @@ def test_an_impossible_request_ends_the_program(command: int, doubles: tuple[flo
     assert bench.controller.moves == 0
 
 
-@pytest.mark.parametrize("hz", [10.0, 50.0])
-def test_the_watchdog_stops_an_arm_whose_client_is_silent(hz: float) -> None:
-    bench = Bench()
-    bench.start_script()
-    bench.command(WATCHDOG, (hz,))
-    bench.command(MOVE, (*goal(bench, j1=3.0), 0.5, 2.0), argument=1)
-    for _ in range(40):
-        bench.write(KICK)
-        bench.cycles(2)
-    assert bench.controller.moving
-    took = bench.until(lambda: not bench.controller.running)
-    assert took == pytest.approx(1.0 / hz, abs=2.5 * bench.controller.period_s)
-    bench.until(lambda: bench.controller.runtime is ProgramState.STOPPED)
-    assert not bench.controller.moving
-    assert "watchdog" in " ".join(bench.controller.log)
-    bench.start_script()
-    bench.cycles(100)
-    assert bench.controller.running, "a new program begins without a watchdog"
-
-
-def test_ending_or_replacing_a_program_brakes_the_arm(bench: Bench) -> None:
-    bench.command(MOVE, (*goal(bench, j1=2.0), 1.0, 2.0), argument=1)
-    bench.until(lambda: bench.controller.q[0] > 0.3)
-    bench.start_script()
-    assert not bench.controller.moving
-    assert bench.controller.q[0] < 1.0
-    bench.write(END)
-    bench.until(lambda: bench.controller.runtime is ProgramState.STOPPED)
-
-
 @given(st.lists(st.tuples(st.integers(-3, 300), st.floats(allow_nan=True, allow_infinity=True)), max_size=12))
 def test_no_registers_break_the_controller(writes: list[tuple[int, float]]) -> None:
     bench = Bench()
@@ -267,19 +237,6 @@ def test_a_protective_stop_pauses_and_play_goes_on_where_it_was() -> None:
     assert answer(bench.controller, "play") == "Starting program"
     bench.until(lambda: bench.output(0) == DONE)
     assert bench.controller.q == target
-
-
-@pytest.mark.parametrize("how", ["speed", "travel"])
-def test_an_armed_protective_stop_waits_for_the_motion(how: str) -> None:
-    bench = Bench()
-    bench.start_script()
-    bench.controller.arm_protective_stop(**{how: 0.5})
-    bench.cycles(50)
-    assert bench.controller.safety_mode is SafetyMode.NORMAL
-    bench.write(MOVE, (*goal(bench, j1=2.0), 1.0, 1.0))
-    bench.until(lambda: bench.controller.safety_mode is SafetyMode.PROTECTIVE_STOP)
-    # 0.5 rad/s are reached after 0.125 rad at 1 rad/s^2
-    assert bench.controller.q[0] == pytest.approx(0.125 if how == "speed" else 0.5, abs=0.02)
 
 
 def test_an_emergency_stop_takes_the_power_and_coming_back_goes_in_order() -> None:
@@ -643,15 +600,3 @@ def test_the_slider_scales_a_motion_in_progress_and_at_zero_the_arm_stands() -> 
     bench.controller.set_slider(1.0)
     bench.until(lambda: not bench.controller.moving)
     assert bench.controller.values["actual_q"] == goal(bench, j1=4.0)
-
-
-def test_an_arm_that_stands_at_slider_zero_can_be_stopped() -> None:
-    bench = moving_bench()
-    bench.controller.set_slider(0.0)
-    bench.cycles(int(0.6 / bench.controller.period_s))
-    stands = bench.controller.q
-    bench.controller.stop_program()
-    bench.until(lambda: bench.controller.runtime is ProgramState.STOPPED)
-    bench.controller.set_slider(1.0)
-    bench.cycles(200)
-    assert bench.controller.q == stands

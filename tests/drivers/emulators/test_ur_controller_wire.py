@@ -375,20 +375,6 @@ def test_links_are_dropped_and_new_ones_refused_for_a_while(ending: str) -> None
         until(back, "the way back")
 
 
-def test_a_silent_port_sends_nothing_and_recovers_by_itself() -> None:
-    with alone(CB3) as (server, control), Rtde(at(server, "old", "rtde")).agree() as client:
-        client.outputs(["timestamp"])
-        client.start()
-        stamps = [client.state()[0]]
-        control("old", "fault", "rtde", "silent", 0.4)
-
-        def missed_some(state: tuple[float, ...]) -> bool:
-            stamps.append(state[0])
-            return stamps[-1] - stamps[-2] > 0.3
-
-        client.until(missed_some)
-
-
 def test_operators_actions_over_the_control_channel() -> None:
     quick = replace(E_SERIES, boot_s=0.05, brake_release_s=0.05)
     with alone(quick) as (_, control):

@@ -238,10 +238,7 @@ def test_unplugged_and_plugged_in_again(
     link.symlink_to(second.path)
     until(lambda: not station._link_error, "the link")
     second.say(b"\r\n" + LINE.replace(b"21.4", b"22.5"))
-    until(
-        lambda: station._newest is not None and station._newest.values["temperature"] == 22.5,
-        "the new value",
-    )
+    until(lambda: station._newest is not None and station._newest.values["temperature"] == 22.5, "the new value")
     assert station.read().age_s == 0.0
     station.disconnect()
     second.unplug()

@@ -593,8 +593,7 @@ def test_a_tracker_without_a_link_is_reported_at_once_and_connected_again_at_the
 
 
 @pytest.mark.parametrize(
-    ("kind", "spoil"),
-    [("tcp", garbled), ("tcp", dropped), ("tcp", restarted), ("serial", garbled)],
+    ("kind", "spoil"), [("tcp", garbled), ("tcp", dropped), ("tcp", restarted), ("serial", garbled)]
 )
 def test_a_link_that_is_back_at_once_is_no_death(kind: str, spoil: Callable[[Service, Link, int], None]) -> None:
     with bridged(kind) as (behind, service, tracker):

@@ -468,11 +468,7 @@ class BridgeMachine(RuleBasedStateMachine):
 
 
 BridgeMachine.TestCase.settings = settings(
-    max_examples=8,
-    stateful_step_count=7,
-    deadline=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.too_slow],
+    max_examples=8, stateful_step_count=7, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )
 TestBridgeMachine = BridgeMachine.TestCase
 

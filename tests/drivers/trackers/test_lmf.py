@@ -293,9 +293,7 @@ def test_averaging_time_set_by_the_caller(tracker: Make, scene: Scene) -> None:
 
 
 @settings(deadline=None)
-@given(
-    p=st.tuples(*[st.floats(-8.0, 8.0)] * 3).filter(lambda p: math.hypot(*p) > 0.5),
-)
+@given(p=st.tuples(*[st.floats(-8.0, 8.0)] * 3).filter(lambda p: math.hypot(*p) > 0.5))
 def test_the_law_is_turned_into_cartesian(p: tuple[float, float, float]) -> None:
     p_M = np.array(p)
     law = ErrorLaw(transverse=(15e-6, 6e-6), range=(10e-6, 0.3e-6))

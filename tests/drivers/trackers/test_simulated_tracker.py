@@ -21,12 +21,7 @@ from drivers.trackers.protocol import (
     Unstable,
     stream_of,
 )
-from drivers.trackers.simulated import (
-    INITIALISE_S,
-    POINTING_S,
-    SETTLE_S,
-    SimulatedTracker,
-)
+from drivers.trackers.simulated import INITIALISE_S, POINTING_S, SETTLE_S, SimulatedTracker
 
 SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 2.0)
 

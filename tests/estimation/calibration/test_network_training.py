@@ -10,13 +10,7 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.calibration import learning
-from cellapp.estimation.calibration.learning import (
-    Shape,
-    candidate_shapes,
-    learn,
-    require_learner,
-    train_network,
-)
+from cellapp.estimation.calibration.learning import Shape, candidate_shapes, learn, require_learner, train_network
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
 from cellapp.ground.progress import Cancelled, CancelToken

@@ -28,12 +28,7 @@ from cellapp.estimation.discovery.joint_fit import (
     cross_validated_gain,
     fit_terms,
 )
-from cellapp.estimation.discovery.plan_forecast import (
-    ArmDesign,
-    PlannedReadings,
-    arm_designs,
-    planned_effects,
-)
+from cellapp.estimation.discovery.plan_forecast import ArmDesign, PlannedReadings, arm_designs, planned_effects
 from cellapp.estimation.discovery.process import (
     CURVE_LENGTHS,
     Component,

@@ -16,26 +16,13 @@ from cellapp.estimation.motion.calibrate import SearchWithRecordings, calibrate_
 from cellapp.estimation.motion.effects import effects_in_motion
 from cellapp.estimation.motion.fit import solve
 from cellapp.estimation.motion.identify import RecordedArm, identify_from_motion, motion_problem
-from cellapp.estimation.motion.laws import (
-    JointTerm,
-    Law,
-    joint_path,
-    of_all_joints,
-    state_in_motion,
-)
+from cellapp.estimation.motion.laws import JointTerm, Law, joint_path, of_all_joints, state_in_motion
 from cellapp.estimation.motion.steps import State, Step, effects_of
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Discovery
 from cellapp.ground.threads import one_blas_thread
-from cellapp.robot.effects import (
-    EFFECTS,
-    EffectContext,
-    Linear,
-    MeasurementConditions,
-    motion_laws,
-    own_law,
-)
+from cellapp.robot.effects import EFFECTS, EffectContext, Linear, MeasurementConditions, motion_laws, own_law
 from cellapp.robot.effects.effect import displacement
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from cellapp.robot.kinematics.statics import Bodies

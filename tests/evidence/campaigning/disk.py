@@ -82,12 +82,7 @@ class CampaignRun(RunFile):
             self.disk.reach("before its commit")
         self.disk.reach("after its commit")
 
-    def add_stop(
-        self,
-        configuration: int,
-        rows: Mapping[str, Reading],
-        outcomes: Sequence[Outcome] = (),
-    ) -> None:
+    def add_stop(self, configuration: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
         """Store a stop, and record that it was reported as stored."""
         super().add_stop(configuration, rows, outcomes)
         if self.disk is not None:

@@ -10,10 +10,7 @@ OURS, OURS_PLAIN = "cellapp", "cellapp-dh"
 """cellapp with its defaults, and without Hayati's angles."""
 _MISSED = 5.0
 """A fit has missed where its mean error is this many times that of the best solver on the same readings."""
-COLUMNS = (
-    *("solver", "time", "cellapp's times", "mean error, lowest .. highest [µm]", "largest [µm]"),
-    "failures",
-)
+COLUMNS = (*("solver", "time", "cellapp's times", "mean error, lowest .. highest [µm]", "largest [µm]"), "failures")
 
 
 @dataclass(frozen=True)

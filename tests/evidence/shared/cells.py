@@ -15,13 +15,10 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_splits
-from cellapp.estimation.calibration.quantities import conditions_of_arms
-from cellapp.estimation.discovery.discover import discover_arm
+from cellapp.estimation.calibration.calibrate import profile_splits
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
 from cellapp.robot.kinematics.transforms import Array, quaternions_of
-from cellapp.robot.model import ArmModel
 from drivers.plant import Plant
 from tests.evidence.skeleton import ROOT
 
@@ -54,29 +51,6 @@ def _with_mix(profile: Profile, seed: int) -> Profile:
             hidden[name] = {"joint_compliance": sag, "transmission_error": {"mode": "curve", "seed": seed, **curves}}
     plant = profile.plant.model_copy(update={"effects": hidden})
     return profile.model_copy(update={"name": f"{profile.name}, mix", "plant": plant})
-
-
-def measured_stops(profile: Profile, stops: int, seed: int) -> dict[str, Readings]:
-    """Simulate readings of all arms at a plan of their own; all but the last ones are for learning."""
-    planned = profile.model_copy(
-        update={
-            "seed": seed,
-            "plan": profile.plan.model_copy(update={"stops": stops}),
-        }
-    )
-    readings = measured_plan(planned, plan_stops(planned), seed)
-    words = ("identify",) * (stops - 1) + ("validate",)
-    return {name: replace(arm, split=words) for name, arm in readings.items()}
-
-
-def calibrated_alone(profile: Profile, readings: Mapping[str, Readings]) -> dict[str, ArmModel]:
-    """Calibrate all arms and search them for effects; return their models."""
-    models = {name: calibrate_arm(profile, name, its)[0].model for name, its in readings.items()}
-    conditions = conditions_of_arms(models, readings)
-    return {
-        name: discover_arm(profile, name, model, readings[name], conditions=conditions[name]).model
-        for name, model in models.items()
-    }
 
 
 def measured_plan(profile: Profile, plan: Mapping[str, Array], seed: int) -> dict[str, Readings]:

@@ -59,10 +59,7 @@ def wire_profile(profile: Profile, stops: int) -> Profile:
     driver = profile.tracker.driver
     if not isinstance(driver, BridgeSettings) or driver.emulated_bridge() is None:
         raise InputError("tracker.driver: a storm needs kind 'bridge' at a loopback address")
-    collection = Collection(
-        slow_start=SlowStart(stops=0),
-        suspend=Suspend(target=_QUICK, tracker_warm_up=_QUICK),
-    )
+    collection = Collection(slow_start=SlowStart(stops=0), suspend=Suspend(target=_QUICK, tracker_warm_up=_QUICK))
     tracker = profile.tracker.model_copy(update={"driver": driver.model_copy(update={"timeout": _BRIDGE_SILENCE_S})})
     few = {"identify": 1, "train": 0, "validate_": 1, "pair_identify": 1, "pair_validate": 1}
     return profile.model_copy(

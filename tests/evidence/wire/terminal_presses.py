@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -239,26 +239,3 @@ def _reach_through(relay: TcpRelay, profile: Profile, profile_path: Path) -> Non
     if not isinstance(driver, BridgeSettings) or driver.url not in text:
         raise InputError(f"{profile_path.name}: tracker.driver: presses need kind 'bridge' with a url on this computer")
     profile_path.write_text(text.replace(driver.url, f"socket://{relay.host}:{relay.port}"), "utf-8")
-
-
-def measure_presses(
-    profile_path: Path,
-    folder: Path,
-    n: int = 50,
-    keys: Sequence[str] = tuple(KEYS),
-    places: Sequence[str] = tuple(PLACES),
-) -> list[Press]:
-    """Press each key ``n`` times while the arms of an emulated cell move, at one place after another.
-
-    Raises
-    ------
-    HardwareError
-        If the arms do not move, do not rest after a press, or do not move again after resume.
-    """
-    presses = []
-    with press_bench(profile_path, folder) as bench:
-        bench.begin()
-        for number in range(n):
-            for shift, key in enumerate(keys):
-                presses.append(bench.press(key, places[(number + shift) % len(places)]))
-    return presses

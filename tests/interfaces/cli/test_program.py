@@ -243,10 +243,7 @@ def test_a_run_of_an_earlier_version_opens_and_says_what_is_ignored(some_removed
     with RunFile.open(path.parent) as run:
         assert run.profile == profile
         state, history = run_overview(run), run_history(run)
-    assert set(state.ignored_keys) == {
-        "magic",
-        "arms.left.teleport",
-    }
+    assert set(state.ignored_keys) == {"magic", "arms.left.teleport"}
     assert [one.out_of_date for one in (*state.stages, *history.stages)] == [
         "an earlier version made it; this one has no such step"
     ] * 2

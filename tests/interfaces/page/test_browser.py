@@ -54,8 +54,7 @@ def browser() -> Iterator[Browser]:
 def wide(browser: Browser, report: Path) -> Iterator[Page]:
     """The page in a window of 1280 x 800, in the light."""
     context = browser.new_context(
-        viewport={"width": 1280, "height": 800},
-        permissions=["clipboard-read", "clipboard-write"],
+        viewport={"width": 1280, "height": 800}, permissions=["clipboard-read", "clipboard-write"]
     )
     page = context.new_page()
     page.goto(report.as_uri(), timeout=LONGEST_MS)

@@ -20,9 +20,7 @@ from cellapp.cell.run.measurement_order import write_in_order
 from cellapp.cell.run.records import ArmOrder
 from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.calibrate.charts import pair_stop_chart, stop_error_chart
-from cellapp.commands.calibrate.view import (
-    distance_mm,
-)
+from cellapp.commands.calibrate.view import distance_mm
 from cellapp.commands.report.data import read_report_data
 from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import CALIBRATION_FILE, append_stage, basis_of, basis_on_model, read_stages

@@ -31,17 +31,7 @@ def results(run: cellapp.Run) -> dict[str, object]:
     }
 
 
-NAMES = (
-    "cell",
-    "readings",
-    "run",
-    "calibration",
-    "discovery",
-    "compensation",
-    "model",
-    "arm",
-    "readings of an arm",
-)
+NAMES = ("cell", "readings", "run", "calibration", "discovery", "compensation", "model", "arm", "readings of an arm")
 
 
 @pytest.mark.parametrize("name", NAMES)

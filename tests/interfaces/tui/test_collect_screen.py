@@ -41,17 +41,7 @@ from cellapp.interfaces.tui.plots import ChartPlot, point_at
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.workspace import Workspace
 from tests.cell.run.small_runs import add_stop, collected_run, planned_run
-from tests.interfaces.tui.pilot import (
-    PROFILES,
-    SMALL,
-    HeldJob,
-    ended,
-    opened,
-    shown_text,
-    shows,
-    turned_to,
-    until,
-)
+from tests.interfaces.tui.pilot import PROFILES, SMALL, HeldJob, ended, opened, shown_text, shows, turned_to, until
 from tests.twin import small_twin
 from tests.verbs import collect_stops, plan_new_run
 
@@ -161,9 +151,7 @@ def drifted_run(folder: Path, drift_m: float) -> Path:
     return folder
 
 
-async def test_a_drift_is_shown_and_accepted_only_beyond_its_limit(
-    asked: list[tuple[HeldJob, dict[str, Any]]],
-) -> None:
+async def test_a_drift_is_shown_and_accepted_only_beyond_its_limit(asked: list[tuple[HeldJob, dict[str, Any]]]) -> None:
     limit_m = planned_limit_m(Path("logs/limit"))
     near, far = drifted_run(Path("logs/near"), 0.5 * limit_m), drifted_run(Path("logs/far"), 2.0 * limit_m)
     app = CellApp(PROFILES)

@@ -20,10 +20,7 @@ from cellapp.interfaces.tui.workspace import Workspace, load_workspace
 from tests.approved import assert_approved
 from tests.handbook.declarations import with_declarations
 from tests.interfaces.tui.pilot import shown_text
-from tests.interfaces.tui.states import (
-    STATES,
-    states_table,
-)
+from tests.interfaces.tui.states import STATES, states_table
 
 COMMAND = re.compile(r"'cellapp |\bcellapp (?:plan|collect|calibrate|discover|push|report|check|iso9283|locate)\b")
 

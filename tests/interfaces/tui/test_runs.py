@@ -18,13 +18,7 @@ from cellapp.commands.run_results import ReportResult
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.widgets import runs_list
 from tests.cell.run.small_runs import collected_run, set_began
-from tests.interfaces.tui.pilot import (
-    PROFILES,
-    SMALL,
-    opened,
-    tells,
-    until,
-)
+from tests.interfaces.tui.pilot import PROFILES, SMALL, opened, tells, until
 
 LOGS = Path("logs")
 

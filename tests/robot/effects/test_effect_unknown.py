@@ -33,18 +33,7 @@ from cellapp.robot.effects.data_driven import (
 from cellapp.robot.effects.law import AMPLITUDE
 from cellapp.robot.effects.modulation import OWN_SIZE, FreeDriver, modulations, with_modulations
 from cellapp.robot.kinematics.transforms import rotation_z
-from tests.robot.effects.cell import (
-    EYE,
-    NOTHING,
-    by_name,
-    chain,
-    context_of,
-    curve_laws,
-    offsets,
-    shifts,
-    slope,
-    under,
-)
+from tests.robot.effects.cell import EYE, NOTHING, by_name, chain, context_of, curve_laws, offsets, shifts, slope, under
 
 CONTEXT = context_of(40)
 UNKNOWN = EFFECTS["unknown"]

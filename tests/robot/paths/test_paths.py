@@ -71,10 +71,7 @@ def spec(**changes: Any) -> PathSpec:
         "arm": "left",
         "tolerance": "0.05 mm",
         "speed": "100 mm/s",
-        "poses": [
-            {"position": [-0.15, -0.75, 0.55], "rpy": ["90 deg", 0, 0]},
-            {"position": [0.05, -0.75, 0.55]},
-        ],
+        "poses": [{"position": [-0.15, -0.75, 0.55], "rpy": ["90 deg", 0, 0]}, {"position": [0.05, -0.75, 0.55]}],
     }
     return PathSpec.model_validate({**content, **changes})
 

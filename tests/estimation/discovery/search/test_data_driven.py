@@ -18,11 +18,7 @@ from cellapp.estimation.discovery.search.data_driven import (
     with_data_driven_terms,
     without_imitations,
 )
-from cellapp.estimation.discovery.search.free_part import (
-    BesideField,
-    explains_beside_free_parts,
-    with_free_parts,
-)
+from cellapp.estimation.discovery.search.free_part import BesideField, explains_beside_free_parts, with_free_parts
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchState
 from cellapp.estimation.discovery.search.stepwise import addition, refinement, search
