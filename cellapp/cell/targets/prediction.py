@@ -178,7 +178,7 @@ def _of_model(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> tup
 def _noise(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Array:
     """Return the covariance (n, 3, 3) [m^2] of a measurement at ``q`` (n, N) [rad]."""
     if ranges.noise is None:
-        return np.multiply.outer(arm.noise(q) ** 2, np.eye(3))
+        return np.asarray(np.multiply.outer(arm.noise(q) ** 2, np.eye(3)))
     return ranges.noise.covariance(arm.predict(q, conditions=conditions), arm.noise(q))
 
 

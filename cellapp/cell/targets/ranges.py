@@ -278,7 +278,7 @@ class MeasuringNoise:
 
         It is repeatability or a deficiency of the model: the SMR itself deviates by as much.
         """
-        return np.maximum(noise_m**2 - self.typical, 0.0)
+        return np.asarray(np.maximum(noise_m**2 - self.typical, 0.0))
 
     def covariance(self, p_M: Array, noise_m: Array) -> Array:
         """Return the covariance (n, 3, 3) [m^2] of readings at ``p_M`` (n, 3) [m] that scatter by ``noise_m`` (n,).
