@@ -144,7 +144,7 @@ def open_steps(profile: Profile, results: RunResults, judgements: Sequence[Judge
         yield Step(f"Not decided: {named_errors(missing)} is judged at targets, and these arms cannot be driven there.")
     elif missing:
         yield _targets_step(results, missing, folder)
-    near = [one for one in judgements if one.conformity == "cannot say" and one.value is not None]
+    near = [one for one in judgements if one.conformity == "not decided" and one.value is not None]
     if near and not other_arms_found(results):
         yield Step(f"Measure with a smaller uncertainty: {named_errors(near)}.")
 
@@ -160,9 +160,9 @@ def _of_stages(results: RunResults, folder: str) -> Iterator[Step]:
             yield Step(text, f"cellapp discover {folder} --propose {_PROPOSED_STOPS}", "discover")
         elif name == PATH:
             yield Step(f"{words}: mend the path, then compute it again:", "cellapp docs targets")
-        elif name == CHECK and kind == "cannot say":
+        elif name == CHECK and kind == "not decided":
             yield Step(f"{words}:", f"cellapp check {folder}", "check")
-        elif name in (PUSH, VERIFY) and kind == "cannot say":
+        elif name in (PUSH, VERIFY) and kind == "not decided":
             yield Step(f"{words}: measure with a smaller uncertainty.")
         elif name in (PUSH, VERIFY):
             again = {"part": "", "does not conform": " --iterate 2"}[kind]
@@ -235,8 +235,8 @@ def _has_new_stops(run: RunFile) -> bool:
     return any(stop not in tried for stop in range(total) if stop not in run.profile.plan.reserves(total))
 
 
-Kind = Literal["done", "conforms", "cannot say", "part", "does not conform", "out of date"]
-WORST_FIRST: tuple[Kind, ...] = ("out of date", "does not conform", "part", "cannot say", "conforms", "done")
+Kind = Literal["done", "conforms", "not decided", "part", "does not conform", "out of date"]
+WORST_FIRST: tuple[Kind, ...] = ("out of date", "does not conform", "part", "not decided", "conforms", "done")
 
 
 @dataclass(frozen=True)
@@ -265,7 +265,7 @@ def conformity(run: RunFile, results: RunResults) -> Conformity | None:
     if not run.profile.tolerances.any_given:
         return None
     if CALIBRATE in results.out_of_date or run.removed_kinds():
-        return "cannot say"
+        return "not decided"
     readings = {name: run.readings(name) for name in run.profile.arms}
     measured = measured_conditions({name: arm for name, arm in readings.items() if len(arm)})
     return overall(judge_run(run.profile, results, None if results.calibrate is None else measured))
@@ -297,7 +297,7 @@ def _concluded(results: RunResults) -> Iterator[tuple[StageName, Conclusion]]:
 def _discovery(found: DiscoverResult) -> Conclusion:
     open_ = [f"arm {name}: {arm.verdict}" for name, arm in found.arms.items() if arm.verdict in _UNDECIDED]
     if open_:
-        return Conclusion("cannot say", "; ".join(open_))
+        return Conclusion("not decided", "; ".join(open_))
     return Conclusion("done", "; ".join(f"arm {name}: {arm.verdict}" for name, arm in found.arms.items()))
 
 
@@ -312,8 +312,8 @@ def _verification(result: VerifyResult, *, measures: bool) -> Conclusion:
     if failed := result.complaints():
         return Conclusion("does not conform", "; ".join(failed))
     verdicts = {one.verdict for one in result.targets} | {one.verdict for one in result.pairs}
-    if "cannot say" in verdicts:
-        return Conclusion("cannot say", "the uncertainty does not decide every target")
+    if "not decided" in verdicts:
+        return Conclusion("not decided", "the uncertainty does not decide every target")
     return Conclusion("conforms", "verified within tolerance") if "in" in verdicts else Conclusion("done", "verified")
 
 
@@ -327,6 +327,6 @@ def _tests(result: Iso9283Result) -> Conclusion:
 def _check(result: CheckResult) -> Conclusion:
     if result.verdict == "valid":
         return Conclusion("done", "the calibration holds")
-    if result.verdict == "cannot say":
-        return Conclusion("cannot say", "whether the calibration holds is not known")
+    if result.verdict == "not decided":
+        return Conclusion("not decided", "whether the calibration holds is not known")
     return Conclusion("does not conform", f"the check found: {result.verdict}")

@@ -34,6 +34,7 @@ from cellapp.ground.results import (
     CERTIFICATE,
     CHECK,
     DISCOVER,
+    EARLIER_NOT_DECIDED,
     ISO9283,
     LOCATE,
     STAGE_NAMES,
@@ -435,7 +436,7 @@ def _newest(history: Sequence[StoredStage]) -> dict[StageName, StoredStage]:
     newest: dict[StageName, StoredStage] = {}
     for stage in history:
         before = newest.get(CHECK)
-        if stage.name == CHECK and before is not None and cannot_say(stage.text) and found_change(before.text):
+        if stage.name == CHECK and before is not None and undecided(stage.text) and found_change(before.text):
             continue
         newest[stage.name] = stage
     return newest
@@ -552,9 +553,9 @@ def found_change(text: str) -> str:
     return verdict if verdict in (TRACKER_MOVED, *CHANGES_OF_ARMS) else ""
 
 
-def cannot_say(text: str) -> bool:
-    """Return whether this result of ``check`` has no verdict."""
-    return _verdict(text) == "cannot say"
+def undecided(text: str) -> bool:
+    """Return whether this result of ``check`` has no verdict, also one of an earlier version."""
+    return _verdict(text) in ("not decided", EARLIER_NOT_DECIDED)
 
 
 def change_words(verdict: str) -> str:

@@ -80,6 +80,10 @@ class Record(BaseModel):
         return {key: value for key, value in content.items() if value is not None or key not in self.omitted_when_none}
 
 
+EARLIER_NOT_DECIDED = "cannot say"
+"""What results of earlier versions hold for "not decided"."""
+
+
 class Result(Record):
     """The result of one verb. Its head says what its JSON is: ``class GreetResult(Result, schema="cellapp-greet")``."""
 
@@ -111,7 +115,7 @@ class Result(Record):
             If the text is not such a result; the message begins with ``where``.
         """
         try:
-            return cls.model_validate_json(text, extra="ignore")
+            return cls.model_validate_json(text.replace(f'"{EARLIER_NOT_DECIDED}"', '"not decided"'), extra="ignore")
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             key = ".".join(str(part) for part in first["loc"])

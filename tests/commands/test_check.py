@@ -226,7 +226,7 @@ def test_another_calibration_makes_the_finding_void(arm_changed: tuple[RunFile, 
 def test_a_check_that_could_not_say_does_not_refute_a_finding(arm_changed: tuple[RunFile, CheckResult]) -> None:
     run, found = arm_changed
     basis = basis_on_model(run, stage_in_force(run, read_stages(run)))
-    append_stage(run, CHECK, found.model_copy(update={"verdict": "cannot say", "changes": ()}), basis)
+    append_stage(run, CHECK, found.model_copy(update={"verdict": "not decided", "changes": ()}), basis)
     assert read_results(run).check == found
     assert check_run(run).verdict == "valid"
     assert read_stages(run).stale_model() == ""
@@ -279,7 +279,7 @@ def covering(run: RunFile, *arms: str, at: int) -> CheckResult:
 
 def test_an_smr_that_is_lost_leaves_the_verdict_open(run: RunFile) -> None:
     found = covering(run, "left", at=1)
-    assert found.verdict == "cannot say"
+    assert found.verdict == "not decided"
     assert any("arm left: its SMR was not found at 3 stops in a row" in note for note in found.notes)
     assert found.complaints() == ["whether the calibration holds is not known"]
     assert set(found.stops[-1].points) == {"right"}

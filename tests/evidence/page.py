@@ -118,7 +118,7 @@ SHOWN: Mapping[str, Shown] = {
     ),
     "peers": Shown(
         "Is identification as good as in other libraries, and how fast? A UR10 off by 0.3 mm and 0.1 degrees with axes"
-        " not quite parallel, which D-H rows (*cellapp-dh*, pybotics) cannot say; noise 15 µm, one thread. Besides,"
+        " not quite parallel, which D-H rows (*cellapp-dh*, pybotics) cannot hold; noise 15 µm, one thread. Besides,"
         " figaroh takes cameras, any URDF and masses from motion.",
         columns=(0, 1, 2, 3, 5),
         rows=(0, 1, 3, 4),

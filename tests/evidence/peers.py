@@ -2,7 +2,7 @@
 a UR10 whose D-H values are off by 0.3 mm and 0.1 degrees, SMR and base unknown, points with 15 µm of noise a
 coordinate. The error is that at 100 other configurations, the time that of the solver alone. Case *mdh*: the modified
 D-H rows that pybotics has; *hayati*: besides, parallel axes are turned by 0.1 degrees against each other, as in every
-real UR arm, which D-H rows (*cellapp-dh*, pybotics) cannot say. pybotics is measured with its own residual, the
+real UR arm, which D-H rows (*cellapp-dh*, pybotics) cannot hold. pybotics is measured with its own residual, the
 distance (*norm*), and with coordinates (*xyz*). Where the model is equal, accuracy is. What cellapp lacks: figaroh
 takes cameras, any URDF and masses from motion; screw axes (robotkinecal) need no exception for parallel axes."""
 

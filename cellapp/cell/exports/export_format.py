@@ -102,7 +102,7 @@ def first_rates(profile: Profile, arm: Arm) -> tuple[float, float]:
     return float(speeds.min() * share), float(accelerations.min() * share)
 
 
-_NO_COMMAND = {"q_nominal": None, "q_compensated": None, "approach": None, "holds_for": "", "verdict": "cannot say"}
+_NO_COMMAND = {"q_nominal": None, "q_compensated": None, "approach": None, "holds_for": "", "verdict": "not decided"}
 """Fields of a target that was not driven."""
 
 # -- inside -----------------------------------------------------------------------------------------------------------

@@ -254,7 +254,7 @@ def predicted_verdict(low_mm: float, high_mm: float, tolerance_mm: float | None)
 
     The model expects the SMR at the target. ``low_mm`` and ``high_mm`` are ``length_bounds``: of the SMR's error, and
     of the error that a measurement finds. "in": with 95 % probability the error is within ``tolerance_mm``; "out": with
-    95 % probability it is larger; "cannot say": neither. Empty without a tolerance. Deficiencies of the model are not
+    95 % probability it is larger; "not decided": neither. Empty without a tolerance. Deficiencies of the model are not
     part of its uncertainty: only a measurement reveals them.
     """
     return "" if tolerance_mm is None else TARGET_WORDS[decided(low_mm, high_mm, tolerance_mm)]
@@ -544,7 +544,7 @@ def refused(target: Target, arm: str, refusal: str, branches: int | None = None)
 def command_record(command: Command) -> TargetCommand:
     """Return a command as a result record."""
     target, found = command.target, command.prediction
-    judged: ToleranceVerdict = "" if command.refusal or target.tolerance_mm is None else "cannot say"
+    judged: ToleranceVerdict = "" if command.refusal or target.tolerance_mm is None else "not decided"
     return TargetCommand.like(
         command,
         **dict(target_record(target, command.arm)),

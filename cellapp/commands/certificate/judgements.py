@@ -255,7 +255,7 @@ def _undecided(one: Judgement, why: str) -> Judgement:
     """Return the judgement without a decision because of ``why``; unchanged if that is empty or nothing measured."""
     if not why or one.value is None:
         return one
-    return one.model_copy(update={"conformity": "cannot say", "source": f"{one.source}; {why}"})
+    return one.model_copy(update={"conformity": "not decided", "source": f"{one.source}; {why}"})
 
 
 def _held_iso(tolerances: Tolerances, results: RunResults) -> tuple[Judgement, ...]:
@@ -420,7 +420,7 @@ def _judged_characteristic(
             expanded_mm=expanded,
             tolerance_mm=tolerance_m * 1e3,
             rule=tolerances.decision,
-            conformity=conformity(value, expanded, tolerance_m * 1e3, tolerances.decision) if enough else "cannot say",
+            conformity=conformity(value, expanded, tolerance_m * 1e3, tolerances.decision) if enough else "not decided",
             source=_source(worst, kind, n, norm, enough=enough),
             n=n,
         )

@@ -175,7 +175,7 @@ def _stops(profile: Profile, checked: _Checked, design: Design, count: int) -> l
 
 
 def _result(run: RunFile, checked: _Checked, driven: DrivenCheck, found: CheckResult) -> CheckResult:
-    verdict = "cannot say" if driven.lost and found.verdict == "valid" else found.verdict
+    verdict = "not decided" if driven.lost and found.verdict == "valid" else found.verdict
     return found.model_copy(
         update={
             "verdict": verdict,
@@ -229,7 +229,7 @@ def _next_step(verdict: CheckVerdict, folder: Path) -> str:
             return f"put the base back, or {again}"
         case "smr moved":
             return f"put the SMR back, or {again}"
-        case "cannot say":
+        case "not decided":
             return f"mend what the notes say, then check again: 'cellapp check {shell_word(folder)}'"
         case _:
             return again

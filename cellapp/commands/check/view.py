@@ -22,7 +22,7 @@ _VERDICTS = {
     "smr moved": "the SMR of an arm sits elsewhere on its flange",
     "arm changed": "an arm changed",
     "not explained": "something changed, and no change that was tried explains it",
-    "cannot say": "whether the calibration holds is not known",
+    "not decided": "whether the calibration holds is not known",
 }
 
 

@@ -28,7 +28,7 @@ _COLUMNS = columns_of(
 _MEASURED_WORDS = {
     "in": "within tolerance, by its uncertainty",
     "out": "out of tolerance, by its uncertainty",
-    "cannot say": "not decided: nearer to its tolerance than its uncertainty",
+    "not decided": "not decided: nearer to its tolerance than its uncertainty",
 }
 COLUMN_GROUPS = (5, 6, 7, 9, 12, 15)
 """Numbers of columns that a narrow screen can show without splitting a position or a rotation."""
@@ -82,7 +82,7 @@ class TargetState:
                 for word in (one.relative.verdict, one.relative.turn_verdict)
             ]
             words = [*(one.verdict for one in self.commands), *predicted]
-        return next((word for word in ("out", "cannot say", "in") if word in words), "")
+        return next((word for word in ("out", "not decided", "in") if word in words), "")
 
     @property
     def is_measured(self) -> bool:
@@ -92,7 +92,7 @@ class TargetState:
     @property
     def needs_attention(self) -> bool:
         """Whether it is refused, not measured, out of tolerance or undecided."""
-        return bool(self.refusals or self.notes) or self.verdict in ("out", "cannot say")
+        return bool(self.refusals or self.notes) or self.verdict in ("out", "not decided")
 
 
 def stored_state(results: RunResults, name: str) -> TargetState | None:

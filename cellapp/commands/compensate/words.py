@@ -153,11 +153,11 @@ def _prediction_words(result: CompensateResult) -> list[str]:
     judged = [target for target in result.targets if target.verdict]
     if not judged:
         return []
-    counts = [f"{sum(target.verdict == word for target in judged)} {word}" for word in ("in", "out", "cannot say")]
+    counts = [f"{sum(target.verdict == word for target in judged)} {word}" for word in ("in", "out", "not decided")]
     out = dict.fromkeys(target.name for target in judged if target.verdict == "out")
     named = f"; out: {named_few(list(out))}" if out else ""
     rule = "in if the 95 % bound is inside the tolerance, out if the SMR is outside with 95 % probability"
-    return [f"tolerances, predicted: {', '.join(counts)}{named} ({rule}, else nobody can say: ISO 14253-1)"]
+    return [f"tolerances, predicted: {', '.join(counts)}{named} ({rule}, else not decided: ISO 14253-1)"]
 
 
 def _bound_words(result: CompensateResult) -> list[str]:
@@ -193,7 +193,7 @@ def _turn_words(result: CompensateResult) -> list[str]:
         f" {max(bounds):.3f} mrad at {largest}{was}"
     ]
     judged = [turn.verdict for turn, _ in known if turn.verdict]
-    counts = [f"{judged.count(word)} {word}" for word in ("in", "out", "cannot say")]
+    counts = [f"{judged.count(word)} {word}" for word in ("in", "out", "not decided")]
     return [*lines, *([f"tolerances of orientation, predicted: {', '.join(counts)}"] if judged else [])]
 
 
@@ -330,7 +330,7 @@ def _judged(verify: VerifyResult) -> list[Measured]:
 def _tolerance_message(verify: VerifyResult) -> str:
     judged = _judged(verify)
     out = [f"{one.name} ({one.final_mm or 0.0:.3f} mm)" for one in judged if one.verdict == "out"]
-    unsure = [f"{one.name} ({one.final_mm or 0.0:.3f} mm)" for one in judged if one.verdict == "cannot say"]
+    unsure = [f"{one.name} ({one.final_mm or 0.0:.3f} mm)" for one in judged if one.verdict == "not decided"]
     within = f"{len(judged) - len(out) - len(unsure)} of {counted(len(judged), 'measurement')} within tolerance"
     within += f", {len(out)} out: {named_few(out)}" if out else ""
     return within + (f", {len(unsure)} not decided: {named_few(unsure)}" if unsure else "")

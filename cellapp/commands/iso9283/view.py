@@ -113,7 +113,7 @@ def _message(result: Iso9283Result) -> str:
     verdict = {
         "conforms": "all that has a tolerance conforms",
         "does not conform": "not all that has a tolerance conforms",
-        "cannot say": "not all can be decided against its tolerance",
+        "not decided": "not all can be decided against its tolerance",
         None: "",
     }[overall(result.judgements)]
     return f"{measured}{f'; {verdict}' if verdict else ''}"

@@ -115,7 +115,7 @@ def verdict(data: ReportData, judgements: Sequence[Judgement]) -> Verdict:
     """Summarize all judgements in a title and a sentence, or say how to give tolerances."""
     if CALIBRATE in data.results.out_of_date:
         return Verdict(
-            "cannot say", VERDICT_TITLES["cannot say"], "The calibration is out of date: nothing is judged on it."
+            "not decided", VERDICT_TITLES["not decided"], "The calibration is out of date: nothing is judged on it."
         )
     if not data.profile.tolerances.any_given:
         return Verdict(

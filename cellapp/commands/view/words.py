@@ -149,7 +149,7 @@ CHARACTERISTIC_WORDS: Mapping[Characteristic, str] = {
 RULE_WORDS: Mapping[DecisionRule, str] = {
     "guarded": (
         "An error conforms if it is inside its tolerance by its expanded uncertainty U (k = 2), it does not conform if"
-        " it is outside by U, and nobody can say between (ISO 14253-1)."
+        " it is outside by U, and in between it is not decided (ISO 14253-1)."
     ),
     "simple": "Errors alone are compared with their tolerances, without their uncertainty (simple acceptance).",
 }
@@ -165,7 +165,7 @@ def undecided_words(not_given: Sequence[str]) -> str:
 VERDICT_TITLES: Mapping[Conformity, str] = {
     "conforms": "The cell conforms to its tolerances",
     "does not conform": "The cell does not conform to its tolerances",
-    "cannot say": "Cannot say: conformity is not decided",
+    "not decided": "Not decided",
 }
 _STATES: tuple[Conformity, ...] = get_args(Conformity)
 
@@ -181,7 +181,7 @@ class Verdict:
 
 def verdict_of(judgements: Sequence[Judgement]) -> Verdict:
     """Summarize all judgements in a title and a sentence."""
-    state = overall(judgements) or "cannot say"
+    state = overall(judgements) or "not decided"
     if not judgements:
         return Verdict(state, VERDICT_TITLES[state], "Nothing that has a tolerance was measured.")
     return Verdict(state, VERDICT_TITLES[state], judged_sentence(judgements))
@@ -191,7 +191,7 @@ def judged_sentence(judgements: Sequence[Judgement]) -> str:
     """State how many errors conform, which do not, and how many are undecided or not measured."""
     total = len(judgements)
     counts = {state: [one for one in judgements if one.conformity == state] for state in _STATES}
-    out, unsure = counts["does not conform"], counts["cannot say"]
+    out, unsure = counts["does not conform"], counts["not decided"]
     missing = [one for one in unsure if one.value is None]
     if len(counts["conforms"]) == total:
         return f"All {counted(total, 'error')} with a tolerance are inside it."

@@ -8,7 +8,7 @@ from typing import Literal
 from cellapp.ground.results import Matrix, Point, Record, Result, StageName
 
 CheckVerdict = Literal[
-    "valid", "tracker moved", "base moved", "smr moved", "arm changed", "not explained", "cannot say"
+    "valid", "tracker moved", "base moved", "smr moved", "arm changed", "not explained", "not decided"
 ]
 
 
@@ -185,7 +185,7 @@ class CheckResult(Result, schema="cellapp-check"):
         complaints = [f"the model was out of date already: {self.stale}"] if strict and self.stale else []
         if self.verdict == "valid":
             return complaints
-        if self.verdict == "cannot say":
+        if self.verdict == "not decided":
             return ["whether the calibration holds is not known", *complaints]
         found = "; ".join(one.words for one in self.changes)
         words = f"the calibration does not hold as it is: {self.verdict}" + (f" ({found})" if found else "")

@@ -177,12 +177,12 @@ def judgement(
     if not state.changed:
         weak = {} if state.valid else _weak(design, Moments.of(stops))
         unseen = any(one.detected > _MOST_UNSEEN * design.directions[k].step for k, one in weak.items())
-        return ("cannot say" if unseen else "valid"), nothing, tuple(weak.values()), None
+        return ("not decided" if unseen else "valid"), nothing, tuple(weak.values()), None
     found = explain(design, stops)
     if found.holds:
         return _VERDICTS[found.causes[0].alternative.kind], found, (), None
     stray = stray_point(stops)
-    return ("not explained", found, (), None) if stray is None else ("cannot say", nothing, (), stray)
+    return ("not explained", found, (), None) if stray is None else ("not decided", nothing, (), stray)
 
 
 def stray_point(stops: StopRows) -> int | None:

@@ -359,7 +359,7 @@ def _range(values: NDArray[np.float64] | None) -> Range | None:
 TARGET_WORDS: Mapping[Conformity, ToleranceVerdict] = {
     "conforms": "in",
     "does not conform": "out",
-    "cannot say": "cannot say",
+    "not decided": "not decided",
 }
 """The decision in the words of targets and paths."""
 
@@ -372,17 +372,17 @@ def conformity(value: float | None, expanded: float | None, tolerance: float, ru
     compares the value alone (ISO/IEC Guide 98-4, simple acceptance). A missing value gives no decision.
     """
     if value is None:
-        return "cannot say"
+        return "not decided"
     if rule == "simple":
         return decided(value, value, tolerance)
-    return "cannot say" if expanded is None else decided(value - expanded, value + expanded, tolerance)
+    return "not decided" if expanded is None else decided(value - expanded, value + expanded, tolerance)
 
 
 def decided(low: float, high: float, tolerance: float) -> Conformity:
     """Decide for an error between two bounds: proven inside, proven outside, or neither."""
     if high <= tolerance:
         return "conforms"
-    return "does not conform" if low > tolerance else "cannot say"
+    return "does not conform" if low > tolerance else "not decided"
 
 
 def target_verdict(

@@ -7,7 +7,7 @@ from typing import Literal
 
 from cellapp.ground.results import DecisionRule, Record
 
-ToleranceVerdict = Literal["in", "out", "cannot say", ""]
+ToleranceVerdict = Literal["in", "out", "not decided", ""]
 """Whether a target is within its tolerance; empty if it has none, or if there is nothing to judge."""
 
 Three = tuple[float, float, float]
@@ -51,7 +51,7 @@ class CommonUncertainty(Record):
         )
 
 
-Conformity = Literal["conforms", "does not conform", "cannot say"]
+Conformity = Literal["conforms", "does not conform", "not decided"]
 Characteristic = Literal[
     "position",
     "orientation",
@@ -116,7 +116,7 @@ class Judgement(Record):
 def overall(judgements: Sequence[Judgement]) -> Conformity | None:
     """Return the worst of all judgements; None if nothing is judged."""
     found = {one.conformity for one in judgements}
-    order: tuple[Conformity, ...] = ("does not conform", "cannot say", "conforms")
+    order: tuple[Conformity, ...] = ("does not conform", "not decided", "conforms")
     return next((one for one in order if one in found), None)
 
 

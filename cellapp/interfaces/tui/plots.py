@@ -1,7 +1,4 @@
-"""A chart drawn into terminal cells, as characters and inks; the widget maps inks to colours.
-
-The widget that draws a chart. Drawing code is loaded with the first chart: a blank widget needs no numerics.
-"""
+"""A chart drawn into terminal cells, as characters and inks; the widget maps inks to colours."""
 
 from __future__ import annotations
 
@@ -9,24 +6,12 @@ import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.segment import Segment
-from rich.style import Style
-from textual.events import Click
-from textual.message import Message
-from textual.reactive import reactive
-from textual.strip import Strip
-from textual.widget import Widget
 
 from cellapp.commands.view.charts import Array, Chart, Series
 from cellapp.interfaces.render.chart import Scale, chart_scale, equal_scales
-
-if TYPE_CHECKING:
-    from cellapp.commands.view.charts import Chart
-
 
 TEXT, HEADING, SOFT = -1, -2, -3
 """Inks that are not series: words and axes, title, limits."""
@@ -402,78 +387,3 @@ def set_bars(dots: Dots, column: Array, row: Array, zero: float) -> None:
     rows = np.arange(dots.shape[0])[:, np.newaxis]
     low, high = np.minimum(row, zero)[nearest], np.maximum(row, zero)[nearest]
     dots |= in_bar & (rows >= np.rint(low)) & (rows <= np.rint(high))
-
-
-ON_DARK = ("#56b4e9", "#e69f00", "#009e73", "#cc79a7", "#f0e442", "#d55e00")
-ON_LIGHT = ("#0072b2", "#b64f00", "#00795a", "#a8447c", "#000000", "#7a6a00")
-"""Colours of the styles on dark and on light backgrounds: those of Okabe and Ito (2008), distinguishable with colour
-blindness; on light backgrounds darkened to a contrast of 3 to 1."""
-
-
-class ChartPlot(Widget):
-    """A chart with its title, key and message. Set ``chart`` to draw another one; None is blank."""
-
-    class PointClicked(Message):
-        """The point nearest to a click, in the units of the axes."""
-
-        def __init__(self, plot: ChartPlot, x: float, y: float) -> None:
-            super().__init__()
-            self.plot, self.x, self.y = plot, x, y
-
-        @property
-        def control(self) -> ChartPlot:
-            """The plot, for selectors."""
-            return self.plot
-
-    chart: reactive[Chart | None] = reactive(None)
-
-    def __init__(self, chart: Chart | None = None, *, id: str | None = None, classes: str | None = None) -> None:
-        super().__init__(id=id, classes=classes)
-        self._strips: list[Strip] = []
-        self._drawn_as: tuple[object, ...] = ()
-        self.set_reactive(ChartPlot.chart, chart)
-
-    def render_line(self, y: int) -> Strip:
-        """Return one line of the drawing, which is cached for a chart, a size and a background."""
-        width, height = self.content_size
-        drawn_as = (self.chart, width, height, self.rich_style, self.app.current_theme.dark)
-        if drawn_as != self._drawn_as:
-            self._strips = [] if self.chart is None else self._drawing(self.chart, width, height)
-            self._drawn_as = drawn_as
-        return self._strips[y] if y < len(self._strips) else Strip.blank(width, self.rich_style)
-
-    def _drawing(self, chart: Chart, width: int, height: int) -> list[Strip]:
-        """Return the lines of a chart."""
-        from cellapp.interfaces.tui.plots import draw
-
-        lines = draw(chart, width, height)
-        styles = {ink: self._style(ink) for ink in {ink for line in lines for _, ink in line}}
-        return [
-            Strip([Segment(text, styles[ink]) for text, ink in line]).adjust_cell_length(width, self.rich_style)
-            for line in lines
-        ]
-
-    def on_click(self, event: Click) -> None:
-        """Post the point that was clicked."""
-        at = event.get_content_offset(self)
-        if at is None or self.chart is None:
-            return
-        from cellapp.interfaces.tui.plots import point_at
-
-        point = point_at(self.chart, *self.content_size, at.x, at.y)
-        if point is not None:
-            self.post_message(self.PointClicked(self, *point))
-
-    def _style(self, ink: int) -> Style:
-        """Return the style of an ink on the current background."""
-        from cellapp.interfaces.tui.plots import HEADING, SOFT, TEXT
-
-        own = self.rich_style
-        if ink == TEXT:
-            return own
-        if ink == HEADING:
-            return own + Style(bold=True)
-        if ink == SOFT:
-            return own + Style(italic=True)
-        colours = ON_DARK if self.app.current_theme.dark else ON_LIGHT
-        return own + Style(color=colours[ink % len(colours)])

@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from cellapp.commands.next_step import Conclusion
 
 
-Kind = Literal["open", "next", "running", "done", "conforms", "cannot say", "part", "does not conform", "out of date"]
+Kind = Literal["open", "next", "running", "done", "conforms", "not decided", "part", "does not conform", "out of date"]
 SIGNS: Mapping[Kind, str] = {
     "open": " ",
     "next": "▸",
     "running": "…",
     "done": "✓",
     "conforms": "≤",
-    "cannot say": "?",
+    "not decided": "?",
     "part": "◐",
     "does not conform": "✗",
     "out of date": "!",

@@ -61,8 +61,8 @@ def test_bounds_of_published_cases() -> None:
 def test_a_verdict_is_about_the_true_position() -> None:
     assert [predicted_verdict(0.01, 0.05, size) for size in (0.05, 0.049, 0.01, 0.0099, None)] == [
         "in",
-        "cannot say",
-        "cannot say",
+        "not decided",
+        "not decided",
         "out",
         "",
     ]
@@ -181,7 +181,7 @@ def test_what_a_measurement_finds_is_judged_with_all_of_its_scatter(arm: ArmMode
     assert of_arm is not None
     assert of_tracker.within_mm == pytest.approx(of_arm.within_mm, rel=1e-6)
     assert of_tracker.uncertainty_mm == of_arm.uncertainty_mm
-    assert (of_tracker.verdict, of_arm.verdict) == ("cannot say", "cannot say")
+    assert (of_tracker.verdict, of_arm.verdict) == ("not decided", "not decided")
     bound = [of_tracker.within_mm]
     (met,) = predictions(arm, q, NOTHING, bound, HOME, ConditionRanges(noise=exact))
     assert met is not None

@@ -149,7 +149,7 @@ def test_verdicts_follow_the_one_rule(run: RunFile, model: CellModel) -> None:
     assert turns[0] is not None
     assert turns[1] is not None
     assert turns[2] is not None
-    assert (turns[0].verdict, turns[1].verdict, turns[2].verdict) == ("in", "cannot say", "")
+    assert (turns[0].verdict, turns[1].verdict, turns[2].verdict) == ("in", "not decided", "")
     assert turns[2].nominal_mrad is None
     assert turns[2].within_mrad > 0.0
 
@@ -157,7 +157,7 @@ def test_verdicts_follow_the_one_rule(run: RunFile, model: CellModel) -> None:
 def test_a_stored_measurement_is_judged_by_another_tolerance(run: RunFile, verified: VerifyResult) -> None:
     target = LEFT[0].model_copy(update={"orientation_tolerance": 1e-6})
     (state,) = target_states([target], read_results(run))
-    assert state.verdict == "cannot say"  # some 0.05 mrad are more than a thousandth, not more than U and it
+    assert state.verdict == "not decided"  # some 0.05 mrad are more than a thousandth, not more than U and it
     assert state.measured[0].orientation_tolerance_mrad == pytest.approx(1e-3)
     assert not same_target(target, verified.targets[0])
 
@@ -166,7 +166,7 @@ def test_an_error_beyond_its_tolerance_is_a_complaint(verified: VerifyResult) ->
     first = verified.targets[0]
     assert first.orientation is not None
     beyond = first.model_copy(
-        update={"orientation": first.orientation.model_copy(update={"final_mrad": 0.9, "verdict": "cannot say"})}
+        update={"orientation": first.orientation.model_copy(update={"final_mrad": 0.9, "verdict": "not decided"})}
     )
     result = verified.model_copy(update={"targets": (beyond, *verified.targets[1:])})
     (complaint,) = result.complaints()

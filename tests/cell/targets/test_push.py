@@ -190,15 +190,15 @@ def test_tolerances_are_predicted_measured_and_complained_about(run: RunFile, mo
     said = [str(row[-1]).split(":")[0] for row in predicted_tables(predicted)[0].rows]
     assert said == ["in", "out", "out of reach"]
     found = push(run.profile, model, commands, verify=True, judge=judge_of(run, run.profile))
-    assert [target.verdict for target in found.targets] == ["in", "cannot say", "", ""], "guarded: U is some 40 um"
+    assert [target.verdict for target in found.targets] == ["in", "not decided", "", ""], "guarded: U is some 40 um"
     assert found.targets[1].expanded_mm is not None
     assert 0.03 < found.targets[1].expanded_mm < 0.08
     unknown = push(run.profile, model, commands[:1], verify=True, judge=Judge(run.profile))
-    assert unknown.targets[0].verdict == "cannot say", "nobody gave what the arm's readings scatter by"
+    assert unknown.targets[0].verdict == "not decided", "nobody gave what the arm's readings scatter by"
     (complaint,) = found.complaints()
     assert complaint.startswith(f"1 of 2 targets with a tolerance are out of it: {TARGETS[1].name} (0.0")
     assert complaint.endswith(" mm, tolerance 0.001 mm) (1 of these not proven with the uncertainty)")
-    assert [row[-1] for row in verification_tables(found)[1].rows] == ["in", "cannot say", ""]
+    assert [row[-1] for row in verification_tables(found)[1].rows] == ["in", "not decided", ""]
     assert all(same_target(target, stored) for target, stored in zip(targets, found.targets))
     assert not same_target(targets[0].model_copy(update={"tolerance": None}), found.targets[0])
 

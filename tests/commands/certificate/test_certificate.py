@@ -122,14 +122,14 @@ def judged(found: RunResults, **tolerances: object) -> dict[tuple[str, str], Jud
     ("value", "expanded", "rule", "expected"),
     [
         (0.05, 0.05, "guarded", "conforms"),
-        (0.05, 0.0501, "guarded", "cannot say"),
-        (0.15, 0.0501, "guarded", "cannot say"),
+        (0.05, 0.0501, "guarded", "not decided"),
+        (0.15, 0.0501, "guarded", "not decided"),
         (0.1501, 0.05, "guarded", "does not conform"),
-        (0.01, None, "guarded", "cannot say"),
+        (0.01, None, "guarded", "not decided"),
         (0.1, 0.5, "simple", "conforms"),
         (0.1001, None, "simple", "does not conform"),
-        (None, 0.01, "simple", "cannot say"),
-        (None, 0.01, "guarded", "cannot say"),
+        (None, 0.01, "simple", "not decided"),
+        (None, 0.01, "guarded", "not decided"),
     ],
 )
 def test_decision_rules_at_a_tolerance_of_a_tenth(
@@ -256,5 +256,5 @@ def test_certificates_are_as_approved() -> None:
 def test_an_uncertainty_with_a_gap_decides_nothing_and_names_the_gap() -> None:
     found = results(verify=verification(LEFT_OF_JUDGEMENTS), **known_uncertainty())
     left = judge_run(profile_with({"position": 1e-4}, {"smr_centering": None}), found)[0]
-    assert (left.conformity, left.value_mm, left.expanded_mm) == ("cannot say", 0.05, None)
+    assert (left.conformity, left.value_mm, left.expanded_mm) == ("not decided", 0.05, None)
     assert left.source.endswith("uncertainty not known, as not given: SMR centering")

@@ -6,7 +6,7 @@ tool and the base deviate from nominal. Joints are uniform over one turn each wa
 - Case ``mdh``: lengths deviate by 0.3 mm, angles by 0.1 deg (standard deviations), tool coordinates by 2 mm. The base
   stands 3 m away, turned by up to 3 rad about the tracker's z axis and tilted by up to 0.3 rad.
 - Case ``hayati``: besides, the parallel axes 2, 3 and 4 are turned by 0.1 deg against each other about y, which D-H
-  rows cannot say (Hayati, Mirmirani, J. Robotic Systems 2 (1985) 397).
+  rows cannot hold (Hayati, Mirmirani, J. Robotic Systems 2 (1985) 397).
 """
 
 from __future__ import annotations

@@ -288,7 +288,7 @@ def test_a_run_of_removed_readings_opens_for_show_and_export_and_calibrate_says_
         (stage,) = run_overview(run).stages
         assert stage.out_of_date == "an earlier version made it, from readings of a kind that was removed"
     opened = load_workspace(None, path.parent)
-    assert (opened.problem, opened.folder, opened.conformity) == ("", path.parent, "cannot say")
+    assert (opened.problem, opened.folder, opened.conformity) == ("", path.parent, "not decided")
     assert summarise(path.parent).problem == ""
 
 

@@ -45,7 +45,7 @@ from tests.twin import PROFILES
 APPROVED = Path(__file__).parent / "approved"
 TWIN = load_profile(PROFILES / "twin.yaml")
 TODAY = date(2026, 6, 1)
-STATES: tuple[Conformity, ...] = ("conforms", "does not conform", "cannot say")
+STATES: tuple[Conformity, ...] = ("conforms", "does not conform", "not decided")
 
 
 def judged(
@@ -87,7 +87,7 @@ def data_of(profile: Profile | None = None, *, next_step: str = "", **results: A
 @given(st.lists(st.sampled_from(STATES), min_size=1, max_size=8))
 def test_the_verdict_is_the_worst_of_all(states: list[Conformity]) -> None:
     found = verdict(data_of(), [judged("position", f"arm{number}", one) for number, one in enumerate(states)])
-    worst = next(one for one in ("does not conform", "cannot say", "conforms") if one in states)
+    worst = next(one for one in ("does not conform", "not decided", "conforms") if one in states)
     assert found.state == worst
     assert ("does not" in found.title) == (worst == "does not conform")
     if worst == "conforms":
@@ -124,7 +124,10 @@ def summaries() -> Iterator[object]:
     """What the first screen says of runs that lack, outdated, found or were not asked for something."""
     outdated = {"discover": "5 readings were added since"}
     position = [judged("position", "left", "conforms")]
-    missing = [judged("cooperative", "left and right", "cannot say", None), judged("drift", "left", "cannot say", None)]
+    missing = [
+        judged("cooperative", "left and right", "not decided", None),
+        judged("drift", "left", "not decided", None),
+    ]
     cases = {
         "no tolerances": (data_of(TWIN.model_copy(update={"tolerances": Tolerances()})), []),
         "out of date": (data_of(out_of_date={"calibrate": "5 readings were added since"}), position),

@@ -154,7 +154,7 @@ def checks() -> Parts:
     results = [
         checked(),
         checked(verdict="tracker moved", changes=(moved,), station_shift_mm=36.07, station_turn_deg=0.5839),
-        *(checked(verdict=one, changes=(), stale=stale) for one in ("valid", "cannot say", "not explained")),
+        *(checked(verdict=one, changes=(), stale=stale) for one in ("valid", "not decided", "not explained")),
         checked(verdict="valid", changes=(), weak=(), stops=()),
     ]
     return [

@@ -37,7 +37,8 @@ from cellapp.ground.progress import (
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.plots import ChartPlot, point_at
+from cellapp.interfaces.tui.plots import point_at
+from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.workspace import Workspace
 from tests.cell.run.small_runs import add_stop, collected_run, planned_run

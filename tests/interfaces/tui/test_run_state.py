@@ -65,7 +65,7 @@ def test_a_tick_is_no_verdict(finished_run: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("conformity", "sign"), [("conforms", "≤"), ("cannot say", "?"), ("does not conform", "✗"), (None, "✓")]
+    ("conformity", "sign"), [("conforms", "≤"), ("not decided", "?"), ("does not conform", "✗"), (None, "✓")]
 )
 def test_the_mark_of_accept_is_the_verdict(conformity: str | None, sign: str, finished_run: Path) -> None:
     held = replace(load_workspace(None, finished_run), reported=True, conformity=conformity)  # type: ignore[arg-type]

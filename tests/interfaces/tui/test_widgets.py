@@ -37,9 +37,10 @@ from cellapp.interfaces.tui import app
 from cellapp.interfaces.tui.app import CellApp, SlowCollections
 from cellapp.interfaces.tui.job_record import LEVELS, JobRecord, LogRow, Pace, banner_of, strip_of
 from cellapp.interfaces.tui.jobs import Ask, Job
-from cellapp.interfaces.tui.plots import ON_DARK, ON_LIGHT, draw
+from cellapp.interfaces.tui.plots import draw
 from cellapp.interfaces.tui.run_state import run_state
 from cellapp.interfaces.tui.terminal import notice_sequence, title_sequence, title_words
+from cellapp.interfaces.tui.widgets.chart_plot import ON_DARK, ON_LIGHT
 from cellapp.interfaces.tui.widgets.log_pane import LogPane
 from cellapp.interfaces.tui.widgets.progress_bars import WHOLE_DAY, Part, _line, ending_words, parts_of
 from cellapp.interfaces.tui.workspace import Workspace

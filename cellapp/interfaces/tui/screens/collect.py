@@ -45,11 +45,11 @@ from cellapp.interfaces.tui.job_record import LEVELS, ArmRecord, JobRecord, LogR
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.offers import BEGIN, arms_words
-from cellapp.interfaces.tui.plots import ChartPlot
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import since_words
 from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
+from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.widgets.log_pane import LogPane, as_text
 from cellapp.interfaces.tui.widgets.parts_view import Copied, Copy, PartsView

@@ -23,7 +23,7 @@ from cellapp.commands.view.table import Table, markdown
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
 from cellapp.interfaces.tui.keys import bind, with_keys
-from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,4 @@
-"""A table of texts, and functions for screens with tabs.
-
-A map of the cell. The chart is made in a thread: the kinematics of the arms takes half a second to load.
-
-Table of the screen Cell: the doctor's findings.
-
-The stops of a plan as a table of the screen Plan.
-"""
+"""Tables of the screens Cell and Plan, their map of the cell, and functions for screens with tabs."""
 
 from __future__ import annotations
 
@@ -13,7 +6,6 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
 from rich.text import Text
 from textual import work
 from textual.coordinate import Coordinate
@@ -21,7 +13,7 @@ from textual.widgets import DataTable, TabbedContent, Tabs
 from textual.worker import get_current_worker
 
 from cellapp.commands.docs.keys import SHOWN
-from cellapp.interfaces.tui.plots import ChartPlot
+from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 
 if TYPE_CHECKING:
     from cellapp.cell.driving.records import PlannedStop
@@ -145,7 +137,7 @@ class StopsTable(TextTable):
         if stops is self._stops or (stops == self._stops and _same_ways(ways, self._ways)):
             return
         self._stops, self._ways = stops, ways
-        self.marked = set() if ways is None else set(np.flatnonzero(ways.frozen).tolist())
+        self.marked = set() if ways is None else {stop for stop, frozen in enumerate(ways.frozen) if frozen}
         rows = [_stop_row(stop, ways) for stop in stops]
         texts = [text for _, text in rows]
         if texts != self.texts:  # the cursor stays if nothing changed

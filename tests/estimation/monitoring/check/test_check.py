@@ -185,20 +185,20 @@ def test_one_point_that_stands_alone_is_no_change(pair: SimulatedCell) -> None:
     test = SequentialTest(pair.design, PLANNED)
     test.add(readings)
     found = test.conclusion()
-    assert found.verdict == "cannot say"
+    assert found.verdict == "not decided"
     assert not found.changes
     assert all(arm.left_mm is None for arm in found.arms.values())
     assert any("one point alone" in note for note in found.notes)
 
 
-def test_few_noisy_stops_cannot_say_and_state_what_they_would_find(pair: SimulatedCell) -> None:
+def test_few_noisy_stops_decide_nothing_and_state_what_they_would_find(pair: SimulatedCell) -> None:
     readings = pair.measured([1, 2], 0)
     test = SequentialTest(pair.design, 2)
     state = test.add(readings)
     found = test.conclusion()
     assert state.sure
     assert not state.changed
-    assert found.verdict == "cannot say"
+    assert found.verdict == "not decided"
     assert found.weak
     visible = {(arm, what): size for arm, own in found.visible.items() for what, size in own.items()}
     assert all(one.detected > visible[one.arm, one.what] for one in found.weak if one.unit == "rad")
