@@ -10,11 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.cell.planning.candidates import (
-    CandidatePool,
-    draw_pool,
-    exclusions,
-)
+from cellapp.cell.planning.candidates import CandidatePool, draw_pool, exclusions
 from cellapp.cell.planning.transit_paths import ArmRoadmap
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.bodies import ArmBodies, TrackerField, place, sight_of
@@ -58,12 +54,7 @@ def turned_smr(normal: tuple[float, float, float]) -> CellBodies:
     return dataclasses.replace(cell, arms=arms)
 
 
-FOUR = [
-    [0.0, 0.4, 0.0, HALF_TURN],
-    [0.0, 0.0, 0.5, 0.0],
-    [0.0, 0.0, 0.4, HALF_TURN],
-    [0.0, 0.1, 0.0, 0.0],
-]
+FOUR = [[0.0, 0.4, 0.0, HALF_TURN], [0.0, 0.0, 0.5, 0.0], [0.0, 0.0, 0.4, HALF_TURN], [0.0, 0.1, 0.0, 0.0]]
 CELLS: dict[str, tuple[CellBodies, str]] = {
     "UR10": (cell_bodies(small_twin()), "left"),
     "UR5": (cell_bodies(small_twin()), "right"),

@@ -16,11 +16,7 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.driving.motion import Mover
 from cellapp.cell.driving.supervision import moving_cell
 from cellapp.cell.driving.sweeping import MOST_RUNS, PathDriver
-from cellapp.cell.driving.target_visit import (
-    distance_explained_by_noise,
-    explained_by_noise,
-    push,
-)
+from cellapp.cell.driving.target_visit import distance_explained_by_noise, explained_by_noise, push
 from cellapp.cell.exports.export_format import first_rates
 from cellapp.cell.run import RunFile
 from cellapp.cell.targets.compensate import compensate
