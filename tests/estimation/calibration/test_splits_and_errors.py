@@ -31,11 +31,10 @@ from cellapp.estimation.calibration.quantities import (
 )
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import FIRST_SAMPLE
-from cellapp.ground.grouping import grouped
 from cellapp.ground.results import ErrorSummary
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.cell.run.small_runs import import_csv
-from tests.evidence import coverage, parameter_sets
+from tests.evidence import coverage
 from tests.evidence.gross_errors import disturbed
 from tests.evidence.shared.series import Entrant, load_entrant
 
@@ -143,23 +142,6 @@ def test_stated_95_percent_intervals_hold_the_truth_93_to_97_percent_of_the_time
     assert coverage.LEAST <= held.mean() <= coverage.MOST
     assert np.mean([found["scatter"] for found in results]) == pytest.approx(1.0, abs=0.28 / draws**0.5)
     assert held.mean(axis=0).min() > 0.95 - 4.5 * (0.95 * 0.05 / draws) ** 0.5  # 4.5 standard deviations
-
-
-@pytest.mark.slow
-def test_the_redundant_model_does_not_converge_and_the_reduced_one_does():
-    # of six, one or two converge all the same: which ones depends on the linear algebra library
-    found = [parameter_sets.one({"arm": "left", "seed": seed})["solutions"] for seed in range(3)]
-    by_name = grouped((name, rest) for solutions in found for name, *rest in solutions)
-    medians = {name: np.median(np.array(some, dtype=np.float64), axis=0) for name, some in by_name.items()}
-    converged = {name: [one[1] for one in some] for name, some in by_name.items()}
-    redundant, reduced = "full (34), plain", "auto (27), plain"
-    assert "paper (26), plain" in by_name
-    assert not all(converged[redundant])
-    assert medians[redundant][0] > 100
-    assert all(converged[reduced])
-    assert medians[reduced][0] <= 4
-    assert (medians[reduced][2:] < medians[redundant][2:]).all()
-    assert all(converged["full (34), cellapp"])
 
 
 # -- ``calibrate`` finds readings with gross errors, leaves them out of everything, and says which ---------------------
