@@ -143,7 +143,7 @@ def open_steps(profile: Profile, results: RunResults, judgements: Sequence[Judge
     if missing and not driven:
         yield Step(f"Not decided: {named_errors(missing)} is judged at targets, and these arms cannot be driven there.")
     elif missing:
-        yield _targets_step(results, missing, folder)
+        yield _targets_step(results, missing)
     near = [one for one in judgements if one.conformity == "not decided" and one.value is not None]
     if near and not other_arms_found(results):
         yield Step(f"Measure with a smaller uncertainty: {named_errors(near)}.")
@@ -172,7 +172,7 @@ def _of_stages(results: RunResults, folder: str) -> Iterator[Step]:
             yield Step(f"{words}:", f"cellapp iso9283 --run {folder}", "iso9283")
 
 
-def _targets_step(results: RunResults, missing: Sequence[Judgement], folder: str) -> Step:
+def _targets_step(results: RunResults, missing: Sequence[Judgement]) -> Step:
     """Return how targets that have a tolerance come to be measured: what a list lacks, no repetition measures."""
     verify = results.verify
     listed = set() if verify is None else {one.arm for one in verify.targets}

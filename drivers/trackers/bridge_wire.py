@@ -320,7 +320,6 @@ MOST_WAITING = 200_000
 """Largest number of points buffered for a client; a slower client loses points."""
 _LONGEST_POINTS = 1500
 """Longest text of the points in one line, whose length is limited [characters]."""
-_STAMP = re.compile(r"-?[0-9]{1,12}(?:\.[0-9]{1,12})?")
 _POINT = re.compile(r"(-?[0-9.]+),(-?[0-9.]+),(-?[0-9.]+),(-?[0-9.]+),([0-9.e-]*)")
 
 

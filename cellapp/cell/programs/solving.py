@@ -330,13 +330,16 @@ def true_flange(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> A
     """Return true flange poses (n, 4, 4) in the tracker frame if the controller reads ``q`` (n, N) [rad].
 
     Effects state displacements of points on the flange. Four points, the flange's origin and 1 m along each axis,
-    give its rotation, too. The network knows only the SMR: it shifts the flange equally and does not rotate it.
+    give its rotation, too. The network knows only the SMR: it shifts the flange equally; where it learnt orientations,
+    it also rotates the flange, about the SMR.
     """
     tools = (replace(arm.geometry, tool=point) for point in (np.zeros(3), *np.eye(3)))
     at = np.array([replace(arm, geometry=tool).predict(q, conditions=conditions) for tool in tools])
     rotations = np.stack([at[k + 1] - at[0] for k in range(3)], axis=2)
-    u, _, vt = np.linalg.svd(rotations)  # the nearest rotations
-    return _poses(u @ vt, at[0])
+    u, _, vt = np.linalg.svd(rotations)
+    rotations = u @ vt  # the nearest ones
+    turned = np.array([rotation_from_vector(one) for one in arm.turning_M(q)]).reshape(-1, 3, 3) @ rotations
+    return _poses(turned, at[0] + (rotations - turned) @ arm.geometry.tool)
 
 
 def aim(arm: ArmModel, wanted_M: Array, start: Array, conditions: MeasurementConditions) -> Inverted:

@@ -98,7 +98,7 @@ def readings_from_csv(
 def readings_of_table(
     profile: Profile, table: CsvTable, *, in_order: bool = False, recorded: Collection[str] = (), smr: str | None = None
 ) -> tuple[dict[str, Readings], dict[str, ArmOrder], list[str]]:
-    """Check the readings of a cell, from a file or from ``table_in_memory``; all readings pass here.
+    """Check the readings of a cell, from a file or from a caller in Python; all readings pass here.
 
     Three SMRs or more on a flange give one position and one rotation a stop; ``smr`` takes only the SMR of that name.
     ``in_order``: the rows of an arm stand in the order in which they were measured (with ``time_s``, the order is by

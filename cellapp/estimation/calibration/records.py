@@ -241,7 +241,10 @@ class ArmCalibrationResult(Record):
     """Calibration of one arm.
 
     ``identified`` are the parameters of the geometry, ``rank`` their number, ``merged`` maps each dropped parameter to
-    omitted_when_none = frozenset({"fixed", "excess_mrad", "probe_mrad", "prior", "clocks", "motion"})
+    those that take its place and their shares, ``fixed`` each held parameter to its value. ``excess_mm`` is the scatter
+    of a coordinate beyond the stated uncertainty, ``excess_mrad`` that of an orientation where it was measured,
+    ``tracker_mm`` and ``probe_mrad`` the rms length of the stated noise of positions and of orientations. Where an
+    earlier calibration was taken as ``prior``,
     the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those
     of readings with gross errors, on which nothing here rests, ``left_out_splits`` their number in each split;
     ``splits`` counts the others. An arm that was recorded in ``motion`` has the ``clocks`` of its recordings; where it

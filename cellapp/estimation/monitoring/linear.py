@@ -95,7 +95,7 @@ def directions_of(belief: CheckBelief) -> list[Direction]:
     return found
 
 
-def alternatives_of(belief: CheckBelief, directions: Sequence[Direction]) -> list[Alternative]:
+def alternatives_of(directions: Sequence[Direction]) -> list[Alternative]:
     """List what may have changed, causes that affect most points first: tracker, bases, SMRs, parameters, effects.
 
     Each parameter is an alternative; so are all values of an effect at one place together.

@@ -410,7 +410,7 @@ def design_of(belief: CheckBelief) -> Design:
     visible = (shown >= VISIBLE / MOST_STEPS) & ~located  # a located station is uncertain by as much
     steps = np.where(visible, np.maximum(1.0, VISIBLE / np.maximum(shown, 1e-300)), 1.0)
     directions = tuple(replace(one, step=one.step * size) for one, size in zip(least, steps.tolist(), strict=True))
-    alternatives = tuple(alternatives_of(belief, directions))
+    alternatives = tuple(alternatives_of(directions))
     motions = {name: its * steps[:, None, None] for name, its in motions.items()}
     return Design(belief, directions, alternatives, motions, steps, moved * steps, visible, FALSE_ALARM, MISS)
 

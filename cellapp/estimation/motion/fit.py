@@ -253,7 +253,7 @@ def _loss(
     step: Array,
 ) -> float:
     """Compute the weighted sum of squares, priors included, a ``step`` beyond ``values``."""
-    from scipy.signal import lfilter  # as in ``track_sums``
+    from scipy.signal import lfilter  # as in ``sums_of``
 
     model = problem.model(values + step)
     total = float(precision @ (values + step - problem.mean) ** 2)

@@ -291,7 +291,7 @@ def pair_families(
 ) -> list[FunctionFamily]:
     """Functions of all pairs of variables that vary, or of those ``among`` them, of each total order.
 
-    The default are those of ``data_functions``, more for two angles.
+    The default are ``PAIR_ORDERS``, for two angles ``ANGLE_PAIR_ORDERS``.
     """
     used = [one for one in variables(context) if among is None or one in among]
     constants = {one: run_constants(context, one) for one in used}

@@ -287,7 +287,7 @@ class ArmModel:
             return p_M
         correction_M = self.network.correct(q) @ self.geometry.T_M_B()[:3, :3].T
         if conditions.turned is not None:
-            correction_M[conditions.turned] = self._turning_M(q[conditions.turned])
+            correction_M[conditions.turned] = self.turning_M(q[conditions.turned])
         return np.asarray(p_M + correction_M)
 
     def orientation(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
@@ -304,7 +304,7 @@ class ArmModel:
         """Whether effects or the network may turn the flange."""
         return bool(self.effects) or (self.network is not None and self.network.turning is not None)
 
-    def _turning_M(self, q: Array) -> Array:
+    def turning_M(self, q: Array) -> Array:
         """Return the network's rotation vectors (n, 3) [rad] of the flange in the tracker frame."""
         if self.network is None or self.network.turning is None:
             return np.zeros((len(q), 3))
@@ -314,7 +314,7 @@ class ArmModel:
         """Compute flange rotations (n, 3, 3), in the tracker frame, by deflection of links, bearings and base, and by
         the network."""
         turned = replace(conditions or MeasurementConditions(), R_M_S=np.tile(np.eye(3), (len(q), 1, 1)))
-        turn_M = self.effect_displacement(q, turned).shift_M + self._turning_M(q)  # both are milliradians
+        turn_M = self.effect_displacement(q, turned).shift_M + self.turning_M(q)  # both are milliradians
         return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(turn_M).as_matrix())
 
     def uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:

@@ -1,4 +1,4 @@
 """Paths: compute from poses with speeds a joint path along which the true SMR stays within a tolerance.
 
-Mathematics only: ``cell.targets.path_file`` reads paths, ``cell.exports.joint_paths`` writes what is computed here.
+Mathematics only: ``cell.targets.path`` reads paths, ``commands.compensate`` writes what is computed here.
 """

@@ -7,7 +7,7 @@ emulator runs in a separate process, and each arm has a loopback address of its 
 
     left = ControllerConfig("left", "127.0.0.2", personality("CB3", "UR10", "20153012345"))
     right = ControllerConfig("right", "127.0.0.3", personality("e-Series", "UR5", "20205501234"))
-    with start_in_process([left, right]) as emulator:       # plant=PlantConfig(...), pace=20.0
+    with start_in_process([left, right]) as emulator:  # pace=20.0: 20 times as fast
         control = rtde_control.RTDEControlInterface("127.0.0.2")
         emulator.control("left", "protective", "travel", 0.3)   # a fault on command
         emulator.control("left", "release")                     # the operator
