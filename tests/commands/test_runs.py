@@ -390,7 +390,7 @@ def test_a_name_that_stands_for_two_arms_is_refused_and_serial_numbers_keep_them
         arm_history("left", tmp_path)
     assert [Path(run.run).name for run in arm_history("UR10-78", tmp_path).runs] == ["other"]
     assert len(arm_history("right", tmp_path).runs) == 2
-    with pytest.raises(InputError, match=r"no arm 'middle'.*UR10-77, UR10-78, UR5-12"):
+    with pytest.raises(InputError, match=r"no arm 'middle'.*'UR10-77', 'UR10-78', 'UR5-12'"):
         arm_history("middle", tmp_path)
     with RunFile.open(tmp_path / "m0") as a, RunFile.open(tmp_path / "other") as b:
         result = compare_runs(a, b)

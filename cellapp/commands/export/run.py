@@ -107,7 +107,7 @@ def _commands_stage(run: RunFile, stages: RunStages, name: str) -> StoredStage:
     verb = (
         f"cellapp compensate {shell_word(run.folder)} TARGETS"
         if known == COMPENSATE
-        else f"cellapp push {shell_word(run.folder)} TARGETS"
+        else f"cellapp push {shell_word(run.folder)} TARGETS --verify"
     )
     if stage is None:
         raise InputError(f"export: {run.path} has no commands of '{name}'; nothing was written. Run '{verb}' first")

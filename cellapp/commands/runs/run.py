@@ -305,7 +305,7 @@ def _chosen(found: Sequence[_Found], arm: str, folder: str) -> list[_Found]:
     own = [one for one in found if arm == one.identity.key] or [one for one in found if arm == one.name]
     keys = dict.fromkeys(one.identity.key for one in own)
     if not own:
-        known = ", ".join(sorted({one.identity.key for one in found})) or "none"
+        known = ", ".join(map(repr, sorted({one.identity.key for one in found}))) or "none"
         raise InputError(f"runs: no arm '{arm}' is in the runs below {folder}; the arms there are {known}")
     if len(keys) > 1:
         raise InputError(

@@ -131,7 +131,7 @@ def runs_sentences(result: RunsResult) -> list[str]:
     sentences += [f"{run.run}: in use by {run.in_use}" for run in result.runs if run.in_use]
     sentences += [resume_sentence(run) for run in result.runs if run.resumable]
     newest = next((run for run in result.runs if not run.problem), None)
-    if newest is not None and newest.next_step and not newest.resumable:
+    if newest is not None and newest.next_step and not (newest.resumable or newest.in_use):
         sentences.append(f"next in the newest run: {newest.next_step}")
     return sentences
 

@@ -165,7 +165,7 @@ class Arm(GrownSection, defer_build=True):
     def _fixed_are_its_own(self) -> Self:
         tool = ("tx", "ty", "tz")
         joints = range(1, len(self.type.joints) + 1)
-        rows = (f"{name}{joint}" for name in ("theta", "d", "a", "alpha", "beta") for joint in joints)
+        rows = {f"{name}{joint}" for name in ("theta", "d", "a", "alpha", "beta") for joint in joints}
         if unknown := [name for name in self.fixed if name not in {*tool, *rows}]:
             raise ValueError(f"fixed: '{unknown[0]}' is no parameter of a D-H row or of the SMR's offset (tx, ty, tz)")
         if self.smr.offset == "unknown" and (hidden := [name for name in self.fixed if name in tool]):

@@ -137,7 +137,7 @@ WRONG = [
     ("type: arms/ur10.yaml", "type: arms/ur11.yaml", "arms.left.type", "file not found"),
     ("type: arms/ur10.yaml", 'type: "a\\0b"', "arms.left.type", "file not found"),
     ("name: twin", 'name: "\\ud800"', "name", "half a character"),
-    ("    speed_scale: 0.5 ", "    fixed: [a2, x0] #", "arms.left.fixed", "'x0' is no parameter of a D-H row"),
+    ("    speed_scale: 0.5 ", "    fixed: [d1, a2, x0] #", "arms.left.fixed", "'x0' is no parameter of a D-H row"),
     (
         "    smr: {offset: [0.045, 0.020, 0.060]",
         "    fixed: [tz]\n    smr: {offset: unknown",
