@@ -477,7 +477,12 @@ def eta_words(eta_s: float | None) -> str:
     """Return an estimated time as "3 min left"; empty while it is not known."""
     if eta_s is None:
         return ""
-    if eta_s < 60.0:
-        return f"{eta_s:.0f} s left"
-    minutes = round(eta_s / 60.0)
-    return f"{minutes} min left" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min left"
+    return f"{duration_words(eta_s)} left"
+
+
+def duration_words(seconds: float) -> str:
+    """Return a duration as "1 h 05 min", "12 min" or "40 s"."""
+    if seconds < 90.0:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"

@@ -19,6 +19,7 @@ from cellapp.cell.driving.measuring import APART_M, MISSED, FoundPoint, SmrSearc
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.supervision import MovingCell, Opened, moving_cell
 from cellapp.cell.driving.target_visit import Driver
+from cellapp.cell.planning.planned_stops import time_notice, visits_s
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import clear_stops, visible_stops
 from cellapp.estimation.monitoring.belief import SequentialState
@@ -108,6 +109,8 @@ def drive_check(
         repeats = 1 if repeat.precision is None else repeat.times
         search = SmrSearch(profile, task.model, mover, np.eye(4), task.excess_m, repeats, moving.hold)
         checking = _Checking(task, test, moving, mover, Driver(mover, home_positions(profile)), search, listener)
+        seconds = visits_s(profile, [{name: its.q[0] for name, its in stop.items()} for stop in task.stops])
+        listener(time_notice("check", profile, seconds, 0, len(task.stops), "takes at most about"))
         driven = checking.visit_all()
         mover.go_home()
         driven.seconds = checking.elapsed_s()

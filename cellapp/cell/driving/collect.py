@@ -36,6 +36,7 @@ from cellapp.cell.driving.records import CollectResult, End
 from cellapp.cell.driving.supervision import Opened, Supervisor, opening, reacting
 from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, sweeps_left
 from cellapp.cell.driving.work import StopQueue, Travel, Work, forbidden_stops, remaining_work, work_again
+from cellapp.cell.planning.planned_stops import planned_time, time_notice
 from cellapp.cell.run import Outcome, RunFile, SessionEnd
 from cellapp.cell.run.measured_again import (
     missing_readings,
@@ -517,6 +518,9 @@ def collect_run(
     if not work.stops and not (again is None and sweeps_left(run)):
         return _collected(run, "complete", [f"all {counted(work.total, 'stop was', 'stops were')} stored already"])
     _require_space(run, work)
+    sweeps_s = 0.0 if work.again else sum(one.period_s for one in chain(*sweeps_left(run).values()))
+    planned_s = planned_time(run.profile, work.route.take(work.stops)).total_s if work.stops else 0.0
+    listener(time_notice("collect", run.profile, planned_s + sweeps_s, work.stored, work.total))
     require_links(run.profile, control.check)
     before = replaced_counts(run)
     sessions = _Sessions(run, listener, control, accept_drift, confirm, opened)

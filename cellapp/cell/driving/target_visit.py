@@ -31,6 +31,7 @@ from cellapp.cell.driving.verification import (
     rms_error_m,
     summary_of,
 )
+from cellapp.cell.planning.planned_stops import time_notice, visits_s
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.targets.invert import invert_model, with_approach
 from cellapp.cell.targets.prediction import Command
@@ -513,6 +514,7 @@ def push(
     require_same_arms(profile, model, commands)
     if not any(command.q_compensated is not None for command in commands):
         raise InputError("push: none of the targets can be commanded: " + commands[0].refusal)
+    total = len(dict.fromkeys(command.target.name for command in commands))
     with moving_cell(profile, model, control, confirm=confirm, opened=opened, open_with=open_with) as moving:
         visit = TargetVisit(
             model=model,
@@ -523,9 +525,11 @@ def push(
             rounds=rounds,
             repeatability_m=repeatability_m or {},
         )
+        if verify:
+            sent = [{one.arm: q} for one in commands for q in (one.q_nominal, one.q_compensated) if q is not None]
+            listener(time_notice("push", profile, visits_s(profile, sent), 0, total))
         stopped = _visit_all(visit, judge or Judge(profile), commands, visited, listener)
         moving.mover.go_home()
-    total = len(dict.fromkeys(command.target.name for command in commands))
     listener(Progress("push", total, total, "done"))
     return visited.result(stopped)
 

@@ -6,6 +6,7 @@ Estimated time of collecting a plan: motions, rests, measurements, references, w
 from __future__ import annotations
 
 import math
+from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import permutations
@@ -21,6 +22,7 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
+from cellapp.ground.progress import Notice, Progress, duration_words
 from cellapp.ground.results import Record
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import joint_rates
@@ -473,6 +475,24 @@ def planned_time(profile: Profile, stops: PlannedStops) -> PlannedTime:
         "warm_up_s": profile.collection.warm_up,
     }
     return PlannedTime(total_s=sum(parts.values()), **parts)
+
+
+def visits_s(profile: Profile, visits: Sequence[Configuration], dwell_s: float = _SETTLE_S) -> float:
+    """Estimate the time of visiting configurations from home, with a rest and a measurement of each arm at each [s]."""
+    if not visits:
+        return 0.0
+    start = {**ChainMap(*map(dict, visits)), **home_positions(profile)}
+    measured = sum(len(visit) for visit in visits)
+    return route_s(profile, start, tuple(visits)) + measured * (dwell_s + _measuring_s(profile))
+
+
+def time_notice(
+    job: str, profile: Profile, seconds: float, done: int, total: int, how: str = "takes about"
+) -> Progress:
+    """Return the event that says before a job's first motion how long the job takes, by the plan of its motions."""
+    kind = profile.cell_kind
+    clock = "" if kind == "real" else f" by the clock of {kind} arms, which may run faster than yours"
+    return Progress(job, done, total, detail=Notice(f"{how} {duration_words(seconds)}{clock}"))
 
 
 def _measuring_s(profile: Profile) -> float:

@@ -23,7 +23,6 @@ from cellapp.cell.planning.records import (
 )
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.shapes import load_mesh
-from cellapp.commands.plan.check_view import duration_words
 from cellapp.commands.view.charts import Axis, Chart, Series, bar_chart, enumerated, series
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.errors import InputError
@@ -36,6 +35,7 @@ from cellapp.ground.profile.sections import (
     MeshObstacle,
     SphereObstacle,
 )
+from cellapp.ground.progress import duration_words
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix

@@ -25,6 +25,7 @@ from cellapp.commands.view.table import Cell, Table, columns_of, table_of
 from cellapp.commands.view.words import geometry_unit, short_reason
 from cellapp.estimation.discovery.records import PlannedEffect
 from cellapp.ground.counting import counted
+from cellapp.ground.progress import duration_words
 from cellapp.robot.effects import EFFECTS
 
 TIME_RESTS_ON = (
@@ -111,14 +112,6 @@ def time_sentence(time: PlannedTime) -> str:
     )
     spent = ", ".join(f"{name} {duration_words(seconds)}" for name, seconds in parts if seconds > 0.0)
     return f"Collecting takes about {duration_words(time.total_s)} ({spent})."
-
-
-def duration_words(seconds: float) -> str:
-    """Return a duration as "1 h 05 min", "12 min" or "40 s"."""
-    if seconds < 90.0:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60.0)
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
 def coverage_table(name: str, arm: ArmForecast) -> Table:

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 _LOOK_S = 0.1
 """Interval at which a waiting question checks whether the job must end."""
+_OF_RUN = ("calibration", "discovery", "verification")
+"""What ``show`` shows of a whole run."""
 
 
 def asking(job: Job, profile_name: str, *, allowed: bool) -> Callable[[str], bool] | None:
@@ -117,12 +119,12 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
 
             def announce(result: Result) -> None:
                 announced.append(result)
-                _show(job, verb.view(result, request), result)
+                _show(job, verb, verb.view(result, request), result)
 
             result = verb.run(request, _work(job, announce, allowed=allow_motion))
             shown = verb.view(result, request)
             if result not in announced:
-                _show(job, shown, result)
+                _show(job, verb, shown, result)
             if shown.refused:
                 raise InputError(shown.refused)
             require_none(shown.failed, shown.checks or verb.checks or verb.name)
@@ -140,10 +142,12 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
     return command
 
 
-def _show(job: Job, shown: View, result: Result) -> None:
+def _show(job: Job, verb: Verb, shown: View, result: Result) -> None:
     """Print the tables and sentences of a view in their order, then write the JSON of its result."""
     if not (shown.is_json and job.writes_json):
-        job.show_view(shown.parts)
+        stored = _OF_RUN if verb.name == "run" else [one.part for one in verb.stored]
+        rest = " or ".join("'cellapp show DIR " + part + "'" for part in stored)
+        job.show_view(shown.parts, rest and f"More is stored: {rest} shows all of it.")
     job.result(result)
 
 

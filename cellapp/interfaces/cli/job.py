@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import queue
+import shutil
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -116,9 +117,14 @@ class Job:
         for table in tables:
             console.print(rich_table(table, cut=False), crop=False)
 
-    def show_view(self, view: Parts) -> None:
-        """Print the tables and lines of a view in their order."""
-        for part in printed(view, self._filled):
+    def show_view(self, view: Parts, rest: str = "") -> None:
+        """Print the tables and lines of a view in their order; on a terminal as much as fits, if ``rest`` names it."""
+        parts: Iterable[Table | str] = printed(view, self._filled)
+        if rest and (sys.stderr if self._json_file == "-" else sys.stdout).isatty():
+            from cellapp.interfaces.render.terminal import shortened
+
+            parts = shortened(view, self._filled, shutil.get_terminal_size().columns, rest)
+        for part in parts:
             if isinstance(part, str):
                 self.say(part)
             else:

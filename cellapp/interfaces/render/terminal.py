@@ -12,8 +12,8 @@ from __future__ import annotations
 import io
 import math
 import textwrap
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from rich import box
@@ -25,12 +25,14 @@ from rich.style import Style
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from cellapp.commands.view.parts import Parts, printed
+from cellapp.commands.view.parts import Parts, Section, printed
 from cellapp.commands.view.table import Cell, Column, Table
 
 _NARROWEST = 16
 """Narrowest column of sentences: table parts are easier to read than a column of single words."""
 _TITLE = Style(italic=True)
+_MOST_LINES = 40
+"""Lines with which a command ends on a terminal, whose results are stored: about a screen."""
 
 
 def rich_table(table: Table, *, cut: bool = True) -> TerminalTable:
@@ -214,6 +216,39 @@ def _wrapped(text: str, width: int, overflow: OverflowMethod, style: Style | str
         break_on_hyphens=False,
     ):
         yield Text(line, style, overflow=overflow, no_wrap=overflow == "ignore")
+
+
+def shortened(view: Parts, said: Callable[[str], str], width: int, rest: str) -> list[Table | str]:
+    """Return what is printed of a view; of a long one the sentences, the tables that fit, and ``rest`` at its end.
+
+    ``rest`` says which command shows everything; ``said`` is as in ``printed``.
+    """
+
+    def height(part: Table | str) -> int:
+        return sum(max(1, -(-cell_len(line) // width)) for line in plain_text([part], width).split("\n"))
+
+    whole = list(printed(view, said))
+    room = _MOST_LINES - sum(map(height, whole))
+    if room >= 0:
+        return whole
+    outer = [
+        replace(part, parts=[one for one in part.parts if not isinstance(one, Section)])
+        if isinstance(part, Section)
+        else part
+        for part in view
+    ]
+    whole, rest = list(printed(outer, said)), said(rest)
+    room = _MOST_LINES - height(rest) - sum(height(part) for part in whole if isinstance(part, str))
+    shown: list[Table | str] = []
+    for part in whole:
+        room -= height(part) if isinstance(part, Table) else 0
+        if room < 0 and isinstance(part, Table):
+            room += height(part)
+        else:
+            shown.append(part)
+    while room < 0:
+        room += height(shown.pop())
+    return [*shown, rest]
 
 
 def plain_text(view: Parts, width: int = 100) -> str:

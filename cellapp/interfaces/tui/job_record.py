@@ -448,8 +448,10 @@ class JobRecord:
                 self.note(f"{job}: {detail_words(detail)}", "debug")
             case StateChange(state):
                 self.note(f"{job}: {detail_words(detail)}", "info" if state == "running" else "warning")
-            case Suspicion() | Notice():
+            case Suspicion():
                 self.note(f"{job}: {detail_words(detail)}", "warning")
+            case Notice():
+                self.note(f"{job}: {detail_words(detail)}", "info")
             case ReferenceReport():
                 self.note(f"{job}: {detail_words(detail)}", "info" if within_limit(detail) else "warning")
 

@@ -94,9 +94,9 @@ def test_it_ends_when_the_test_is_sure(task: CheckTask) -> None:
     events: list[Progress] = []
     test = Fed(sure_after=3)
     found = driven(task, test, listener=events.append)
-    assert len(found.stops) == len(test.stops) == 3
-    assert (found.lost, found.notes) == ([], [])
-    assert [event.done for event in events if event.job == "check"] == [0, 1, 2, 6]
+    assert (len(found.stops), len(test.stops), found.lost, found.notes) == (3, 3, [], [])
+    assert [event.done for event in events if event.job == "check"] == [0, 0, 1, 2, 6]
+    assert repr(events[0].detail).startswith("Notice(text='takes at most about ")
     times = [stop.time_s for stop in found.stops]
     assert times == sorted(times)
     assert times[-1] < found.seconds

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from cellapp.commands.view.parts import Section
 from cellapp.commands.view.table import Cell, Column, Interval, Number, Table, format_cell, number_column
 from cellapp.ground.counting import mm, plain
-from cellapp.interfaces.render.terminal import rich_table
+from cellapp.interfaces.render.terminal import rich_table, shortened
 
 TABLE = Table(
     "Errors [mm]",
@@ -58,13 +60,17 @@ def test_a_row_needs_a_cell_for_each_column() -> None:
 
 
 def test_a_terminal_shows_brackets_as_text_and_aligns_numbers_right() -> None:
-    output = io.StringIO()
-    Console(file=output, width=80).print(rich_table(TABLE))
-    text = output.getvalue()
-    assert "Errors [mm]" in text
-    assert "[bold]" in text
+    text = drawn(TABLE, 80)
+    assert text.count("[bold]") == text.count("Errors [mm]") == 1
     first, second = (line for line in text.splitlines() if line.strip().startswith(("nominal", "effects")))
     assert first.index("0.1235") + len("0.1235") == second.index("0.2500") + len("0.2500")
+
+
+def test_of_a_long_view_a_terminal_gets_the_sentences_what_fits_and_the_command_for_the_rest() -> None:
+    long, deep = replace(TABLE, rows=TABLE.rows * 20), Section(["detail"], title="deep")
+    view = ["first", long, TABLE, Section([long, "inner", deep], title="outer"), "last"]
+    assert shortened(view, str, 80, "rest") == ["first", TABLE, "outer", "  inner", "", "last", "rest"]
+    assert shortened([*view[2:3], deep], str, 80, "rest") == [TABLE, "deep", "  detail", ""], "all of it fits"
 
 
 def drawn(table: Table, width: int) -> str:
@@ -74,9 +80,7 @@ def drawn(table: Table, width: int) -> str:
 
 
 def words_of(table: Table) -> list[str]:
-    return " ".join(
-        [*table.title.split(), *table.headings, *(cell for row in table.text_rows() for cell in row)]
-    ).split()
+    return " ".join([table.title, *table.headings, *(" ".join(row) for row in table.text_rows())]).split()
 
 
 _WORDS = st.text("abcdefghijkl", min_size=1, max_size=14)

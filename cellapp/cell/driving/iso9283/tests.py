@@ -39,6 +39,7 @@ from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.supervision import Opened, attended_cell, hold_while_paused
 from cellapp.cell.driving.sweeping import INTERVAL_S, PathDriver
 from cellapp.cell.driving.target_visit import Driver
+from cellapp.cell.planning.planned_stops import time_notice, visits_s
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, remembered
 from cellapp.cell.targets.path import RUN_UP_RAD, PathPlan, PathPose, PathSpec, plan_path
@@ -565,6 +566,7 @@ class _Session:
         visits = self._visits()
         series = {share: self._poses_at(share) for share in self.task.also_speeds}
         self.total = max(len(visits) + sum(map(len, series.values())), 1)
+        self.listener(time_notice("iso9283", self.task.profile, self._seconds(visits, series), 0, self.total))
         if "drift" in tests:
             for name in self.findings.cubes:
                 self._drift(name)
@@ -577,6 +579,16 @@ class _Session:
             if "path" in tests:
                 self._paths(share, share)
         self.mover.speed = self.task.speed
+
+    def _seconds(self, visits: Sequence[Visit], series: Mapping[float, Sequence[Visit]]) -> float:
+        """Estimate the time of all tests [s]; paths at the commanded speed, motions at that of the profile."""
+        profile, tests, edges = self.task.profile, self.task.tests, [cube.edge for cube in self.findings.cubes.values()]
+        total = len(edges) * self.task.drift_s if "drift" in tests else 0.0
+        path_m = sum(edges) * (np.sqrt(2.0) + np.pi * (LARGE_CIRCLE + SMALL_CIRCLE)) * len(self.task.commands)
+        path_s = wanted_cycles("path", self.task.cycles) * path_m / PATH_SPEED if "path" in tests else 0.0
+        for share, own in ((self.task.speed, visits), *series.items()):
+            total += visits_s(profile, [one.targets for one in own], DWELL_S) + path_s / share
+        return float(total)
 
     def _last_programme(self, name: str) -> ArmProgramme | None:
         """Return the commands of an arm, those of the calibrated model if available; None if there are none."""

@@ -165,7 +165,6 @@ class CollectScreen(DayScreen, Copied):
 
     def __init__(self) -> None:
         super().__init__()
-        self.add_class("log")
         self._plot = 0
         self._plotted: dict[str, tuple[object, ...]] = {}
         self._plot_waits = False
@@ -176,6 +175,7 @@ class CollectScreen(DayScreen, Copied):
         self._suspicions = 0
 
     def body(self) -> ComposeResult:
+        self.add_class(self._first_view)  # before the widgets are there, whose styles depend on it
         yield Static("", id="state", markup=False)
         yield Horizontal(id="arms")
         yield TrackerPanel()
@@ -251,6 +251,10 @@ class CollectScreen(DayScreen, Copied):
         self.ask(Choice(title, text, BEGIN), lambda: self.start(job))
 
     # -- views ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def _first_view(self) -> View:
+        return "log" if self.workspace.collection is None else "stops"
 
     def action_view(self, view: View) -> None:
         """Show the log, the plots or the stored data; if plots are already shown, the next one."""
@@ -338,7 +342,7 @@ class CollectScreen(DayScreen, Copied):
             self.query_one(CollectedStops).show(state)
         if workspace.folder != self._opened and not self.cell_app.jobs.running:
             self._opened = workspace.folder
-            self.action_view("log" if workspace.collection is None else "stops")
+            self.action_view(self._first_view)
             if workspace.folder is not None:
                 self._read_log(workspace.folder)
 

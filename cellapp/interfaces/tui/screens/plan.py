@@ -314,7 +314,7 @@ class PlanScreen(PlanEdits):
             stops = () if self._stops is None else self._stops.stops
             self.query_one(StopsTable).show(stops, self.workspace.ways)
 
-    @work(thread=True, exclusive=True, group="charts")
+    @work(thread=True, exclusive=True, group="charts", description="charts")
     def _make_charts(self, workspace: Workspace) -> None:
         """Make the charts of the design in a thread: the numerics take half a second to load."""
         from cellapp.commands.plan.check_view import load_sentences, sweep_sentences

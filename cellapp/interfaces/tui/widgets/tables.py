@@ -76,7 +76,7 @@ class CellMap(ChartPlot):
         else:
             self._make(profile, stops)
 
-    @work(thread=True, exclusive=True)
+    @work(thread=True, exclusive=True, description="charts")  # by default the repr of all arguments: 40 ms
     def _make(self, profile: Profile, stops: Sequence[PlannedStop]) -> None:
         from cellapp.commands.plan.charts import cell_map_chart
 
