@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from cellapp.commands.view.parts import Section
+from cellapp.commands.view.parts import Part, Section
 from cellapp.commands.view.table import Cell, Column, Interval, Number, Table, format_cell, number_column
 from cellapp.ground.counting import mm, plain
 from cellapp.interfaces.render.terminal import rich_table, shortened
@@ -68,7 +68,7 @@ def test_a_terminal_shows_brackets_as_text_and_aligns_numbers_right() -> None:
 
 def test_of_a_long_view_a_terminal_gets_the_sentences_what_fits_and_the_command_for_the_rest() -> None:
     long, deep = replace(TABLE, rows=TABLE.rows * 20), Section(["detail"], title="deep")
-    view = ["first", long, TABLE, Section([long, "inner", deep], title="outer"), "last"]
+    view: list[Part] = ["first", long, TABLE, Section([long, "inner", deep], title="outer"), "last"]
     assert shortened(view, str, 80, "rest") == ["first", TABLE, "outer", "  inner", "", "last", "rest"]
     assert shortened([*view[2:3], deep], str, 80, "rest") == [TABLE, "deep", "  detail", ""], "all of it fits"
 
