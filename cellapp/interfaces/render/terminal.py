@@ -219,36 +219,34 @@ def _wrapped(text: str, width: int, overflow: OverflowMethod, style: Style | str
 
 
 def shortened(view: Parts, said: Callable[[str], str], width: int, rest: str) -> list[Table | str]:
-    """Return what is printed of a view; of a long one the sentences, the tables that fit, and ``rest`` at its end.
+    """Return what is printed of a view; of a long one what fits, sentences first and sections last, and ``rest``.
 
     ``rest`` says which command shows everything; ``said`` is as in ``printed``.
     """
 
     def height(part: Table | str) -> int:
-        return sum(max(1, -(-cell_len(line) // width)) for line in plain_text([part], width).split("\n"))
+        lines = plain_text([part], width).split("\n")
+        return isinstance(part, Table) + sum(max(1, -(-cell_len(line) // width)) for line in lines)
 
     whole = list(printed(view, said))
-    room = _MOST_LINES - sum(map(height, whole))
-    if room >= 0:
+    if sum(map(height, whole)) <= _MOST_LINES:
         return whole
-    outer = [
-        replace(part, parts=[one for one in part.parts if not isinstance(one, Section)])
-        if isinstance(part, Section)
-        else part
-        for part in view
-    ]
-    whole, rest = list(printed(outer, said)), said(rest)
-    room = _MOST_LINES - height(rest) - sum(height(part) for part in whole if isinstance(part, str))
-    shown: list[Table | str] = []
-    for part in whole:
-        room -= height(part) if isinstance(part, Table) else 0
-        if room < 0 and isinstance(part, Table):
-            room += height(part)
-        else:
-            shown.append(part)
-    while room < 0:
-        room += height(shown.pop())
-    return [*shown, rest]
+    ranked: list[tuple[int, Table | str]] = []
+    for part in view:
+        inside = isinstance(part, Section)
+        if isinstance(part, Section):
+            part = replace(part, parts=[one for one in part.parts if not isinstance(one, Section)])
+        for one in printed([part], said):
+            if isinstance(one, str) and one.startswith(" ") and ranked and ranked[-1][0] == 2:
+                one = f"{ranked.pop()[1]}\n{one}"  # all sentences of a section, or none
+            ranked.append((1 + 2 * inside if isinstance(one, Table) else 2 * one.startswith(" "), one))
+    rest = said(rest)
+    room, shown = _MOST_LINES - height(rest), set[int]()
+    for place in sorted(range(len(ranked)), key=lambda place: ranked[place][0]):
+        if (needed := height(ranked[place][1])) <= room:
+            room -= needed
+            shown.add(place)
+    return [*(part for place, (_, part) in enumerate(ranked) if place in shown), rest]
 
 
 def plain_text(view: Parts, width: int = 100) -> str:
