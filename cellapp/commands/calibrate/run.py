@@ -15,7 +15,7 @@ from cellapp.commands.calibrate.result import calibrate_result
 from cellapp.commands.record import Work
 from cellapp.commands.stages import CALIBRATION_FILE, RunStages, basis_of, read_stages
 from cellapp.commands.stored_model import append_with_model, export_model
-from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits
+from cellapp.estimation.calibration.calibrate import calibrate_readings, missing_splits, refuse_too_few
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.prior.calibrate import Earlier, calibrate_with_prior
 from cellapp.estimation.readings import Readings
@@ -123,7 +123,11 @@ def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
             )
     if not counts or any(word is not None for its in counts.values() for word in its):
         return ()
-    drawn, notes = missing_splits(run.profile, {name: run.readings(name) for name in counts})
+    readings = {name: run.readings(name) for name in counts}
+    drawn, notes = missing_splits(run.profile, readings)
+    for name, words in drawn.items():
+        if name not in recorded:  # splits are drawn once: too few stops now must not bind those to come
+            refuse_too_few(name, replace(readings[name], split=words))
     for name, words in drawn.items():
         run.assign_splits(name, words)
     return notes

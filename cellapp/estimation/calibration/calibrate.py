@@ -227,6 +227,13 @@ def require_enough(stops_leave: str, different: int, held_out: int) -> None:
         )
 
 
+def refuse_too_few(name: str, readings: Readings) -> None:
+    """Raise ``InputError`` if the splits leave an arm too few readings to identify or to validate."""
+    different = len(np.unique(readings.q[readings.in_split("identify")].round(6), axis=0))
+    leave = f"arm '{name}': {counted(len(readings), 'reading leaves', 'readings leave')}"
+    require_enough(leave, different, len(readings.in_split("validate")))
+
+
 def _held_out(profile: Profile) -> int | None:
     return None if profile.splits.validate_ == "rest" else profile.splits.validate_
 
@@ -536,11 +543,8 @@ class _Fitted:
 
 def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = False) -> _Fitted:
     """Identify one arm on its identify split; with ``robust``, use robust weights even if the profile asks for none."""
-    identify_rows, validate_rows = readings.in_split("identify"), readings.in_split("validate")
-    arm, learn = profile.arms[name], readings.take(identify_rows)
-    different = len(np.unique(learn.q.round(6), axis=0))
-    leave = f"arm '{name}': {counted(len(readings), 'reading leaves', 'readings leave')}"
-    require_enough(leave, different, len(validate_rows))
+    refuse_too_few(name, readings)
+    arm, learn = profile.arms[name], readings.take(readings.in_split("identify"))
     nominal = start_from_nominal(nominal_arm(arm), learn.q, learn.p_M, tool_unknown=arm.smr.offset == "unknown")
     refuse_odd_orientations(name, nominal, readings)
     its = measured_quantities(learn)

@@ -22,6 +22,7 @@ from cellapp.cell.run.csv_import import WhichSmr
 from cellapp.cell.run.measured_again import earlier_readings, replace_stop, replaced_counts
 from cellapp.cell.run.measurement_order import in_measured_order
 from cellapp.cell.run.records import ArmOrder
+from cellapp.commands.calibrate.run import draw_missing_splits
 from cellapp.commands.import_ import ImportRequest
 from cellapp.commands.import_ import run as import_run
 from cellapp.estimation.readings import Reading, Readings
@@ -71,6 +72,8 @@ def test_the_newest_reading_counts_and_those_before_are_kept_as_they_were(run: R
 
 
 def test_a_stop_stays_in_its_split(run: RunFile) -> None:
+    with pytest.raises(InputError, match="at least 4 and 1"):  # two are too few: later ones would have no split
+        draw_missing_splits(run)
     run.assign_splits("left", ["identify", "validate"])
     replace_stop(run, 1, {"left": seen(2, 2.0), "right": seen(3, 2.0)})
     assert run.readings("left").split == ("identify", "validate")
@@ -80,10 +83,8 @@ def test_a_stop_stays_in_its_split(run: RunFile) -> None:
 def test_an_arm_without_a_new_reading_keeps_what_it_has_and_one_that_had_none_gets_it(run: RunFile) -> None:
     run.add_stop(2, {"left": seen(2, 1.0)}, [Outcome(2, "right", "not measured", "hidden")])
     replace_stop(run, 2, {"right": seen(3, 2.0)}, [Outcome(2, "left", "not measured", "hidden")])
-    assert run.readings("left").p_M[2, 0] == 1.0
-    assert run.readings("right").p_M[2, 0] == 2.0
-    assert run.outcomes() == []
-    assert replaced_counts(run) == {}
+    assert [run.readings(arm).p_M[2, 0] for arm in ("left", "right")] == [1.0, 2.0]
+    assert (run.outcomes(), replaced_counts(run)) == ([], {})
     replace_stop(run, 3, {}, [Outcome(3, "left", "not measured", "still hidden")])
     assert [(one.stop, one.reason) for one in run.outcomes()] == [(3, "still hidden")]
 
