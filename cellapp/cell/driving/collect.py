@@ -518,10 +518,10 @@ def collect_run(
     if not work.stops and not (again is None and sweeps_left(run)):
         return _collected(run, "complete", [f"all {counted(work.total, 'stop was', 'stops were')} stored already"])
     _require_space(run, work)
+    require_links(run.profile, control.check)
     sweeps_s = 0.0 if work.again else sum(one.period_s for one in chain(*sweeps_left(run).values()))
     planned_s = planned_time(run.profile, work.route.take(work.stops)).total_s if work.stops else 0.0
     listener(time_notice("collect", run.profile, planned_s + sweeps_s, work.stored, work.total))
-    require_links(run.profile, control.check)
     before = replaced_counts(run)
     sessions = _Sessions(run, listener, control, accept_drift, confirm, opened)
     for load in work.loads or (0,):
