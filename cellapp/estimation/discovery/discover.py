@@ -421,7 +421,14 @@ def _gap_steps(
 ) -> tuple[GapStep, ...]:
     """Return the held-out error after each step of the search, and after the review."""
     errors = [(f"geometry, fitted to the {counted(len(found.data), 'reading')} searched", "", before_mm)]
-    errors += [(step.what, step.slug, held_out.rms_mm(step.model)) for step in found.steps if step.model is not None]
+    named = set[str]()
+    for step in found.steps:
+        if step.model is None:
+            continue
+        with_it = [slug for slug in dict.fromkeys(term.slug for term in step.terms) if slug not in {step.slug, *named}]
+        named |= {step.slug, *with_it}
+        what = f"{step.what}, with {_titles(with_it)}" if with_it else step.what
+        errors.append((what, step.slug, held_out.rms_mm(step.model)))
     if found.dropped:
         errors.append((f"dropped in review: {_titles(found.dropped)}", "", after_mm))
     if fitted is not None:
