@@ -539,6 +539,7 @@ def test_killed_in_the_middle_it_is_resumed(long_run: Path) -> None:
 def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path, call: Any) -> None:
     with started("collect", long_run.name, cwd=long_run.parent) as process:
         assert process.stderr is not None
+        assert "takes about" in within(process.stderr.readline, "the time")
         wait_for_stops(long_run, process)
         paused = shell("job", "pause", long_run.name, cwd=long_run.parent)
         assert (paused.code, paused.out[:6]) == (0, "pause:"), paused.err
