@@ -63,6 +63,7 @@ def collected(
         return readings, calibrated, push_run(run, targets, verify=True, iterate=1)
 
 
+@pytest.mark.slow
 def test_the_twin_over_the_wire_gives_the_readings_and_the_calibration_of_the_twin(tmp_path: Path) -> None:
     # the right one has an e-Series controller: 500 Hz, remote control, other dashboard
     e_series = load_profile(PROFILES / "ur10e-ur5e.yaml").arms["right"].type

@@ -192,6 +192,7 @@ def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return moved / "run"
 
 
+@pytest.mark.slow
 def test_a_recording_teaches_and_the_comparison_is_said(moved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
     monkeypatch.setattr(learning, "_FEWEST_STEPS", 60)

@@ -216,6 +216,7 @@ def test_a_running_job_keeps_its_plan_and_a_cancelled_change_writes_nothing(run:
     assert not any("plan changed" in event.text for event in run.events())
 
 
+@pytest.mark.slow
 def test_changes_are_the_same_for_the_same_run(plan: PlannedStops, tmp_path: Path) -> None:
     added = []
     for folder in ("one", "two"):

@@ -265,6 +265,7 @@ def test_probes_that_are_not_as_they_were_are_named(six, changed, words):
         calibrate_readings(profile, changed(readings))
 
 
+@pytest.mark.slow
 def test_a_small_slip_of_a_probe_is_found_with_its_stop(six):
     profile, readings = six
     readings = slipped(readings, 3e-4)

@@ -156,7 +156,7 @@ print({name: hashlib.sha256(np.round(q, 9).tobytes()).hexdigest() for name, q in
 @pytest.mark.parametrize(
     ("what", "kernels"),
     [
-        pytest.param(CHOICE, KERNELS, id="choice"),
+        pytest.param(CHOICE, KERNELS, marks=pytest.mark.slow, id="choice"),
         pytest.param(PLAN, ("Sandybridge",), marks=pytest.mark.slow, id="plan"),
         pytest.param(PLAN, KERNELS, marks=pytest.mark.slow, id="plan, each kernel"),
     ],

@@ -230,6 +230,7 @@ def test_heavy_tails_are_no_gross_errors_and_a_moved_target_is_one() -> None:
     assert not gross_errors(np.zeros((5, 3))).any()
 
 
+@pytest.mark.slow
 def test_discovery_of_a_real_arm_bears_gross_errors() -> None:
     ur5 = load_entrant("UR5")
     split = tuple("identify" if row % 8 == 0 else "validate" for row in range(len(ur5.readings)))

@@ -52,7 +52,7 @@ def measured(q: Array, moved: Array, factor: float, rng: np.random.Generator) ->
     )
 
 
-@pytest.mark.parametrize("factor", [1.0, 30.0])
+@pytest.mark.parametrize("factor", [1.0, pytest.param(30.0, marks=pytest.mark.slow)])
 def test_what_has_no_name_stays_in_the_model_whatever_is_stated(factor, monkeypatch):
     monkeypatch.setattr(
         stepwise, "posteriors_of", lambda found, scan: Posteriors((0.3,) * len(found.reviews), {})

@@ -164,6 +164,7 @@ def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error(
     assert discovery.heldout_after_mm < 0.05 * discovery.heldout_before_mm
 
 
+@pytest.mark.slow
 def test_springs_that_are_softer_below_a_knee_are_named_with_it():
     knee = 30.0
     recordings = recordings_of_springs(np.random.default_rng(9), count=3, base_hz=0.02, point_hz=20.0, knee=knee)
@@ -217,6 +218,7 @@ QUICK = PROFILE.model_copy(
 """With a short search of the samples: what recordings show is searched as ever."""
 
 
+@pytest.mark.slow
 def test_dense_lines_and_play_enter_the_model_and_a_lag_does_not():
     rng = np.random.default_rng(1)
     arm = replace(

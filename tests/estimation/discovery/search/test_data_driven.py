@@ -105,7 +105,7 @@ def named(problem: SearchProblem, start: SearchState, slugs: Sequence[str]) -> S
     return problem.state(tuple(terms), start)
 
 
-@pytest.mark.parametrize(("size", "name"), [(2.5, "joint 4|q5"), (1.0, None)])
+@pytest.mark.parametrize(("size", "name"), [pytest.param(2.5, "joint 4|q5", marks=pytest.mark.slow), (1.0, None)])
 def test_a_term_explains_a_visible_share_of_what_is_left(size, name):
     """Beside a scatter that no law explains, a law of 5 % of the sum of squares is significant in 1000 readings."""
     rng = np.random.default_rng(4)
