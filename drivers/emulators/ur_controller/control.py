@@ -128,6 +128,7 @@ def _status(arm: Emulated, _: Sequence[str], now_s: float) -> dict[str, Any]:
         "robot_mode": c.robot_mode.name,
         "safety_mode": c.safety_mode.name,
         "runtime_state": c.runtime.name,
+        "starting": c.starting,
         "program": None if c.program is None else c.program.name,
         "remote_control": c.remote_control,
         "moving": not c.at_rest,

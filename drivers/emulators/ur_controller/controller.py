@@ -143,6 +143,11 @@ class Controller:
     # -- state -------------------------------------------------------------------------------------------------------
 
     @property
+    def starting(self) -> bool:
+        """Whether an uploaded program has not started yet."""
+        return self._uploaded is not None
+
+    @property
     def q(self) -> Values:
         """Joint positions at the last cycle [rad]."""
         return self._q

@@ -87,7 +87,7 @@ def in_a_program_start(emulator: EmulatorProcess, arm: UrArm, *, how: str, delay
 
             took["ended"] = interrupted(arm, REFUSE[how], uploaded)
             began_s = time.monotonic()
-            arm.disconnect()
+            close(arm)
             took["disconnected"] = time.monotonic() - began_s
             assert_nothing_runs(emulator, arm, delay_s + 0.1)
     emulator.control(arm.name, "start-delay", 0.05)
@@ -111,10 +111,15 @@ def while_programs_are_not_read(emulator: EmulatorProcess, arm: UrArm) -> None:
     """A program that was sent before the refusal is read and starts later: it moves nothing, and is ended."""
     emulator.control(arm.name, "fault", "script", "silent")
     for took in attempts(ended=ENDS_WITHIN_S):
-        took["ended"] = interrupted(arm, UrArm.refuse_motion, lambda: until(lambda: arm._program.awaited, "uploaded"))
+
+        def sent() -> None:
+            until(lambda: arm._program.awaited, "it is being uploaded")
+            pause(0.2)
+
+        took["ended"] = interrupted(arm, UrArm.refuse_motion, sent)
     moves = emulator.control(arm.name, "status")["moves"]
     with ThreadPoolExecutor(1) as pool:
-        ending = pool.submit(arm.disconnect)
+        ending = pool.submit(close, arm)
         pause(0.1)
         emulator.control(arm.name, "fault", "script", "none")
         ending.result()
@@ -124,13 +129,13 @@ def while_programs_are_not_read(emulator: EmulatorProcess, arm: UrArm) -> None:
 
 def not_seen_to_start(emulator: EmulatorProcess, arm: UrArm) -> None:
     """The end waits for it as long as for a start, and says so; the program ends itself when it starts."""
-    emulator.control(arm.name, "start-delay", 2.0)
+    emulator.control(arm.name, "start-delay", 3.0)
+    status = partial(emulator.control, arm.name, "status")
     with driven(arm.name, UrSettings(host=FOUR_HOSTS[arm.name], startup_timeout=1.0)) as hurried:
-        interrupted(hurried, UrArm.refuse_motion, lambda: until(lambda: hurried._program.awaited, "uploaded"))
+        interrupted(hurried, UrArm.refuse_motion, lambda: until(lambda: status()["starting"], "uploaded"))
         with pytest.raises(LinkLost, match=r"was not seen to start and end within 1 s .*; look at the pendant"):
             hurried.disconnect()
-        status = partial(emulator.control, arm.name, "status")
-        until(lambda: status()["runtime_state"] == "PLAYING", "it starts after all")
+        until(lambda: not status()["starting"], "it starts after all")
         until(lambda: status()["runtime_state"] == "STOPPED", "its watchdog ends it")
         hurried._program.awaited = False
     emulator.control(arm.name, "start-delay", 0.05)
