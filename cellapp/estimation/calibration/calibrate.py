@@ -753,12 +753,7 @@ def turning_network(
 
 
 def network_of_residuals(
-    profile: Profile,
-    model: ArmModel,
-    readings: Readings,
-    left_M: Array,
-    cancel: CancelToken | None,
-    report: Report,
+    profile: Profile, model: ArmModel, readings: Readings, left_M: Array, cancel: CancelToken | None, report: Report
 ) -> ResidualNetwork | None:
     """Train a network on residuals ``left_M`` (n, 3) [m, rad]; None if left-out ones are predicted no better by it."""
     left_B = left_M @ model.geometry.T_M_B()[:3, :3]

@@ -335,14 +335,7 @@ class _Member:
     """
 
     def __init__(
-        self,
-        net: Perceptron,
-        x: Array,
-        y: Array,
-        left_out: NDArray[np.bool_],
-        group: Groups,
-        groups: Array,
-        p: Array,
+        self, net: Perceptron, x: Array, y: Array, left_out: NDArray[np.bool_], group: Groups, groups: Array, p: Array
     ) -> None:
         self._net, self._x, self._y, self._groups = net, x[~left_out], y[~left_out], groups
         self._left_out = x[left_out], y[left_out]

@@ -22,11 +22,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.calibration.least_squares import LeastSquares, inverse_psd
-from cellapp.estimation.calibration.quantities import (
-    measured_orientations,
-    measurement_conditions,
-    position_errors,
-)
+from cellapp.estimation.calibration.quantities import measured_orientations, measurement_conditions, position_errors
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile

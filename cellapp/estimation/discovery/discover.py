@@ -38,13 +38,7 @@ from cellapp.estimation.discovery.joint_fit import noise_of, with_posterior
 from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery, HeldOut
 from cellapp.estimation.discovery.plan_forecast import detectability
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
-from cellapp.estimation.discovery.records import (
-    ArmDiscoveryResult,
-    BeforeAfter,
-    GapStep,
-    HeldOutBeforeAfter,
-    Noise,
-)
+from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter, GapStep, HeldOutBeforeAfter, Noise
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult, scatter
 from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, search
 from cellapp.estimation.discovery.search.unnamed import unnamed_record

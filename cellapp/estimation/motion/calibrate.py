@@ -325,12 +325,7 @@ _Residuals = tuple[Array, Array]
 
 
 def train_arm_in_motion(
-    profile: Profile,
-    arm: ArmCalibration,
-    readings: Readings,
-    fit: MotionFit,
-    cancel: CancelToken,
-    told: Told,
+    profile: Profile, arm: ArmCalibration, readings: Readings, fit: MotionFit, cancel: CancelToken, told: Told
 ) -> ArmCalibration:
     """Train a network for an arm on all points of its recordings outside held-out blocks, and on those of its
     ``readings`` at rest that may teach. Its held-out errors are at rest if it has such readings, else in motion.

@@ -445,11 +445,7 @@ def _with_library_effects(
 
 
 def _next_step(
-    problem: SearchProblem,
-    state: SearchState,
-    refused: set[tuple[str, str]],
-    *,
-    refining: bool,
+    problem: SearchProblem, state: SearchState, refused: set[tuple[str, str]], *, refining: bool
 ) -> SearchStep | None:
     """Return the best refinement of an effect in the model, else the best new effect that holds; None if none passes.
 
