@@ -125,12 +125,7 @@ def _serve_tracker(
         longest_loss_s=clocks.longest_loss_s,
     )
     bridge = TrackerBridgeEmulator(
-        plant,
-        cell=server.cell,
-        imperfections=own,
-        host=tracker.host,
-        port=tracker.port,
-        token=token,
+        plant, cell=server.cell, imperfections=own, host=tracker.host, port=tracker.port, token=token
     )
     try:
         stack.enter_context(bridge)

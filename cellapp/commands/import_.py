@@ -33,20 +33,14 @@ class ImportRequest(Request):
     csv: Annotated[Path | None, Asked("Readings; 'cellapp docs files' has the columns.", "CSV", argument=True)] = None
     folder: NewRun
     in_order: Annotated[
-        bool,
-        Asked("rows stand in the order of measurement, or by time_s; derive missing approach and step.", of="csv"),
+        bool, Asked("rows stand in the order of measurement, or by time_s; derive missing approach and step.", of="csv")
     ] = False
     reference_nests: Annotated[
-        Path | None,
-        Asked("nests on the floor that tie stations: station, nest, x_m, y_m, z_m.", "FILE", of="csv"),
+        Path | None, Asked("nests on the floor that tie stations: station, nest, x_m, y_m, z_m.", "FILE", of="csv")
     ] = None
     smr: Annotated[
         str | None,
-        Asked(
-            "take only this SMR, where several were measured at a stop; three give a rotation.",
-            "NAME",
-            of="csv",
-        ),
+        Asked("take only this SMR, where several were measured at a stop; three give a rotation.", "NAME", of="csv"),
     ] = None
     joints: Annotated[tuple[Path, ...], Asked("Joint positions of a motion: time_s, q1, q2, ...", "FILE")] = ()
     points: Annotated[tuple[Path, ...], Asked("Points of the same motion: time_s, x_m, y_m, z_m.", "FILE")] = ()

@@ -314,7 +314,7 @@ class Progress:
     job : str
         What is being done, in a word or two; the same text for all events of one job.
     done, total : int
-        Steps finished and steps in all; ``done == total`` is the job's last event.
+        JobSteps finished and steps in all; ``done == total`` is the job's last event.
     note : str
         What a person would like to know of this step; may be empty.
     eta_s : float or None
@@ -334,10 +334,6 @@ class Progress:
 Listener = Callable[[Progress], None]
 
 
-Report = Callable[[int, str], None]
-"""Takes the number of steps that a part of a job has done, and what it is doing, in a few words."""
-
-
 Told = Callable[[str], None]
 """Takes what a part of a job is doing, in a few words, often enough to be where a request to cancel is raised."""
 
@@ -350,21 +346,17 @@ def ignore_words(words: str) -> None:
     """Words that nobody reads."""
 
 
-def ignore_report(done: int, words: str) -> None:
-    """A report that nobody reads."""
-
-
 class SharedProgress:
     """Progress of one job whose parts run at the same time: the steps of all parts are added."""
 
-    def __init__(self, listener: Listener, job: str, done: int, total: int) -> None:
+    def __init__(self, listener: Listener, job: str, done: int, total: int, cancel: CancelToken) -> None:
         """``done`` of ``total`` steps are done before the parts begin."""
-        self._listener, self._job, self._begun, self._total = listener, job, done, total
+        self._listener, self._job, self._begun, self._total, self._cancel = listener, job, done, total, cancel
         self._done: dict[str, int] = {}
         self._lock = threading.Lock()
 
-    def part(self, name: str) -> Report:
-        """Return what reports the steps of one part."""
+    def part(self, name: str) -> JobSteps:
+        """Return the steps of one part."""
 
         def report(done: int, words: str) -> None:
             with self._lock:
@@ -372,7 +364,7 @@ class SharedProgress:
                 steps = self._begun + sum(self._done.values())
                 self._listener(Progress(self._job, steps, self._total, f"{name}: {words}"))
 
-        return report
+        return JobSteps(report, self._cancel)
 
 
 class Cancelled(Exception):
@@ -402,6 +394,30 @@ class CancelToken:
         """Raise ``Cancelled`` if somebody asked to stop."""
         if self.cancelled:
             raise Cancelled("stopped on request")
+
+
+@dataclass(frozen=True)
+class JobSteps:
+    """The steps of a part of a job: told as they are done, each with a few words, and ended by a request to cancel."""
+
+    report: Callable[[int, str], object] = lambda done, words: None
+    cancel: CancelToken = field(default_factory=CancelToken)
+
+    def __call__(self, done: int, words: str) -> None:
+        """Tell how many steps are done, and what is under way."""
+        self.report(done, words)
+
+    def check(self) -> None:
+        """Raise ``Cancelled`` if somebody asked to stop."""
+        self.cancel.check()
+
+    def after(self, first: int, what: str) -> JobSteps:
+        """Return the steps of ``what``, which begin when ``first`` steps are done."""
+        return JobSteps(lambda done, words: self(first + done, f"{what}: {words}"), self.cancel)
+
+
+UNTOLD = JobSteps()
+"""Steps that nobody follows or cancels."""
 
 
 # -- How fast a job goes on: the estimated time to its end, and lines that tell it where there is no terminal ---------

@@ -12,15 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.arms.protocol import (
-    ArmError,
-    JointLimits,
-    LimitExceeded,
-    LinkLost,
-    NotInRemoteControl,
-    WrongRobot,
-    stale,
-)
+from drivers.arms.protocol import ArmError, JointLimits, LimitExceeded, LinkLost, NotInRemoteControl, WrongRobot, stale
 from drivers.arms.ur_links import other_user, printable
 from drivers.arms.ur_probe import UrProbe
 from drivers.arms.ur_rtde_reader import SLIDER_DOWN, mode_remedy, safety_error, safety_remedy

@@ -32,15 +32,7 @@ from drivers.arms.protocol import (
 )
 from drivers.arms.ur_checks import JOINTS
 from drivers.arms.ur_control import Refusal
-from drivers.arms.ur_links import (
-    DASHBOARD_PORT,
-    RTDE_PORT,
-    Connection,
-    Dashboard,
-    cause,
-    require_stopped,
-    stop_program,
-)
+from drivers.arms.ur_links import DASHBOARD_PORT, RTDE_PORT, Connection, Dashboard, cause, require_stopped, stop_program
 from drivers.arms.ur_options import UrOptions
 from drivers.arms.ur_rtde_reader import not_ready, samples, wait_at_rest
 from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess

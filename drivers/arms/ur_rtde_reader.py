@@ -161,12 +161,7 @@ def inputs_taken(link: Connection, patience: Patience) -> bool:
 
 
 def wait_at_rest(
-    host: str,
-    timeout_s: float,
-    *,
-    port: int = RTDE_PORT,
-    dwell_s: float = 0.05,
-    look: Callable[[], None] | None = None,
+    host: str, timeout_s: float, *, port: int = RTDE_PORT, dwell_s: float = 0.05, look: Callable[[], None] | None = None
 ) -> UrSample:
     """Watch the arm over a separate connection until it has rested for ``dwell_s``; return the last state.
 

@@ -185,13 +185,7 @@ def _turns(q: Array) -> np.ndarray:
 
 
 def _points(
-    plant: Plant,
-    arm: TrueArm,
-    time_s: Array,
-    q: Array,
-    seen: Array,
-    began_s: float,
-    others: Mapping[str, Array],
+    plant: Plant, arm: TrueArm, time_s: Array, q: Array, seen: Array, began_s: float, others: Mapping[str, Array]
 ) -> Array:
     """Return the true apparent points (m, 3) at times ``seen`` (m,), segment by segment between reversals of joints;
     ``others`` (m, K) are joint positions of other arms that move."""

@@ -18,12 +18,7 @@ import numpy as np
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.run_arms import (
-    CONTROLLERS_RESULT,
-    STORED_CONTROLLERS,
-    ControllerIdentity,
-    recorded_controllers,
-)
+from cellapp.cell.run.run_arms import CONTROLLERS_RESULT, STORED_CONTROLLERS, ControllerIdentity, recorded_controllers
 from cellapp.cell.targets.prediction import Command
 from cellapp.cell.targets.ranges import conditions_of
 from cellapp.ground.control import Stopped

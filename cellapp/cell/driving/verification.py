@@ -12,13 +12,7 @@ import numpy as np
 
 from cellapp.cell.driving.motion import Mover, PointAtRest
 from cellapp.cell.targets.prediction import Command
-from cellapp.cell.targets.records import (
-    ArmVerification,
-    MeasuredPair,
-    MeasuredRelative,
-    MeasuredTarget,
-    MeasuredTurn,
-)
+from cellapp.cell.targets.records import ArmVerification, MeasuredPair, MeasuredRelative, MeasuredTarget, MeasuredTurn
 from cellapp.cell.targets.targets import target_record
 from cellapp.estimation.calibration.quantities import summarise
 from cellapp.estimation.uncertainty.budget import Judge, expanded_mrad, turn_budget

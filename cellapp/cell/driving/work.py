@@ -19,12 +19,7 @@ from numpy.typing import NDArray
 
 from cellapp.cell.driving.cell import Cell, answers_of_all
 from cellapp.cell.driving.motion import MotionRefused, Mover, Vector
-from cellapp.cell.planning.planned_stops import (
-    PlannedStops,
-    Route,
-    read_planned_stops,
-    routes,
-)
+from cellapp.cell.planning.planned_stops import PlannedStops, Route, read_planned_stops, routes
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.ground.counting import counted

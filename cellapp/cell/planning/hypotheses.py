@@ -28,14 +28,7 @@ from cellapp.estimation.discovery.arm_data import (
 from cellapp.estimation.discovery.joint_fit import JointFit, LinearModel, ProjectedResidual, fit_terms, refit
 from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price
-from cellapp.robot.effects import (
-    EFFECTS,
-    DriverVariable,
-    EffectColumn,
-    EffectContext,
-    Law,
-    MeasurementConditions,
-)
+from cellapp.robot.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law, MeasurementConditions
 from cellapp.robot.effects.effect import is_unnamed, lent_effect, lent_law
 from cellapp.robot.kinematics.transforms import Array
 

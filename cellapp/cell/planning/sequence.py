@@ -18,7 +18,7 @@ from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.cell.safety.gate import CellBodies, FreeMotions, clear_stops, refuse_motion
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, Report, ignore
+from cellapp.ground.progress import CancelToken, JobSteps, Listener, Progress, ignore
 from cellapp.robot.kinematics.inverse import turned_into
 from cellapp.robot.kinematics.transforms import Array
 
@@ -147,11 +147,8 @@ class _Job:
     def part(self, q: Mapping[str, Array], repeats: int, start: Configuration | None) -> PlannedStops:
         """Plan stops that follow ``start``; from the last one the arms can go home."""
         n = min(map(len, q.values())) + repeats
-
-        def report(done: int, words: str) -> None:
-            self.listener(Progress(_JOB, done, n, words))
-
-        report(0, "pairs and order")
+        steps = JobSteps(lambda done, words: self.listener(Progress(_JOB, done, n, words)), self.cancel)
+        steps(0, "pairs and order")
         least = min(map(len, q.values()))
         stops = StopSet(self.profile, self.cell, {name: rows[:least] for name, rows in q.items()})
         arrangement = arrange(stops, block_count(self.profile.plan.blocks, n), repeats, self.rng, self.cancel)
@@ -159,7 +156,7 @@ class _Job:
         at = stops.at(arrangement.rows)
         factors = FactorPlan(self.profile, self.cell, at, arrangement.block, arrangement.repeat_of, self.rng)
         legs = LegPlanner(self.cell, at, arrangement, factors, self.finder, start)
-        planned = legs.plan(report, self.cancel)
+        planned = legs.plan(steps)
         self.given_up.extend(legs.given_up)
         while len(planned) and not (
             self.home is None or can_go(self.cell, planned.targets(len(planned) - 1), self.home)
@@ -210,16 +207,16 @@ class LegPlanner:
         self.given_up: list[str] = []
         """One sentence for each stop that cannot be reached."""
 
-    def plan(self, report: Report, cancel: CancelToken) -> PlannedStops:
+    def plan(self, steps: JobSteps) -> PlannedStops:
         """Plan the stops that can be reached, in their order."""
         n = len(self._arrangement.block)
         self._ask((stop, self._planned_before(stop), self._own(stop)) for stop in range(n))
         legs: dict[int, Route] = {}
         here = self._start
         for stop in range(n):
-            cancel.check()
+            steps.check()
             if stop % _REPORT_EVERY == 0:
-                report(stop, "ways")
+                steps(stop, "ways")
             if stop % _AHEAD == 0:
                 self._look_ahead(range(stop, min(stop + _AHEAD, n)))
             way = self._reach(stop, here)

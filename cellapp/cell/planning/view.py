@@ -40,12 +40,7 @@ from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, refuse_motion, ref
 from cellapp.cell.safety.shapes import beam_gaps
 from cellapp.estimation.calibration.calibrate import rms_length_mm
 from cellapp.estimation.calibration.parameters import EXPECTED_SCATTER_M
-from cellapp.estimation.discovery.plan_forecast import (
-    PlannedReadings,
-    arm_designs,
-    planned_accuracy,
-    planned_effects,
-)
+from cellapp.estimation.discovery.plan_forecast import PlannedReadings, arm_designs, planned_accuracy, planned_effects
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore, with_eta

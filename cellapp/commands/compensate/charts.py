@@ -9,15 +9,7 @@ import numpy as np
 from cellapp.cell.targets.records import CompensateResult, VerifyResult
 from cellapp.commands.compensate.tables import measured_targets
 from cellapp.commands.compensate.words import PART_WORDS, Measured, bounds_and_errors, promise_words
-from cellapp.commands.view.charts import (
-    STAGE_STYLES,
-    Axis,
-    Chart,
-    bar_chart,
-    drawable_mm,
-    noise_limit,
-    series,
-)
+from cellapp.commands.view.charts import STAGE_STYLES, Axis, Chart, bar_chart, drawable_mm, noise_limit, series
 from cellapp.estimation.uncertainty.records import UncertaintyParts
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.grouping import grouped

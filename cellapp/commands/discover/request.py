@@ -22,8 +22,5 @@ class DiscoverRequest(Request):
 
 
 VERB = Verb(
-    "discover",
-    DiscoverRequest,
-    chapter="discovery",
-    stored=(Stored("discovery", "no discovery is", ("discover",)),),
+    "discover", DiscoverRequest, chapter="discovery", stored=(Stored("discovery", "no discovery is", ("discover",)),)
 )

@@ -68,10 +68,7 @@ def discover_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken 
 
 
 def propose_run(
-    run: RunFile,
-    count: int,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    run: RunFile, count: int, listener: Listener = ignore, cancel: CancelToken | None = None
 ) -> DiscoverResult:
     """Discover, then propose ``count`` further stops of all arms and write them into the plan.
 

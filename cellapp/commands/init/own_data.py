@@ -25,13 +25,7 @@ from cellapp.cell.run.columns import (
     understood,
     usual_step,
 )
-from cellapp.cell.run.csv_text import (
-    NUMBER,
-    Problems,
-    read_header,
-    short,
-    table_text,
-)
+from cellapp.cell.run.csv_text import NUMBER, Problems, read_header, short, table_text
 from cellapp.cell.run.recorded_csv import Choose, Recorded, converted, nobody, read_recorded
 from cellapp.commands.init.request import TABLES, InitRequest
 from cellapp.estimation.calibration.quantities import repeats_words

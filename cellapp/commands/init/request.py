@@ -53,16 +53,13 @@ class InitRequest(Request):
         Asked("unit of joint positions, if it is not found.", label="joint positions in", of="readings"),
     ] = None
     lengths: Annotated[
-        Literal["m", "mm"] | None,
-        Asked("unit of points, if it is not found.", label="points in", of="readings"),
+        Literal["m", "mm"] | None, Asked("unit of points, if it is not found.", label="points in", of="readings")
     ] = None
     column: Annotated[
-        tuple[str, ...],
-        Asked("the column that counts, where two may be meant.", "NAME", of="readings"),
+        tuple[str, ...], Asked("the column that counts, where two may be meant.", "NAME", of="readings")
     ] = ()
     rows: Annotated[
-        Literal["stops", "motion"] | None,
-        Asked("what the rows are, if it is not found.", of="readings"),
+        Literal["stops", "motion"] | None, Asked("what the rows are, if it is not found.", of="readings")
     ] = None
     name: Annotated[str | None, Asked("name of the profile.", "NAME", of="readings")] = None
 

@@ -28,12 +28,7 @@ from cellapp.commands.calibrate.charts import (
     stop_error_chart,
     vector_charts,
 )
-from cellapp.commands.calibrate.detail_tables import (
-    base_table,
-    calibration_facts,
-    network_tables,
-    pair_tables,
-)
+from cellapp.commands.calibrate.detail_tables import base_table, calibration_facts, network_tables, pair_tables
 from cellapp.commands.calibrate.view import (
     cooperative_noise_mm,
     cooperative_noise_mrad,

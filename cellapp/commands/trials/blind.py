@@ -26,7 +26,7 @@ from cellapp.robot.effects import EFFECTS, EffectColumn, Law, MeasurementConditi
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian, parameter_names
 from cellapp.robot.kinematics.transforms import Array, quaternions_of
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.nominal import bodies_of, nominal_arm, up_in_tracker
+from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import Plant
 from drivers.plant.plant import Conditions
 
@@ -251,9 +251,8 @@ def beyond_geometry(arm: Arm, q: Array, p_M: Array, moved: Array) -> Array:
 
 def registered_model(profile: Profile, name: str, q: Array, p_M: Array) -> ArmModel:
     """Return an arm's nominal model, its base registered to SMR positions ``p_M`` (n, 3) [m] at ``q`` (n, N)."""
-    arm = profile.arms[name]
-    geometry = _registered(arm, q, p_M)
-    return ArmModel(geometry, geometry, bodies_of(arm), up_in_tracker(profile), smr_normal=np.array(arm.smr.normal))
+    geometry = _registered(profile.arms[name], q, p_M)
+    return ArmModel.of(profile, name, geometry, geometry)
 
 
 def beyond_law(model: ArmModel, slug: str, q: Array, conditions: MeasurementConditions, moved: Array) -> Array | None:

@@ -53,15 +53,15 @@ from cellapp.estimation.readings.readings import FIRST_SAMPLE, first_stops, neig
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
-from cellapp.ground.profile import Arm, Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
+from cellapp.ground.profile import Profile
+from cellapp.ground.progress import UNTOLD, CancelToken, JobSteps, Listener, Progress, SharedProgress, ignore
 from cellapp.ground.results import Provenance, Stage, StageErrors
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.effects.registry import program_of
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, register, turned_rows
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
-from cellapp.robot.model.nominal import bodies_of, nominal_arm, prior_sigmas, up_in_tracker
+from cellapp.robot.model.nominal import nominal_arm, prior_sigmas
 
 # Detection of gross errors: a broken beam, a wrong SMR, a disturbed arm, swapped rows. They are left out and reported.
 #
@@ -411,9 +411,9 @@ def calibrate_readings(
     if trains:
         listener(Progress("calibrate", len(arms), total, "residual networks"))
         with ThreadPoolExecutor(max_workers=2) as pool:  # matrix products release the interpreter lock
-            shared = SharedProgress(listener, "calibrate", len(arms), total)
+            shared = SharedProgress(listener, "calibrate", len(arms), total, cancel)
             tasks = {
-                name: pool.submit(train_arm, profile, arm, readings[name], cancel, shared.part(f"arm {name}"))
+                name: pool.submit(train_arm, profile, arm, readings[name], shared.part(f"arm {name}"))
                 for name, arm in arms.items()
                 if arm.training is None
             }
@@ -423,12 +423,14 @@ def calibrate_readings(
     listener(Progress("calibrate", total - 1, total, "pair"))
     cancel.check()
     good = {name: without(its, arms[name].left_out) for name, its in readings.items()}
-    pair, pair_notes = calibrate_pair(profile, good, arms)
+    models = {name: arm.model for name, arm in arms.items()}
+    in_tracker = {name: arm.tracker_frame_network for name, arm in arms.items()}
+    pair, pair_notes = calibrate_pair(profile, good, models, in_tracker)
     notes += pair_notes
     names = tuple(profile.arms)
     provenance = provenance_of(profile)
     model = CellModel(
-        arms={name: arm.model for name, arm in arms.items()},
+        arms=models,
         T_R_L=None if pair is None else pair.T_R_L,
         pair=None if pair is None else (names[0], names[1]),
         provenance=provenance.model_dump(),
@@ -514,7 +516,7 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         if not wrong.any():
             break
         fitted = _fitted(profile, name, fitted.readings.take(~wrong), robust=True)
-    calibration = _evaluated(profile.arms[name], readings, fitted, up_in_tracker(profile))
+    calibration = _evaluated(profile, name, readings, fitted)
     notes = _arm_notes(name, calibration, fitted)
     if doubt := factory_doubt(profile.arms[name], fitted.readings):
         notes.append(f"arm '{name}': {doubt}; no program, command or export is made of such a model")
@@ -553,19 +555,11 @@ def _fitted(profile: Profile, name: str, readings: Readings, *, robust: bool = F
     return _Fitted(readings, nominal, identification, excess)
 
 
-def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> ArmCalibration:
+def _evaluated(profile: Profile, name: str, readings: Readings, fitted: _Fitted) -> ArmCalibration:
     """Compute the held-out errors of one fitted arm. ``readings`` include those that were left out."""
     good, nominal, identification = fitted.readings, fitted.nominal, fitted.identification
     held_out = good.take(good.in_split("validate"))
-    model = ArmModel(
-        geometry=identification.geometry,
-        nominal=nominal,
-        bodies=bodies_of(arm),
-        up_M=up_M,
-        smr_normal=np.array(arm.smr.normal, dtype=np.float64),
-        identified=identification.estimated.names,
-        covariance=identification.estimated_covariance,
-    )
+    known, covariance = identification.estimated.names, identification.estimated_covariance
     its = measured_quantities(held_out)
     geometries: dict[Stage, Geometry] = {"nominal": nominal, "geometry": identification.geometry}
     stages: dict[Stage, StageErrors] = {
@@ -575,7 +569,7 @@ def _evaluated(arm: Arm, readings: Readings, fitted: _Fitted, up_M: Array) -> Ar
     left_out = readings.take(~np.isin(readings.configuration, good.configuration))
     stated = stated_uncertainty(held_out)
     return ArmCalibration(
-        model=model,
+        model=ArmModel.of(profile, name, identification.geometry, nominal, known, covariance),
         identification=identification,
         excess_m=fitted.excess_m,
         validate=stages,
@@ -704,13 +698,7 @@ def _identify(
         )
 
 
-def train_arm(
-    profile: Profile,
-    arm: ArmCalibration,
-    readings: Readings,
-    cancel: CancelToken | None = None,
-    report: Report = ignore_report,
-) -> ArmCalibration:
+def train_arm(profile: Profile, arm: ArmCalibration, readings: Readings, steps: JobSteps = UNTOLD) -> ArmCalibration:
     """Train an arm's residual network in the base frame; for a pair the same in the tracker frame, for comparison.
 
     The training data are the train split, or the identify split if there is no train split.
@@ -722,26 +710,19 @@ def train_arm(
     if len(taught) < 2 * profile.network.folds:
         return arm
     left_M = taught.p_M - arm.model.predict(taught.q, taught.approach, taught.payload_kg)
-    arm = with_networks(profile, arm, taught.q, left_M, taught.time_s, cancel, report)
+    arm = with_networks(profile, arm, taught.q, left_M, taught.time_s, steps)
     if arm.model.network is None:
         return arm
     done = learning_steps(profile.network)
-    turning = turning_network(
-        profile, arm.model, measured_quantities(taught), cancel, lambda _, words: report(done, f"rotations: {words}")
-    )
+    rotations = JobSteps(lambda _, words: steps(done, f"rotations: {words}"), steps.cancel)
+    turning = turning_network(profile, arm.model, measured_quantities(taught), rotations)
     arm = replace(arm, model=replace(arm.model, network=replace(arm.model.network, turning=turning)))
     its = measured_quantities(held_out)
     errors = evaluate_quantities(its, arm.model.predict(its.readings.q, conditions=its.conditions))
     return replace(arm, validate={**arm.validate, "network": errors})
 
 
-def turning_network(
-    profile: Profile,
-    model: ArmModel,
-    taught: Quantities,
-    cancel: CancelToken | None = None,
-    report: Report = ignore_report,
-) -> ResidualNetwork | None:
+def turning_network(profile: Profile, model: ArmModel, taught: Quantities, steps: JobSteps) -> ResidualNetwork | None:
     """Train a network on the rotation vectors that a model leaves of measured orientations, in the base frame.
 
     None if there are too few, or it does not predict left-out ones better than none.
@@ -749,59 +730,38 @@ def turning_network(
     if taught.turned is None or np.count_nonzero(taught.turned) < 2 * profile.network.folds:
         return None
     some, conditions = taught.readings.take(taught.turned), taught.conditions.take(taught.turned)
-    return network_of_residuals(profile, model, some, -model.predict(some.q, conditions=conditions), cancel, report)
+    return network_of_residuals(profile, model, some, -model.predict(some.q, conditions=conditions), steps)
 
 
 def network_of_residuals(
-    profile: Profile,
-    model: ArmModel,
-    readings: Readings,
-    left_M: Array,
-    cancel: CancelToken | None,
-    report: Report,
+    profile: Profile, model: ArmModel, readings: Readings, left_M: Array, steps: JobSteps
 ) -> ResidualNetwork | None:
     """Train a network on residuals ``left_M`` (n, 3) [m, rad]; None if left-out ones are predicted no better by it."""
     left_B = left_M @ model.geometry.T_M_B()[:3, :3]
-    network, q, time_s = profile.network, readings.q, readings.time_s
-    return learn(network, q, left_B, time_s, seed=profile.seed, cancel=cancel, report=report).network
+    return learn(profile.network, readings.q, left_B, readings.time_s, seed=profile.seed, steps=steps).network
 
 
 def with_networks(
-    profile: Profile,
-    arm: ArmCalibration,
-    q: Array,
-    left_M: Array,
-    time_s: Array,
-    cancel: CancelToken | None,
-    report: Report,
+    profile: Profile, arm: ArmCalibration, q: Array, left_M: Array, time_s: Array, steps: JobSteps
 ) -> ArmCalibration:
     """Train networks on the geometry's residuals ``left_M`` (n, 3) [m] at ``q`` (n, N) [rad]: one in the base frame;
     for method 2 of a pair the same in the tracker frame; none if a network does not help."""
-    training = learn(
-        profile.network,
-        q,
-        left_M @ arm.model.geometry.T_M_B()[:3, :3],
-        time_s,
-        seed=profile.seed,
-        cancel=cancel,
-        report=lambda done, words: report(done, f"base frame: {words}"),
-    )
+    left_B, seed = left_M @ arm.model.geometry.T_M_B()[:3, :3], profile.seed
+    training = learn(profile.network, q, left_B, time_s, seed=seed, steps=steps.after(0, "base frame"))
     if training.network is None:
         return replace(arm, training=training)
     arm = replace(arm, model=replace(arm.model, network=training.network), training=training)
     if not in_a_pair(profile):
         return arm
-    first = learning_steps(profile.network)
     # The same shape, not rotated with joint 1: the tracker frame has no relation to that axis.
     in_tracker = train_network(
         q,
         left_M,
-        seed=profile.seed,
+        seed=seed,
         folds=profile.network.folds,
         iterations=profile.network.iterations,
         shapes=(replace(training.shape, rotates_with_joint_1=False),),
-        cancel=cancel,
-        report=lambda done, words: report(first + done, f"tracker frame: {words}"),
+        steps=steps.after(learning_steps(profile.network), "tracker frame"),
     ).network
     return replace(arm, tracker_frame_network=in_tracker)
 

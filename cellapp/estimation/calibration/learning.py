@@ -22,7 +22,7 @@ from cellapp.estimation.calibration.records import BatchesResult
 from cellapp.estimation.readings.readings import Groups, folds_of, repeats, undivided
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
-from cellapp.ground.progress import CancelToken, Report, Told, ignore_report
+from cellapp.ground.progress import UNTOLD, JobSteps
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.model import Inputs, Layers, ResidualNetwork, network_inputs, rotate_about_z
 
@@ -209,8 +209,7 @@ def train_network(
     iterations: int = 150,
     shapes: Sequence[Shape] | None = None,
     fold: NDArray[np.int64] | None = None,
-    cancel: CancelToken | None = None,
-    report: Report = ignore_report,
+    steps: JobSteps = UNTOLD,
 ) -> Training:
     """Train a residual network on at most ``_MOST_READINGS`` readings; draw them by ``seed`` if there are more.
 
@@ -229,11 +228,9 @@ def train_network(
         Candidates; the default depends on the number of readings.
     fold : array of int, shape (n,), optional
         Fold of each reading; drawn by ``seed`` if not given.
-    cancel : CancelToken, optional
-    report : callable
-        Callback that takes the number of steps done, of ``training_steps(len(shapes))``, and a text.
+    steps : JobSteps
+        There are ``training_steps(len(shapes))``.
     """
-    cancel = cancel or CancelToken()
     shapes = candidate_shapes(len(q)) if shapes is None else shapes
     low, high = q.min(axis=0), q.max(axis=0)
     if len(q) > _MOST_READINGS:
@@ -252,13 +249,13 @@ def train_network(
         for shape in shapes
     ]
     for number, candidate in enumerate(candidates if len(shapes) > 1 else ()):
-        report(number, f"network {number + 1} of {len(shapes)}")
-        candidate.train(_SCREENED, min(_SCREENING, iterations), cancel)
+        steps(number, f"network {number + 1} of {len(shapes)}")
+        candidate.train(_SCREENED, min(_SCREENING, iterations), steps)
     tried = tuple((candidate.shape, candidate.left_out() * scale) for candidate in candidates if candidate.members)
     committee = min(candidates, key=_Committee.left_out) if len(shapes) > 1 else candidates[0]
-    report(len(shapes), "best network")
-    committee.train(int(fold.max()) + 1, iterations, cancel)
-    report(len(shapes) + 1, "network trained")
+    steps(len(shapes), "best network")
+    committee.train(int(fold.max()) + 1, iterations, steps)
+    steps(len(shapes) + 1, "network trained")
     shape, squares = committee.shape, committee.left_out_squares()
     of_none = np.sum((residual / scale) ** 2, axis=1)
     left_out, without = (float(np.sqrt(one.mean())) for one in (squares, of_none))
@@ -299,7 +296,7 @@ class _Committee:
         self.members: list[_Member] = []
         self._x, self._y, self._fold, self._group, self._seed = x, y, fold, group, seed
 
-    def train(self, count: int, iterations: int, cancel: CancelToken) -> None:
+    def train(self, count: int, iterations: int, steps: JobSteps) -> None:
         """Train the members of the first ``count`` folds, each for at most ``iterations`` in all."""
         for number in range(count):
             if number == len(self.members):
@@ -307,7 +304,7 @@ class _Committee:
                 groups = self.net.decay_groups(self.shape.inputs)
                 out = self._fold == number
                 self.members.append(_Member(self.net, self._x, self._y, out, self._group, groups, start))
-            self.members[number].train(iterations, cancel)
+            self.members[number].train(iterations, steps)
 
     def left_out(self) -> float:
         """Compute the rms length of the errors on the folds that the members were trained without."""
@@ -335,14 +332,7 @@ class _Member:
     """
 
     def __init__(
-        self,
-        net: Perceptron,
-        x: Array,
-        y: Array,
-        left_out: NDArray[np.bool_],
-        group: Groups,
-        groups: Array,
-        p: Array,
+        self, net: Perceptron, x: Array, y: Array, left_out: NDArray[np.bool_], group: Groups, groups: Array, p: Array
     ) -> None:
         self._net, self._x, self._y, self._groups = net, x[~left_out], y[~left_out], groups
         self._left_out = x[left_out], y[left_out]
@@ -357,10 +347,10 @@ class _Member:
         self._gram, self._slope = net.normal_equations(p, self._x, self._e)
         self.best, self.error = p, self._error(p)
 
-    def train(self, iterations: int, cancel: CancelToken) -> None:
+    def train(self, iterations: int, steps: JobSteps) -> None:
         """Iterate until there were ``iterations`` in all, or ``_PATIENCE`` without improvement."""
         while self._iteration < iterations and self._stale < _PATIENCE:
-            cancel.check()
+            steps.check()
             self._step(with_evidence=self._iteration % _EVIDENCE_EVERY == 0)
             self._iteration += 1
             now = self._error(self._p)
@@ -434,14 +424,7 @@ def require_learner(network: Network) -> None:
 
 
 def learn(
-    network: Network,
-    q: Array,
-    residual: Array,
-    time_s: Array,
-    *,
-    seed: int,
-    cancel: CancelToken | None = None,
-    report: Report = ignore_report,
+    network: Network, q: Array, residual: Array, time_s: Array, *, seed: int, steps: JobSteps = UNTOLD
 ) -> Training:
     """Train the network that the profile requests.
 
@@ -455,7 +438,7 @@ def learn(
         Measured minus computed positions in the frame of the correction, the base frame [m].
     time_s : array, shape (n,)
         Times of measurement, from which the blocks of time are cut.
-    seed, cancel, report
+    seed, steps
         As of ``train_network``.
 
     Raises
@@ -465,32 +448,23 @@ def learn(
     Cancelled
         On request.
     """
-    cancel = cancel or CancelToken()
     folds, iterations = network.folds, network.iterations
     fewest = 2 * folds * _BLOCKS_A_FOLD
     if network.kind != "batches" or len(q) < fewest:
-        return train_network(q, residual, seed=seed, folds=folds, iterations=iterations, cancel=cancel, report=report)
+        return train_network(q, residual, seed=seed, folds=folds, iterations=iterations, steps=steps)
     order = np.argsort(time_s, kind="stable")
     q, residual = q[order], residual[order]
     block = np.arange(len(q)) * (folds * _BLOCKS_A_FOLD) // len(q)
     fold = (np.random.default_rng([seed, _SEED]).permutation(folds * _BLOCKS_A_FOLD) % folds)[block]
     fold = fold[np.unique(group := repeats(q), return_index=True)[1]][group]
-    committee = train_network(
-        q, residual, seed=seed, folds=folds, iterations=iterations, fold=fold, cancel=cancel, report=report
-    )
-    network_of_all, device = _in_batches(committee, q, residual, fold, seed, cancel, report)
-    report(training_steps() + 1, "networks compared")
+    committee = train_network(q, residual, seed=seed, folds=folds, iterations=iterations, fold=fold, steps=steps)
+    network_of_all, device = _in_batches(committee, q, residual, fold, seed, steps)
+    steps(training_steps() + 1, "networks compared")
     return _better(committee, network_of_all, device, q, residual, fold, block)
 
 
 def _in_batches(
-    committee: Training,
-    q: Array,
-    residual: Array,
-    fold: NDArray[np.int64],
-    seed: int,
-    cancel: CancelToken,
-    report: Report,
+    committee: Training, q: Array, residual: Array, fold: NDArray[np.int64], seed: int, steps: JobSteps
 ) -> tuple[ResidualNetwork, str]:
     """Train a network on all readings: the committee, if it helps, plus layers from batches; also return the device."""
     low, high = q.min(axis=0), q.max(axis=0)
@@ -499,14 +473,8 @@ def _in_batches(
     x = network_inputs("both", low, high, q)
     y = rotate_about_z(residual / scale, -q[:, 0]) if rotates else residual / scale
     known = _known_layers(committee, q.shape[1], int(fold.max()) + 1, scale)
-    added, device = train_members(
-        x,
-        np.stack([y - (np.tanh(x @ W.T + b) @ V.T + c) for (W, b), (V, c) in known]),
-        fold,
-        seed=seed,
-        cancel=cancel,
-        told=lambda words: report(training_steps(), f"{len(q)} readings: {words}"),
-    )
+    left = np.stack([y - (np.tanh(x @ W.T + b) @ V.T + c) for (W, b), (V, c) in known])
+    added, device = train_members(x, left, fold, seed=seed, steps=steps.after(training_steps(), f"{len(q)} readings"))
     members = tuple(_beside(first, second) for first, second in zip(known, added, strict=True))
     return ResidualNetwork("both", low, high, MARGIN * np.maximum(high - low, 1e-3), rotates, scale, members), device
 
@@ -629,7 +597,7 @@ def load_torch() -> Any:
 
 
 def train_members(
-    x: Array, y: Array, fold: NDArray[np.int64], *, seed: int, cancel: CancelToken, told: Told
+    x: Array, y: Array, fold: NDArray[np.int64], *, seed: int, steps: JobSteps
 ) -> tuple[list[Layers], str]:
     """Train one member for each fold on the rows of the others; return them and the device, ``cpu`` or a GPU's name.
 
@@ -654,7 +622,7 @@ def train_members(
     mean, spread = x.mean(axis=0), np.maximum(x.std(axis=0), 1e-6)
     with _one_thread(torch):
         trainer = _Trainer(torch, device, (x - mean) / spread, y, fold, seed)
-        best = trainer.run(cancel, told)
+        best = trainer.run(steps)
     members: list[Layers] = []
     for number in range(len(trainer.rows)):
         layers = [(weights[number].T, offsets[number, 0]) for weights, offsets in best]
@@ -700,7 +668,7 @@ class _Trainer:
         gains = (_GAIN, *(1.0 for _ in HIDDEN[1:]), 0.0)
         self._layers = [self._start(folds, *ends, gain, device) for ends, gain in zip(pairwise(sizes), gains)]
 
-    def run(self, cancel: CancelToken, told: Told) -> list[tuple[Array, Array]]:
+    def run(self, told: JobSteps) -> list[tuple[Array, Array]]:
         """Train; return for each layer the weights (M, in, out) and offsets (M, 1, out) that predict the folds best."""
         torch, parameters = self._torch, [p for layer in self._layers for p in layer]
         steps = int(np.clip(_EPOCHS * len(self._x) // _BATCH, _FEWEST_STEPS, _MOST_STEPS))
@@ -709,13 +677,13 @@ class _Trainer:
         best, least = [p.detach().clone() for p in parameters], self._left_out()
         for step in range(1, steps + 1):
             if step % 10 == 1:
-                cancel.check()
+                told.check()
             adam.zero_grad()
             self._loss().backward()
             adam.step()
             schedule.step()
             if step % (steps // _LOOKS) == 0 or step == steps:
-                told(f"step {step} of {steps} in batches of {_BATCH}")
+                told(0, f"step {step} of {steps} in batches of {_BATCH}")
                 now = self._left_out()
                 better = now < least
                 least = torch.where(better, now, least)

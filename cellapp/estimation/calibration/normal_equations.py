@@ -190,11 +190,7 @@ def split_values(start: Geometry, parameters: ParameterSet, values: Array) -> tu
 
 
 def normal_equations(
-    start: Geometry,
-    observations: Observations,
-    parameters: ParameterSet,
-    values: Array,
-    weights: Array | None,
+    start: Geometry, observations: Observations, parameters: ParameterSet, values: Array, weights: Array | None
 ) -> NormalEquations:
     """Compute the normal equations at ``values`` (k,) with robust ``weights`` (n,)."""
     geometry, beta = split_values(start, parameters, values)

@@ -26,14 +26,7 @@ from cellapp.estimation.calibration.parameters import estimated_parameters, gram
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import StopReport
-from cellapp.robot.kinematics.chain import (
-    TOOL_NAMES,
-    Geometry,
-    JointAngles,
-    flange_poses,
-    frame_poses,
-    jacobian,
-)
+from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, JointAngles, flange_poses, frame_poses, jacobian
 from cellapp.robot.kinematics.statics import gravity_loads
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import OFF_AXIS, bodies_of, nominal_arm, prior_sigmas, up_in_tracker

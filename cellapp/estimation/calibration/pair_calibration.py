@@ -15,23 +15,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import TooFewReadings
 from cellapp.estimation.calibration.least_squares import LeastSquares, inverse_psd
-from cellapp.estimation.calibration.quantities import (
-    measured_orientations,
-    measurement_conditions,
-    position_errors,
-)
+from cellapp.estimation.calibration.quantities import measured_orientations, measurement_conditions, position_errors
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import BEST_METHODS, Method
-from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, probe_rotations, smr_positions
 from cellapp.robot.kinematics.transforms import (
     Array,
@@ -186,18 +181,6 @@ def relative_rotations(readings: Sequence[Readings], R_B_S: Sequence[Array]) -> 
     return np.asarray(R_B_S[1] @ R_M_S[1].swapaxes(1, 2) @ R_M_S[0] @ R_B_S[0].swapaxes(1, 2))
 
 
-class CalibratedArm(Protocol):
-    """Calibrated arm with what the pair needs of it."""
-
-    @property
-    def model(self) -> ArmModel:
-        """The calibrated model, with its residual network if it has one."""
-
-    @property
-    def tracker_frame_network(self) -> ResidualNetwork | None:
-        """The network trained in the tracker frame."""
-
-
 @dataclass(frozen=True)
 class PairMethod:
     """Results of one method on the held-out stops, with both inter-base transforms.
@@ -258,9 +241,15 @@ def pair_stops(profile: Profile, left: Readings) -> tuple[np.ndarray, np.ndarray
 
 
 def calibrate_pair(
-    profile: Profile, readings: Mapping[str, Readings], arms: Mapping[str, CalibratedArm]
+    profile: Profile,
+    readings: Mapping[str, Readings],
+    arms: Mapping[str, ArmModel],
+    in_tracker: Mapping[str, ResidualNetwork | None] = MappingProxyType({}),
 ) -> tuple[PairCalibration | None, list[str]]:
-    """Calibrate the pair by every method that the arms' models allow; return it, None if skipped, and notes."""
+    """Calibrate the pair by every method that the arms' models allow; return it, None if skipped, and notes.
+
+    ``in_tracker`` are networks trained in the tracker frame.
+    """
     if len(readings) != 2:
         return None, [f"pair: skipped, the profile has {len(readings)} arms"] * (len(readings) > 2)
     left, right = common_stops(*readings.values())
@@ -284,10 +273,10 @@ def calibrate_pair(
             " distances alone, in mm; put a probe on both flanges for mrad"
         )
     measured = np.linalg.norm(left.p_M - right.p_M, axis=1)
-    models = [arm.model for arm in arms.values()]
+    models = [arms[name] for name in readings]
     start = np.asarray(invert(models[1].geometry.T_M_B()) @ models[0].geometry.T_M_B())
     methods: dict[Method, PairMethod] = {}
-    for name, poses in _poses(both, list(arms.values())).items():
+    for name, poses in _poses(both, models, [in_tracker.get(name) for name in readings]).items():
         positions = [p_B for p_B, _ in poses]
         R_R_L = relative_rotations(both, [R_B_S for _, R_B_S in poses])
         seen = np.isfinite(R_R_L[:, 0, 0])
@@ -327,43 +316,31 @@ _ArmPoses = tuple[Array, Array]
 """SMR positions (n, 3) [m] and rotations of the probe, without one of the flange, (n, 3, 3) in the base frame."""
 
 
-def _poses(both: tuple[Readings, Readings], arms: list[CalibratedArm]) -> dict[Method, tuple[_ArmPoses, _ArmPoses]]:
+def _poses(
+    both: tuple[Readings, Readings], arms: list[ArmModel], in_tracker: list[ResidualNetwork | None]
+) -> dict[Method, list[_ArmPoses]]:
     """Compute the poses of both arms in their own base frames, by method."""
-    left, right = both
-    conditions = (
-        measurement_conditions(left, (arms[1].model, right)),
-        measurement_conditions(right, (arms[0].model, left)),
-    )
+    conditions = [measurement_conditions(both[k], (arms[1 - k], both[1 - k])) for k in (0, 1)]
 
     def chain(geometry: Geometry, q: Array) -> _ArmPoses:
         in_base = geometry.with_T_M_B(np.eye(4))
         return smr_positions(in_base, q), probe_rotations(in_base, q)
 
-    def geometry_only(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> _ArmPoses:
-        return chain(arm.model.geometry, r.q)
+    def full(k: int) -> _ArmPoses:
+        T_B_M = np.asarray(invert(arms[k].geometry.T_M_B()))
+        p_M = arms[k].predict(both[k].q, conditions=conditions[k])
+        return apply(T_B_M, p_M), T_B_M[:3, :3] @ arms[k].orientation(both[k].q, conditions[k])
 
-    def nominal(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> _ArmPoses:
-        return chain(arm.model.nominal, r.q)
+    def wrong_frame(k: int) -> _ArmPoses:
+        network, (p_B, R_B_S) = in_tracker[k], chain(arms[k].geometry, both[k].q)
+        return (p_B if network is None else np.asarray(p_B + network.correct(both[k].q))), R_B_S
 
-    def full(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> _ArmPoses:
-        T_B_M = np.asarray(invert(arm.model.geometry.T_M_B()))
-        p_M = arm.model.predict(r.q, conditions=conditions)
-        return apply(T_B_M, p_M), T_B_M[:3, :3] @ arm.model.orientation(r.q, conditions)
-
-    def wrong_frame(arm: CalibratedArm, r: Readings, conditions: MeasurementConditions) -> _ArmPoses:
-        network = arm.tracker_frame_network
-        p_B, R_B_S = chain(arm.model.geometry, r.q)
-        return (p_B if network is None else np.asarray(p_B + network.correct(r.q))), R_B_S
-
-    predictors: dict[Method, Callable[[CalibratedArm, Readings, MeasurementConditions], _ArmPoses]]
-    predictors = {"nominal": nominal}
-    if any(arm.model.effects for arm in arms):
+    predictors: dict[Method, Callable[[int], _ArmPoses]]
+    predictors = {"nominal": lambda k: chain(arms[k].nominal, both[k].q)}
+    if any(arm.effects for arm in arms):
         predictors["effects"] = full
     else:
-        predictors["method_1"] = geometry_only
-        if any(arm.model.network is not None for arm in arms):
+        predictors["method_1"] = lambda k: chain(arms[k].geometry, both[k].q)
+        if any(arm.network is not None for arm in arms):
             predictors |= {"method_2": wrong_frame, "proposed": full}
-    return {
-        name: (predict(arms[0], left, conditions[0]), predict(arms[1], right, conditions[1]))
-        for name, predict in predictors.items()
-    }
+    return {name: [predict(k) for k in (0, 1)] for name, predict in predictors.items()}

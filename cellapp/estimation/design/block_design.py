@@ -317,11 +317,7 @@ def _greedy(
 
 
 def _exchanged(
-    candidates: Candidates,
-    chosen: Rows,
-    criterion: Criterion,
-    cancel: CancelToken,
-    told: Callable[[int], object],
+    candidates: Candidates, chosen: Rows, criterion: Criterion, cancel: CancelToken, told: Callable[[int], object]
 ) -> Rows:
     """Exchange each chosen stop, that of least information first, for the best other candidate or itself."""
     design = candidates.design(chosen, criterion)

@@ -394,16 +394,7 @@ class ArmData:
         if stated is not None and its.turned is not None:
             sigma = with_excess(stated, excess_m**2, its.turned, found.excess_rad**2)
         geometry_only = replace(geometry_only, geometry=found.geometry)
-        return cls(
-            profile,
-            geometry_only,
-            readings,
-            conditions,
-            stated,
-            sigma,
-            found.estimated,
-            found.prior_sigma,
-        )
+        return cls(profile, geometry_only, readings, conditions, stated, sigma, found.estimated, found.prior_sigma)
 
     def __len__(self) -> int:
         return len(self.readings)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,13 +37,7 @@ from cellapp.estimation.discovery.joint_fit import noise_of, with_posterior
 from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery, HeldOut
 from cellapp.estimation.discovery.plan_forecast import detectability
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
-from cellapp.estimation.discovery.records import (
-    ArmDiscoveryResult,
-    BeforeAfter,
-    GapStep,
-    HeldOutBeforeAfter,
-    Noise,
-)
+from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter, GapStep, HeldOutBeforeAfter, Noise
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult, scatter
 from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, search
 from cellapp.estimation.discovery.search.unnamed import unnamed_record
@@ -54,7 +47,7 @@ from cellapp.estimation.readings.readings import one_a_stop
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.errors import NotConverged, with_not_fitted
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, Report, SharedProgress, ignore, ignore_report
+from cellapp.ground.progress import UNTOLD, CancelToken, JobSteps, Listener, Progress, SharedProgress, ignore
 from cellapp.ground.threads import give_back
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.kinematics.transforms import Array
@@ -68,28 +61,8 @@ _SUBSET_SEED = 0x5EA
 """Combined with the profile's seed, so that the draw of these readings is independent of all other draws."""
 
 
-@dataclass(frozen=True)
-class _PairArm:
-    """Arm for the calibration of the pair after discovery."""
-
-    model: ArmModel
-    tracker_frame_network: None = None
-
-
-class ArmSearch(Protocol):
-    """Search of one calibrated arm, with the signature of ``discover_arm``."""
-
-    def __call__(
-        self,
-        profile: Profile,
-        name: str,
-        model: ArmModel,
-        readings: Readings,
-        cancel: CancelToken | None = None,
-        *,
-        conditions: MeasurementConditions,
-        report: Report = ignore_report,
-    ) -> Discovery: ...
+ArmSearch = Callable[[Profile, str, ArmModel, Readings, MeasurementConditions, JobSteps], "Discovery"]
+"""Search of one calibrated arm, as ``discover_arm``."""
 
 
 def discover_cell(
@@ -114,7 +87,7 @@ def discover_cell(
     pair = None
     if any(discovery.terms for discovery in arms.values()):
         good = {name: without(readings[name], found.result.left_out_configurations) for name, found in arms.items()}
-        pair, _ = calibrate_pair(profile, good, {name: _PairArm(found.model) for name, found in arms.items()})
+        pair, _ = calibrate_pair(profile, good, {name: found.model for name, found in arms.items()})
     T_R_L = model.T_R_L if pair is None else pair.T_R_L
     model = replace(model, arms={name: found.model for name, found in arms.items()}, T_R_L=T_R_L)
     total = _total_steps(profile, len(arms))
@@ -143,29 +116,27 @@ def _discover_arms(
     conditions = conditions_of_arms(model.arms, readings)
     found: dict[str, Discovery] = {}
     total = _total_steps(profile, len(model.arms))
-    searched = SharedProgress(listener, "discover", 0, total)
+    searched = SharedProgress(listener, "discover", 0, total, cancel)
     for name, arm in model.arms.items():
-        report = searched.part(f"arm {name}")
-        report(0, "search")
-        cancel.check()
-        found[name] = search_arm(profile, name, arm, readings[name], cancel, conditions=conditions[name], report=report)
-        report(SEARCH_STEPS, found[name].result.verdict)
+        steps = searched.part(f"arm {name}")
+        steps(0, "search")
+        steps.check()
+        found[name] = search_arm(profile, name, arm, readings[name], conditions[name], steps)
+        steps(SEARCH_STEPS, found[name].result.verdict)
     if not _may_train(profile):
         return found
-    trained = SharedProgress(listener, "discover", SEARCH_STEPS * len(model.arms), total)
+    trained = SharedProgress(listener, "discover", SEARCH_STEPS * len(model.arms), total, cancel)
     with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
         tasks = {}
         for name, discovery in found.items():
-            report = trained.part(f"arm {name}")
+            steps = trained.part(f"arm {name}")
             if not needs_network(profile, discovery):
-                report(learning_steps(profile.network), "no network is needed")
+                steps(learning_steps(profile.network), "no network is needed")
                 continue
-            report(0, "residual network beside the effects")
+            steps(0, "residual network beside the effects")
             good = ~np.isin(readings[name].configuration, discovery.result.left_out_configurations)
             its, its_conditions = readings[name].take(good), conditions[name].take(good)
-            tasks[name] = pool.submit(
-                with_network, profile, model.arms[name], discovery, its, its_conditions, cancel, report
-            )
+            tasks[name] = pool.submit(with_network, profile, model.arms[name], discovery, its, its_conditions, steps)
         return {**found, **{name: task.result() for name, task in tasks.items()}}
 
 
@@ -174,22 +145,19 @@ def discover_arm(
     name: str,
     model: ArmModel,
     readings: Readings,
-    cancel: CancelToken | None = None,
-    *,
     conditions: MeasurementConditions | None = None,
-    report: Report = ignore_report,
+    steps: JobSteps = UNTOLD,
     prior_sigma: Mapping[str, float] | None = None,
 ) -> Discovery:
     """Search the identify and train splits for effects, and evaluate the models on the validate split.
 
     Gross errors of the geometry are left out of all splits, as ``calibrate`` leaves them out.
 
-    ``conditions`` are those of ``readings``; if None, they are derived from the readings of this arm alone. ``report``
-    takes the number of steps done, of ``SEARCH_STEPS``. ``prior_sigma`` are standard deviations [m, rad] of geometric
+    ``conditions`` are those of ``readings``; if None, they are derived from the readings of this arm alone. There are
+    ``SEARCH_STEPS`` steps. ``prior_sigma`` are standard deviations [m, rad] of geometric
     parameters about ``robot.model.nominal``; if None, those of the profile.
     """
     started = time.perf_counter()
-    cancel = cancel or CancelToken()
     conditions = conditions or measurement_conditions(readings)
     wrong = _gross_errors(model, readings)
     held_out = HeldOut.of(readings.take(~wrong), conditions.take(~wrong))
@@ -197,7 +165,7 @@ def discover_arm(
     rows = rows[~wrong[rows]]
     if prior_sigma is None:
         prior_sigma = prior_sigmas(model.nominal, profile.calibration.priors, profile.arms[name].fixed)
-    found = search_rows(profile, model, readings.take(rows), conditions.take(rows), cancel, report, prior_sigma)
+    found = search_rows(profile, model, readings.take(rows), conditions.take(rows), steps, prior_sigma)
     left_out = tuple(sorted({*readings.configuration[wrong].tolist(), *found.left_out}))
     result = _judged_by_held_out(replace(found, left_out=left_out), held_out)
     return _evaluated(name, model, result, held_out, started)
@@ -330,8 +298,7 @@ def search_rows(
     model: ArmModel,
     readings: Readings,
     conditions: MeasurementConditions,
-    cancel: CancelToken,
-    report: Report = ignore_report,
+    steps: JobSteps = UNTOLD,
     prior_sigma: Mapping[str, float] | None = None,
 ) -> Searched:
     """Search at most ``_MOST_SEARCHED`` of the readings, drawn at random, then fit to all of them.
@@ -349,11 +316,11 @@ def search_rows(
         some, every = np.sort(kept[:_MOST_SEARCHED]), np.sort(kept)
         if found is None or not np.array_equal(some, searched):
             data = ArmData.of(profile, model, readings.take(some), conditions.take(some), prior_sigma)
-            found, searched = search(data, slugs, cancel, report), some
+            found, searched = search(data, slugs, steps), some
         if len(every) > len(some):
             data = ArmData.of(profile, model, readings.take(every), conditions.take(every), prior_sigma)
         data = data.claiming(found.claim)
-        result = _fitted_to_all(found, data, cancel, report)
+        result = _fitted_to_all(found, data, steps)
         fitted = some if result.only_some else every  # others may be far off because they were not fitted
         wrong = fitted[gross_errors_of_model(result.model, readings.take(fitted), conditions.take(fitted))]
         if not len(wrong):
@@ -367,12 +334,12 @@ def search_rows(
     return replace(result, left_out=tuple(readings.configuration[gross].tolist()))
 
 
-def _fitted_to_all(found: SearchResult, data: ArmData, cancel: CancelToken, report: Report) -> Searched:
+def _fitted_to_all(found: SearchResult, data: ArmData, steps: JobSteps) -> Searched:
     """Fit what a search found to all readings; if that fails, the model of the search stays, with the reason."""
     if len(found.data) == len(data) or not found.fit.terms:
         return Searched.of_search(found, data)
-    cancel.check()
-    report(SEARCH_STEPS - 1, f"fit to all {counted(len(data), 'reading')}")
+    steps.check()
+    steps(SEARCH_STEPS - 1, f"fit to all {counted(len(data), 'reading')}")
     give_back()  # memory of the search
     try:
         to_all, model = fit_to_all(found, data, max(found.threshold, SCORE_MARGIN))
@@ -463,8 +430,7 @@ def with_network(
     discovery: Discovery,
     readings: Readings,
     conditions: MeasurementConditions,
-    cancel: CancelToken,
-    report: Report = ignore_report,
+    steps: JobSteps = UNTOLD,
 ) -> Discovery:
     """Add to the outcome the corrections of a network before and after the accepted effects.
 
@@ -475,7 +441,7 @@ def with_network(
     network = discovery.model.network
     rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
     if discovery.terms:
-        network = _train(profile, discovery.model, readings.take(rows), conditions.take(rows), cancel, report)
+        network = _train(profile, discovery.model, readings.take(rows), conditions.take(rows), steps)
     q = held_out.readings.q
     corrections = BeforeAfter(before=_correction_mm(calibrated.network, q), after=_correction_mm(network, q))
     found = discovery.result.model_copy(update={"network_mm": corrections})
@@ -483,25 +449,20 @@ def with_network(
     if not discovery.terms or found.verdict != "unknown effect" or network is None:
         return discovery
     learnt = measured_quantities(readings.take(rows), conditions.take(rows))
-    network = replace(network, turning=turning_network(profile, discovery.model, learnt, cancel, report))
+    network = replace(network, turning=turning_network(profile, discovery.model, learnt, steps))
     model = replace(discovery.model, network=network)
     step = GapStep(what="a network for the rest", effect="", heldout_mm=held_out.position_mm(model).rms)
     return discovery.with_model(model, held_out, steps=(*found.steps, step))
 
 
 def _train(
-    profile: Profile,
-    model: ArmModel,
-    readings: Readings,
-    conditions: MeasurementConditions,
-    cancel: CancelToken,
-    report: Report,
+    profile: Profile, model: ArmModel, readings: Readings, conditions: MeasurementConditions, steps: JobSteps
 ) -> ResidualNetwork | None:
     """Train a network on the residuals of ``model``; None if it does not predict left-out readings better than none."""
     if len(readings) < _READINGS_A_FOLD * profile.network.folds:
         return None
     left_M = readings.p_M - model.predict(readings.q, conditions=conditions)
-    return network_of_residuals(profile, model, readings, left_M, cancel, report)
+    return network_of_residuals(profile, model, readings, left_M, steps)
 
 
 def _correction_mm(network: ResidualNetwork | None, q: Array) -> float:

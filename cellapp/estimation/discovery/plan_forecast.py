@@ -44,7 +44,7 @@ from cellapp.robot.effects import EFFECTS, MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.nominal import OFF_AXIS, bodies_of, nominal_arm, pose_matrix, prior_sigmas, up_in_tracker
+from cellapp.robot.model.nominal import OFF_AXIS, nominal_arm, pose_matrix, prior_sigmas
 
 # -- Detectability: effects that the data cannot show, and the smallest detectable size of the others -----------------
 
@@ -208,7 +208,7 @@ def nominal_model(profile: Profile, name: str) -> ArmModel:
     nominal = nominal_arm(arm).with_T_M_B(np.linalg.inv(pose_matrix(tracker.pose)) @ pose_matrix(arm.base))
     if arm.smr.offset == "unknown":
         nominal = replace(nominal, tool=OFF_AXIS)
-    return ArmModel(nominal, nominal, bodies_of(arm), up_in_tracker(profile), smr_normal=np.array(arm.smr.normal))
+    return ArmModel.of(profile, name, nominal, nominal)
 
 
 def tracker_covariance(tracker: Tracker, p_M: Array) -> Array:

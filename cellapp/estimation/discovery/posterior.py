@@ -141,10 +141,7 @@ def gains_by_another_cause(data: ArmData, fit: JointFit, numbers: Sequence[int])
 
 
 def _of_same_cause(
-    term: ModelTerm,
-    columns: tuple[EffectColumn, ...],
-    every: tuple[DataChannel, ...],
-    families: list[FunctionFamily],
+    term: ModelTerm, columns: tuple[EffectColumn, ...], every: tuple[DataChannel, ...], families: list[FunctionFamily]
 ) -> NDArray[np.bool_]:
     """Return a mask (channels, families) of the functions that are a named effect in another shape."""
     own = EFFECTS[term.slug].variables

@@ -297,8 +297,7 @@ def remaining_structure(p_values: Mapping[StructureKind, float], chance: float) 
     tested = enumeration([_KIND_WORDS[test.against] for test in tests])
     smallest = min(test.p_value for test in tests)
     return RemainingStructure(
-        tests=tests,
-        sentence=f"what is left shows no structure against {tested} (smallest {_p_in_words(smallest)})",
+        tests=tests, sentence=f"what is left shows no structure against {tested} (smallest {_p_in_words(smallest)})"
     )
 
 

@@ -66,7 +66,7 @@ from cellapp.estimation.readings import SPLITS, Readings, coordinate_uncertainty
 from cellapp.estimation.readings.readings import joined
 from cellapp.ground.errors import InputError, with_not_fitted
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, Report, Told, ignore, ignore_report, ignore_words
+from cellapp.ground.progress import CancelToken, JobSteps, Listener, Progress, Told, ignore, ignore_words
 from cellapp.ground.results import ErrorSummary, Estimate, Stage, StageErrors
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
@@ -162,25 +162,16 @@ def calibrate_arm_with_motion(
     profile: Profile, name: str, readings: Readings, recordings: Sequence[Recording], told: Told = ignore_words
 ) -> tuple[MotionFit, ArmCalibration]:
     """Calibrate one arm from its recordings and, if there are any, from the readings of its identify split."""
-    arm, recorded = profile.arms[name], recorded_arm(profile, name, readings, recordings)
+    recorded = recorded_arm(profile, name, readings, recordings)
     fit = identify_from_motion(recorded, told)
-    found, some = fit.identification, samples_of(fit, len(arm.type.joints))
+    found, some = fit.identification, samples_of(fit, recorded.nominal.joints)
     start = start_from_nominal(recorded.nominal, some.q, some.p_M, tool_unknown=recorded.tool_unknown)
     held_out = readings.take(readings.in_split("validate"))
     in_motion = _errors_in_motion(name, fit)
-    model = ArmModel(
-        geometry=found.geometry,
-        nominal=start,
-        bodies=bodies_of(arm),
-        up_M=up_in_tracker(profile),
-        smr_normal=np.array(arm.smr.normal, dtype=np.float64),
-        identified=found.estimated.names,
-        covariance=found.estimated_covariance,
-    )
     points = {"identify": sum(one.learnt for one in fit.recordings.values()), "train": 0}
     points["validate"] = sum(one.held_out for one in fit.recordings.values())
     return fit, ArmCalibration(
-        model=model,
+        model=ArmModel.of(profile, name, found.geometry, start, found.estimated.names, found.estimated_covariance),
         identification=found,
         excess_m=0.0,
         validate=_errors_at_rest(start, found.geometry, held_out) if len(held_out) else in_motion,
@@ -325,12 +316,7 @@ _Residuals = tuple[Array, Array]
 
 
 def train_arm_in_motion(
-    profile: Profile,
-    arm: ArmCalibration,
-    readings: Readings,
-    fit: MotionFit,
-    cancel: CancelToken,
-    told: Told,
+    profile: Profile, arm: ArmCalibration, readings: Readings, fit: MotionFit, cancel: CancelToken, told: Told
 ) -> ArmCalibration:
     """Train a network for an arm on all points of its recordings outside held-out blocks, and on those of its
     ``readings`` at rest that may teach. Its held-out errors are at rest if it has such readings, else in motion.
@@ -344,7 +330,7 @@ def train_arm_in_motion(
         parts = [(stops.q, stops.p_M - arm.model.predict(stops.q, stops.approach, stops.payload_kg)), *parts]
     q, off_M = _joined(parts)
     in_order = np.arange(float(len(q)))  # in order of time in each recording, by which blocks are cut
-    arm = with_networks(profile, arm, q, off_M, in_order, cancel, lambda _, words: told(words))
+    arm = with_networks(profile, arm, q, off_M, in_order, JobSteps(lambda _, words: told(words), cancel))
     if arm.model.network is None:
         return arm
     q, off_M = _held_out(arm, readings, fit)
@@ -412,20 +398,17 @@ class SearchWithRecordings:
         name: str,
         model: ArmModel,
         readings: Readings,
-        cancel: CancelToken | None = None,
-        *,
         conditions: MeasurementConditions,
-        report: Report = ignore_report,
+        steps: JobSteps,
     ) -> Discovery:
         """Search one arm; ``readings`` are stops and samples of its recordings."""
-        known = cancel or CancelToken()
 
         def told(words: str) -> None:
-            known.check()
-            report(0, f"recordings: {words}")
+            steps.check()
+            steps(0, f"recordings: {words}")
 
         if not self.recordings.get(name):
-            return self.search_arm(profile, name, model, readings, known, conditions=conditions, report=report)
+            return self.search_arm(profile, name, model, readings, conditions, steps)
         started = time.perf_counter()
         arm = recorded_arm(profile, name, self.stops[name], self.recordings[name])
         at_rest = MotionAtRest.of(arm, name, self.calibrated, self.stops, told)
@@ -433,10 +416,10 @@ class SearchWithRecordings:
 
         @cache
         def searched() -> Discovery:
-            return self.search_arm(profile, name, model, readings, known, conditions=conditions, report=report)
+            return self.search_arm(profile, name, model, readings, conditions, steps)
 
         if at_rest.stands_beside(lambda: searched().model):
-            return at_rest.discovery(profile, seconds, known, report)
+            return at_rest.discovery(profile, seconds, steps)
         found = searched()
         shown = at_rest.result(seconds, used=False)
         sentence = with_not_fitted(found.result.sentence, at_rest.motion.not_fitted)
@@ -511,16 +494,14 @@ class MotionAtRest:
             seconds=seconds,
         )
 
-    def discovery(
-        self, profile: Profile, seconds: float, cancel: CancelToken | None = None, report: Report = ignore_report
-    ) -> Discovery:
+    def discovery(self, profile: Profile, seconds: float, steps: JobSteps) -> Discovery:
         """Return the effects from recordings, with those that a search finds in the remaining errors of the readings.
 
         ``seconds`` is the time of the search of the recordings. Raise ``Cancelled`` on request.
         """
         q = self.model.true_joints(self.readings.q, conditions=self.conditions)
         bare, readings = replace(self.model, effects=(), covariance=None), replace(self.readings, q=q)
-        rest = discover_arm(profile, self.name, bare, readings, cancel, conditions=self.conditions, report=report)
+        rest = discover_arm(profile, self.name, bare, readings, self.conditions, steps)
         if not (rest.terms and _surely_better(self.held_out, self.model, _joined_models(rest.model, self.model))):
             rest = _without_terms(rest)
         return self._with_rest(rest, seconds)

@@ -44,9 +44,7 @@ from cellapp.estimation.calibration.least_squares import (
     shortened,
     solve_psd,
 )
-from cellapp.estimation.calibration.parameters import (
-    PriorSpread,
-)
+from cellapp.estimation.calibration.parameters import PriorSpread
 from cellapp.estimation.motion.laws import JointTerm, Law, Masses
 from cellapp.estimation.motion.observe import (
     Bands,

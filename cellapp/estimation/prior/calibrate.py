@@ -39,7 +39,7 @@ from cellapp.estimation.prior.belief import (
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Report, ignore_report
+from cellapp.ground.progress import JobSteps
 from cellapp.ground.results import ModelStage
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions, place_in_words
 from cellapp.robot.kinematics.transforms import Array, quaternions_of
@@ -123,14 +123,6 @@ _DRAW_SEED = 0x51D2
 """Combined with the profile's seed, so that the draws of parameters are independent of all other draws."""
 
 
-@dataclass(frozen=True)
-class _PairArm:
-    """Arm for the calibration of the pair, with its earlier calibration."""
-
-    model: ArmModel
-    tracker_frame_network: None = None
-
-
 def calibrate_with_prior(
     profile: Profile, readings: Mapping[str, Readings], calibration: Calibration, earlier: Mapping[str, Earlier]
 ) -> Calibration:
@@ -152,14 +144,11 @@ def calibrate_with_prior(
     ]
     pair = calibration.pair
     good = {name: without(its, arms[name].left_out) for name, its in readings.items()}
-    with_effects, _ = calibrate_pair(profile, good, {name: _PairArm(arm.model) for name, arm in arms.items()})
+    models = {name: arm.model for name, arm in arms.items()}
+    with_effects, _ = calibrate_pair(profile, good, models)
     if pair is not None and with_effects is not None:
         pair = replace(pair, methods={**pair.methods, **with_effects.methods})
-    model = replace(
-        calibration.model,
-        arms={name: arm.model for name, arm in arms.items()},
-        T_R_L=None if pair is None else pair.T_R_L,
-    )
+    model = replace(calibration.model, arms=models, T_R_L=None if pair is None else pair.T_R_L)
     return replace(calibration, model=model, arms=arms, pair=pair, notes=tuple(notes))
 
 
@@ -302,18 +291,16 @@ class SearchWithPriors:
         name: str,
         model: ArmModel,
         readings: Readings,
-        cancel: CancelToken | None = None,
-        *,
         conditions: MeasurementConditions,
-        report: Report = ignore_report,
+        steps: JobSteps,
     ) -> Discovery:
         """Search one arm; ``model`` is the calibrated arm."""
         its = self.earlier.get(name)
         if its is None:
-            return discover_arm(profile, name, model, readings, cancel, conditions=conditions, report=report)
+            return discover_arm(profile, name, model, readings, conditions, steps)
         learn = learned(profile, name, readings, conditions, its)
         if not update(profile, name, *learn, its.belief, its.since).used:
-            return discover_arm(profile, name, model, readings, cancel, conditions=conditions, report=report)
+            return discover_arm(profile, name, model, readings, conditions, steps)
         final, terms = model, model.effects[:0]
         for _ in range(_SEARCHES):
             belief = update(profile, name, *learn, its.belief, its.since, terms).belief
@@ -323,9 +310,8 @@ class SearchWithPriors:
                 name,
                 replace(known, effects=(), network=None, posterior=None, nominal=belief.geometry(model.nominal)),
                 without_effects(known, readings, conditions),
-                cancel,
-                conditions=conditions,
-                report=report,
+                conditions,
+                steps,
                 prior_sigma=belief.sigma(),
             )
             terms = found.terms

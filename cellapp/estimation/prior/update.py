@@ -29,7 +29,7 @@ from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Measurement
 from cellapp.robot.kinematics.chain import parameter_names, parameter_unit
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.nominal import bodies_of, nominal_arm, up_in_tracker
+from cellapp.robot.model.nominal import nominal_arm
 
 # -- Validity of a belief about an arm for new readings, judged by their marginal likelihood --------------------------
 #
@@ -370,16 +370,10 @@ def first_model(profile: Profile, name: str, measured: Measured, belief: Belief)
     readings, conditions = its.readings, its.conditions
     nominal = nominal_arm(arm)
     unknown = arm.smr.offset == "unknown"
-    model = ArmModel(
-        geometry=nominal,
-        nominal=start_from_nominal(nominal, readings.q, readings.p_M, tool_unknown=unknown),
-        bodies=bodies_of(arm),
-        up_M=up_in_tracker(profile),
-        effects=belief.terms,
-        smr_normal=np.array(arm.smr.normal, dtype=np.float64),
-    )
+    start = start_from_nominal(nominal, readings.q, readings.p_M, tool_unknown=unknown)
     believed = belief.geometry(nominal)
-    model = replace(model, geometry=believed.with_T_M_B(model.nominal.T_M_B()))
+    model = ArmModel.of(profile, name, believed.with_T_M_B(start.T_M_B()), start)
+    model = replace(model, effects=belief.terms)
     true_q = model.true_joints(readings.q, conditions=conditions)
     model = replace(model, geometry=start_from_nominal(believed, true_q, readings.p_M, tool_unknown=True))
     if measured.turned is None:

@@ -26,12 +26,7 @@ from cellapp.cell.run.stations import require_ties
 from cellapp.cell.targets.ranges import beside
 from cellapp.cell.targets.records import CompensateResult, TargetCommand
 from cellapp.cell.targets.targets import Target, load_targets, targets_in_memory
-from cellapp.commands.calibrate.charts import (
-    error_histogram_chart,
-    pair_histogram_chart,
-    stage_chart,
-    stop_error_chart,
-)
+from cellapp.commands.calibrate.charts import error_histogram_chart, pair_histogram_chart, stage_chart, stop_error_chart
 from cellapp.commands.calibrate.held_out import HeldOutArm
 from cellapp.commands.calibrate.run import calibrate_cell
 from cellapp.commands.calibrate.view import parameters_view

@@ -49,12 +49,7 @@ from cellapp.interfaces.tui.host import Host, LastRunRead, LeaveAsked, Severity,
 from cellapp.interfaces.tui.jobs import JobEnded, MotionAsked
 from cellapp.interfaces.tui.keys import bind, key_table, with_keys
 from cellapp.interfaces.tui.live_run import LOOK_EVERY_S, Detached, JobsOfOthers
-from cellapp.interfaces.tui.offers import (
-    QuitQuestion,
-    offer_at_rest,
-    offer_to_quit,
-    offer_whole_day,
-)
+from cellapp.interfaces.tui.offers import QuitQuestion, offer_at_rest, offer_to_quit, offer_whole_day
 from cellapp.interfaces.tui.run_state import next_step
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -337,9 +332,7 @@ class CellApp(JobKeys):
     def _welcome(self) -> None:
         """Ask how to begin if there is no profile."""
         if not any(self.profiles.glob("*.yaml")):
-            from cellapp.interfaces.tui.dialogs.first_run import (
-                offer_first_run,  # 0.7 s, only at the first start
-            )
+            from cellapp.interfaces.tui.dialogs.first_run import offer_first_run  # 0.7 s, only at the first start
 
             offer_first_run(self)
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
 from cellapp.ground.results import plain_data
 from cellapp.robot.effects import (
     EFFECTS,
@@ -45,6 +46,7 @@ from cellapp.robot.kinematics.chain import (
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.arguments import configurations, of_arm, require_radians
+from cellapp.robot.model.nominal import bodies_of, up_in_tracker
 
 # -- Residual network of an arm model: evaluation with numpy alone, and its JSON form ---------------------------------
 #
@@ -214,6 +216,22 @@ class ArmModel:
     covariance: Array | None = None
     smr_normal: Array | None = None
     posterior: PosteriorDraws | None = None
+
+    @classmethod
+    def of(
+        cls,
+        profile: Profile,
+        name: str,
+        geometry: Geometry,
+        nominal: Geometry,
+        identified: tuple[str, ...] = (),
+        covariance: Array | None = None,
+    ) -> ArmModel:
+        """Return an arm of a profile without effects."""
+        arm = profile.arms[name]
+        normal = np.array(arm.smr.normal, dtype=np.float64)
+        bodies, up_M = bodies_of(arm), up_in_tracker(profile)
+        return cls(geometry, nominal, bodies, up_M, identified=identified, covariance=covariance, smr_normal=normal)
 
     def __repr__(self) -> str:
         effects = ", ".join(dict.fromkeys(term.slug for term in self.effects)) or "none"

@@ -88,11 +88,7 @@ class Port:
     """
 
     def __init__(
-        self,
-        selector: selectors.BaseSelector,
-        host: str,
-        number: int,
-        open_session: Callable[[Link], Session],
+        self, selector: selectors.BaseSelector, host: str, number: int, open_session: Callable[[Link], Session]
     ) -> None:
         self._selector = selector
         self.host = host

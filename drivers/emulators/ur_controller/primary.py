@@ -43,8 +43,7 @@ def configuration_data(config: ControllerConfig) -> bytes:
     defaults = (1.047, 1.396, 0.25, 1.2, 0.0)
     kind = _ROBOT_TYPES.get(config.personality.model, 0)
     return _sub(
-        _CONFIGURATION,
-        struct.pack(">12d12d5d24d4i", *limits, *rates, *defaults, *a, *d, *alpha, *theta, 0, 0, kind, 0),
+        _CONFIGURATION, struct.pack(">12d12d5d24d4i", *limits, *rates, *defaults, *a, *d, *alpha, *theta, 0, 0, kind, 0)
     )
 
 

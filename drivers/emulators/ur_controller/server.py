@@ -174,11 +174,7 @@ class UrControllerServer:
     """
 
     def __init__(
-        self,
-        arms: Sequence[ControllerConfig],
-        plant: Plant | None = None,
-        pace: float = 1.0,
-        control_port: int = 0,
+        self, arms: Sequence[ControllerConfig], plant: Plant | None = None, pace: float = 1.0, control_port: int = 0
     ) -> None:
         """Configure controllers for ``arms`` that move ``plant`` (None: ideal joints).
 

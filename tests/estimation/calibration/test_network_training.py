@@ -13,7 +13,7 @@ from cellapp.estimation.calibration import learning
 from cellapp.estimation.calibration.learning import Shape, candidate_shapes, learn, require_learner, train_network
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
-from cellapp.ground.progress import Cancelled, CancelToken
+from cellapp.ground.progress import Cancelled, CancelToken, JobSteps
 from cellapp.robot.model.model import network_from_json, network_to_json, rotate_about_z
 
 SMALL = (Shape("sincos", 6), Shape("sincos", 6, rotates_with_joint_1=True))
@@ -199,4 +199,4 @@ def test_training_ends_on_request():
             cancel.cancel()
 
     with pytest.raises(Cancelled):
-        learn(BATCHES, poses_in_batches(300), noise(300), np.arange(300.0), seed=3, cancel=cancel, report=stop)
+        learn(BATCHES, poses_in_batches(300), noise(300), np.arange(300.0), seed=3, steps=JobSteps(stop, cancel))

@@ -30,7 +30,7 @@ from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
-from cellapp.ground.progress import Cancelled, CancelToken
+from cellapp.ground.progress import Cancelled, CancelToken, JobSteps
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_vectors
@@ -322,7 +322,7 @@ def test_a_search_ends_on_request_before_the_rivals_of_the_next_effect(plan):
             cancel.cancel()
 
     with pytest.raises(Cancelled):
-        blind(plan, {"joint_compliance": drawn("joint_compliance", 21)}, 21, cancel=cancel, report=report)
+        blind(plan, {"joint_compliance": drawn("joint_compliance", 21)}, 21, steps=JobSteps(report, cancel))
     assert said[-1] == "review and rivals"
 
 
@@ -447,7 +447,7 @@ def searched() -> Searched:
     rows = readings.in_split("identify")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(discover, "_MOST_SEARCHED", SEARCHED)
-        return search_rows(profile, model, readings.take(rows), conditions.take(rows), CancelToken())
+        return search_rows(profile, model, readings.take(rows), conditions.take(rows))
 
 
 def held_out() -> HeldOut:

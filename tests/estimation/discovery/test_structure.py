@@ -43,7 +43,6 @@ from cellapp.estimation.discovery.process import (
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.verdict import CHANCE, has_structure, pearson3_tail, structure_left
 from cellapp.estimation.readings import Readings
-from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import Channel, EffectColumn, LawForm
 from cellapp.robot.effects.context import Wave
 from cellapp.robot.kinematics.chain import smr_positions
@@ -280,7 +279,7 @@ def judged(discovery, verdict):
 def trained(searched, readings, verdict="explained", **changes):
     profile, _, model, discovery = searched
     discovery = replace(judged(discovery, verdict), **changes)
-    return with_network(profile, model, discovery, readings, measurement_conditions(readings), CancelToken())
+    return with_network(profile, model, discovery, readings, measurement_conditions(readings))
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ from cellapp.estimation.prior.calibrate import Earlier, SearchWithPriors, believ
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
+from cellapp.ground.progress import UNTOLD
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_vectors
@@ -158,7 +159,7 @@ def test_an_effect_that_appeared_is_found_beside_what_was_carried_over(arm: Simu
     conditions = measurement_conditions(readings)
     outcome = updated_arm(worn.profile, "left", readings, conditions, earlier)
     model = stated_model(outcome.found, 0)
-    found = SearchWithPriors({"left": earlier})(worn.profile, "left", model, readings, conditions=conditions)
+    found = SearchWithPriors({"left": earlier})(worn.profile, "left", model, readings, conditions, UNTOLD)
     assert [effect.effect for effect in found.result.accepted] == ["encoder_eccentricity"]
     assert "joint 2 has appeared since 2026-03-01" in found.result.sentence
     assert [term.slug for term in found.model.effects] == ["joint_compliance", "encoder_eccentricity"]

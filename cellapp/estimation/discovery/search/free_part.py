@@ -105,11 +105,7 @@ def _lowest_orders(ones: tuple[Modulation, ...]) -> tuple[Modulation, ...]:
 
 
 def _free_part(
-    data: ArmData,
-    fit: JointFit,
-    columns: Sequence[EffectColumn],
-    ones: tuple[Modulation, ...],
-    sizes: dict[str, float],
+    data: ArmData, fit: JointFit, columns: Sequence[EffectColumn], ones: tuple[Modulation, ...], sizes: dict[str, float]
 ) -> FreePart:
     by_name = {column.name: column for column in columns}
     rows = fit.displacements([one.column(by_name[one.base], data.context) for one in ones])

@@ -119,9 +119,7 @@ def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
     best = state.scan(others).behind_of(residual.projector).best_of_each_effect(residual)
     rivals = [
         RunnerUp(
-            effect=rival.slug,
-            statistic=rival.value,
-            distinguishable=_explains_beside(problem, fit, number, rival),
+            effect=rival.slug, statistic=rival.value, distinguishable=_explains_beside(problem, fit, number, rival)
         )
         for rival in best
         if rival.value > max(score - SCORE_MARGIN, 0.0)

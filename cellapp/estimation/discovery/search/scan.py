@@ -177,12 +177,7 @@ class LawScan:
         return [number for of_effect in by_slug.values() for number in of_effect[:_MOST_LAWS]]
 
     def score(
-        self,
-        number: int,
-        residual: ProjectedResidual,
-        *,
-        with_refinements: bool = True,
-        least: float = -math.inf,
+        self, number: int, residual: ProjectedResidual, *, with_refinements: bool = True, least: float = -math.inf
     ) -> LawScore | None:
         """Score one candidate with the blocks that it needs.
 
@@ -202,11 +197,7 @@ class LawScan:
 
 
 def _block_group(
-    behind: Behind,
-    norms: Array,
-    first: NDArray[np.intp],
-    owner: NDArray[np.intp],
-    places: NDArray[np.intp],
+    behind: Behind, norms: Array, first: NDArray[np.intp], owner: NDArray[np.intp], places: NDArray[np.intp]
 ) -> _BlockGroup:
     """Build a group of blocks ``places`` (b, k) of candidates ``owner`` (b,), with the roots of their information."""
     chosen = first[owner][:, None] + places

@@ -312,11 +312,7 @@ def possible_score(residual: ProjectedResidual, score: LawScore) -> float:
 
 
 def _without_blocks(
-    residual: ProjectedResidual,
-    score: LawScore,
-    impossible: Callable[[LawScore], set[str]],
-    *,
-    with_refinements: bool,
+    residual: ProjectedResidual, score: LawScore, impossible: Callable[[LawScore], set[str]], *, with_refinements: bool
 ) -> LawScore | None:
     """Select a law's other blocks again until ``impossible`` names none; None if no block is left."""
     candidate, current = score.candidate, score

@@ -71,7 +71,7 @@ from cellapp.estimation.discovery.search.state import (
 )
 from cellapp.estimation.discovery.search.unnamed import smooth_numbers, with_unnamed, without_names
 from cellapp.ground.counting import counted
-from cellapp.ground.progress import CancelToken, Report, ignore_report
+from cellapp.ground.progress import JobSteps
 from cellapp.robot.effects import EFFECTS, Channel, DriverVariable
 from cellapp.robot.effects.base_motion import BaseDrift
 from cellapp.robot.effects.periodic import LINES
@@ -171,12 +171,12 @@ SEARCH_STEPS = 4
 """Number of steps that a search reports: simulations without effects, library effects, beyond the library, review."""
 
 
-def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Report = ignore_report) -> SearchResult:
+def search(data: ArmData, slugs: Sequence[str], steps: JobSteps) -> SearchResult:
     """Search for effects among ``slugs`` and then for what no effect of the library explains.
 
-    ``report`` takes the number of steps done, of ``SEARCH_STEPS``.
+    There are ``SEARCH_STEPS`` steps.
     """
-    progress = _SearchProgress(report)
+    progress = _SearchProgress(steps)
     settings = data.profile.discovery
     weighed, _ = reweighted(data, ())
     fit = fit_terms(weighed, ())
@@ -186,12 +186,12 @@ def search(data: ArmData, slugs: Sequence[str], cancel: CancelToken, report: Rep
     seed = (data.profile.seed, _NULL_SEED)
     null_maxima = simulate_null_maxima(start.scan(slugs), fit.projector, settings.null_simulations, seed)
     threshold = score_threshold(null_maxima, settings.false_alarm)
-    problem = SearchProblem(data, tuple(slugs), null_maxima, threshold, cancel, progress.say)
+    problem = SearchProblem(data, tuple(slugs), null_maxima, threshold, steps.cancel, progress.say)
     progress.step("effects of the library")
     before_names = _smooth(problem, start)
     claim = _claim(data, start, before_names)
     if claim < _CONTRADICTED:  # weights and noise floor of what is stated would hide what is missing
-        return replace(search(data.claiming(claim), slugs, cancel, report), claim=claim)
+        return replace(search(data.claiming(claim), slugs, steps), claim=claim)
     best = _best_model(problem, start, before_names, progress)
     progress.finish("review and rivals")
     found = _probable(problem, _result(problem, best, fit), best)
@@ -310,12 +310,12 @@ def _searched_without(problem: SearchProblem, state: SearchState, number: int) -
 class _SearchProgress:
     """Counter of the steps of a search that passes on messages; steps that are not needed are counted at the end."""
 
-    report: Report
+    steps: JobSteps
     done: int = 0
 
     def say(self, words: str) -> None:
         """Report a message within the current step."""
-        self.report(self.done, words)
+        self.steps(self.done, words)
 
     def step(self, words: str) -> None:
         """Report that a step is done and that the next one begins."""
@@ -445,11 +445,7 @@ def _with_library_effects(
 
 
 def _next_step(
-    problem: SearchProblem,
-    state: SearchState,
-    refused: set[tuple[str, str]],
-    *,
-    refining: bool,
+    problem: SearchProblem, state: SearchState, refused: set[tuple[str, str]], *, refining: bool
 ) -> SearchStep | None:
     """Return the best refinement of an effect in the model, else the best new effect that holds; None if none passes.
 

@@ -75,12 +75,7 @@ class TargetForm(FieldsQuestion[Target]):
     BINDINGS: ClassVar[list[BindingType]] = [Binding("ctrl+s", "send", "Take", priority=True)]
 
     def __init__(
-        self,
-        title: str,
-        before: Target | None,
-        texts: Mapping[str, str],
-        others: Sequence[Target],
-        profile: Profile,
+        self, title: str, before: Target | None, texts: Mapping[str, str], others: Sequence[Target], profile: Profile
     ) -> None:
         super().__init__()
         self._title, self._before, self._texts = title, before, texts

@@ -22,11 +22,7 @@ from cellapp.cell.exports.arm_export import ExportResult
 from cellapp.cell.exports.formats import all_formats
 from cellapp.cell.run.sqlite_file import FILE_NAME
 from cellapp.commands.calibrate import request
-from cellapp.commands.calibrate.charts import (
-    error_histogram_chart,
-    pair_histogram_chart,
-    stage_chart,
-)
+from cellapp.commands.calibrate.charts import error_histogram_chart, pair_histogram_chart, stage_chart
 from cellapp.commands.calibrate.view import calibration_tables, parameters_view, tracker_sentences
 from cellapp.commands.export.request import STAGES, VERB
 from cellapp.commands.report.data import ReportData

@@ -22,13 +22,7 @@ from cellapp.interfaces.tui import work as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.base import DayScreen
-from cellapp.interfaces.tui.widgets.tables import (
-    CellMap,
-    FindingsTable,
-    TextTable,
-    age_words,
-    explain_tabs,
-)
+from cellapp.interfaces.tui.widgets.tables import CellMap, FindingsTable, TextTable, age_words, explain_tabs
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
 if TYPE_CHECKING:
