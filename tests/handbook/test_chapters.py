@@ -33,6 +33,7 @@ from cellapp.commands.docs.handbook import (
     topics,
 )
 from cellapp.commands.docs.keys import SHOWN, filled_keys
+from cellapp.commands.docs.schema import schemas_text
 from cellapp.commands.doctor.run import installed_findings
 from cellapp.commands.report.sections import SECTIONS
 from cellapp.estimation.discovery.plan_forecast import nominal_model
@@ -190,8 +191,16 @@ def test_the_command_prints_chapters_and_sections_and_lists_the_topics() -> None
 def test_wrong_use_is_said_in_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"'sorcery' is not a topic; .* Topics are {', '.join(CHAPTERS)}, joint"):
         topic_text("sorcery")
-    with pytest.raises(InputError, match="'cellapp docs screens' was removed"):
-        topic_text("screens")
+    with pytest.raises(InputError, match=r"sections with this word: \w+\.md#"):
+        topic_text("approach")
+    with pytest.raises(InputError, match="did you mean 'cellapp-calibrate'"):
+        schemas_text("calibrate")
+
+
+@pytest.mark.parametrize("former", ["screens", "fleet", "peers", "signature", "sockets"])
+def test_a_former_topic_says_what_became_of_it(former: str) -> None:
+    with pytest.raises(InputError, match=f"'cellapp docs {former}' was removed in .*: ."):
+        topic_text(former)
 
 
 # -- The chapter on messages quotes what the program says: every quoted message stands in its source -------------------
