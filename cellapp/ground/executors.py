@@ -381,5 +381,5 @@ class TimeLimit:
         return int(max(min(self.left_s / max(each_s, 1e-6), most), 0.0))
 
     def words(self) -> str:
-        """For a progress bar."""
-        return "no time limit" if self.minutes is None else f"at most {self.minutes:g} min"
+        """How long it takes, before it begins."""
+        return "as long as all trials need" if self.minutes is None else f"at most {self.minutes:g} min"

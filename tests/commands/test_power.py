@@ -31,6 +31,7 @@ from cellapp.estimation.uncertainty.naming_curve import NamingCurve
 from cellapp.ground.errors import InputError
 from cellapp.ground.executors import Gathered, TimeLimit, Work
 from cellapp.ground.profile import Profile
+from cellapp.ground.progress import Notice, Progress
 from tests.program import app
 from tests.twin import PROFILES, whole_twin
 from tests.verbs import plan_new_run
@@ -153,7 +154,11 @@ def power_by(
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("cellapp.commands.trials.power.gather", gather)
-        return power_of(planned, trials, 3, Work(), limit)
+        told = list[Progress]()
+        found = power_of(planned, trials, 3, Work(listener=told.append), limit)
+    assert isinstance(told[0].detail, Notice)
+    assert limit.words() in told[0].detail.text
+    return found
 
 
 @pytest.fixture(scope="module")

@@ -12,28 +12,24 @@ from tests.evidence.skeleton import ROOT, Limit, program, stated_results, words
 
 README_ROWS: tuple[tuple[str, str, str], ...] = (
     (
-        "a real UR10, 300 readings to learn from: mean error at the others",
-        "{C_all_geometry} mm by geometry, **{C_all} mm** with discovery; worst of {rows[0][3]} draws {rows[0][9]} times"
-        " that; {rows[0][10]} within the stated 95 %",
+        "real UR10, 300 readings learnt: mean error at the others",
+        "{C_all_geometry} mm by geometry, **{C_all} mm** discovered (worst of {rows[0][3]}: {rows[0][9]} times);"
+        " {rows[0][10]} within the stated 95 %",
         "league",
     ),
     (
-        "a real UR5, 300 readings to learn from: mean error at 20 random poses (published from 1000: 0.155 mm)",
-        "{UR5_published_geometry} mm by geometry, **{UR5_published} mm** with discovery; worst of {rows[4][3]} draws"
-        " {rows[4][9]} times that; {rows[4][10]} within the stated 95 %",
+        "real UR5, likewise, at 20 random poses (published: 0.155 mm)",
+        "{UR5_published_geometry} mm by geometry, **{UR5_published} mm** discovered (worst of {rows[4][3]}:"
+        " {rows[4][9]} times); {rows[4][10]} within the stated 95 %",
         "league",
     ),
     (
-        "ten simulated cells, targets driven to and measured, UR10 and UR5",
-        "{left_ratio} and {right_ratio} times less error; worst cell {rows[3][1]} and {rows[3][2]} times the floor",
+        "ten simulated cells: measured targets, UR10 and UR5",
+        "error {left_ratio} and {right_ratio} times smaller; worst {rows[3][1]} and {rows[3][2]} times the floor",
         "targets",
     ),
     ("hidden effects named exactly; false names", "{rows[6][2]}; {rows[6][1]}", "sealed"),
-    (
-        "check of a calibration: unchanged cells valid; changes of three times the visible size found",
-        "{valid}; {found}",
-        "check",
-    ),
+    ("`check`: unchanged cells valid; changes of 3 times the visible size found", "{valid}; {found}", "check"),
 )
 """What the README says: the figure, its value by figures and ``rows`` of the first table, and the program."""
 

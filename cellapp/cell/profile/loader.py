@@ -226,6 +226,11 @@ def _extended(document: Document, path: Path, below: tuple[Path, ...] = ()) -> D
     if base.resolve() in (path.resolve(), *below):
         raise PlacedError(place, f"{short(str(name))} extends this profile, too; one of them must stand alone")
     its = _extended(_parse_yaml(_read_text(base), base), base, (path.resolve(), *below))
+    own, known = document.data.get("arms"), its.data.get("arms")
+    for arm, keys in own.items() if isinstance(own, dict) and isinstance(known, dict) else ():
+        if arm not in known and isinstance(keys, dict) and "type" not in keys:
+            listed = ", ".join(map(str, known))
+            raise PlacedError(document.places["arms", arm], f"no such arm in {base.name}, whose arms are {listed}")
     return replace(document, data=_completed(its.data, document.data), places=its.places | document.places)
 
 

@@ -19,6 +19,7 @@ from cellapp.estimation.calibration.calibrate import calibrate_readings, missing
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.prior.calibrate import Earlier, calibrate_with_prior
 from cellapp.estimation.readings import Readings
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.network_kind import NetworkKind
 from cellapp.ground.profile import Profile
@@ -130,7 +131,16 @@ def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
             refuse_too_few(name, replace(readings[name], split=words))
     for name, words in drawn.items():
         run.assign_splits(name, words)
-    return notes
+    return (*notes, *_of_stops_to_come(run))
+
+
+def _of_stops_to_come(run: RunFile) -> tuple[str, ...]:
+    """Say what becomes of planned stops that are measured after the splits are drawn."""
+    total = max(run.planned_counts().values(), default=0)
+    seen = {*run.stops_done(), *(one.stop for one in run.outcomes()), *run.profile.plan.reserves(total)}
+    left = len({*range(total)} - seen)
+    words = f"{counted(left, 'planned stop is', 'planned stops are')} not measured: splits are drawn once, so that"
+    return (f"{words} those measured later only train; to draw from all, collect them into a new run",) if left else ()
 
 
 def note_later_stages(run: RunFile, stages: RunStages) -> list[str]:

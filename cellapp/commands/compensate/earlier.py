@@ -60,7 +60,9 @@ def _stands(chain: Geometry, q: Sequence[tuple[float, ...]], R: Array, p: Array)
     """Return whether each pose is that of the chain at one of ``q``."""
     if not q or not len(p):
         return np.zeros(len(p), dtype=np.bool_)
-    at, turned = smr_positions(chain, np.array(q)), flange_poses(chain, np.array(q))[0]
+    exact = np.array(q)
+    exact = np.concatenate([exact, np.radians(np.degrees(exact).round(2))])  # as a pendant shows joint positions
+    at, turned = smr_positions(chain, exact), flange_poses(chain, exact)[0]
     near = scipy.spatial.cKDTree(at).query_ball_point(p, _SAME_M)
     off = [np.linalg.norm(turned[rows] - R[k], axis=(1, 2)) for k, rows in enumerate(near)]
     return np.array([bool(np.any(~(one > np.sqrt(2.0) * _SAME_RAD))) for one in off])

@@ -28,7 +28,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings
 from cellapp.cell.run.run_arms import recorded_controllers
 from cellapp.commands.compensate.earlier import refuse_corrected
-from cellapp.commands.compensate.request import CompensateRequest
+from cellapp.commands.compensate.request import CompensateRequest, program_kind
 from cellapp.commands.record import View
 from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, require_own_factory, stage_in_force
@@ -161,7 +161,7 @@ def _require_its_calibration(run: RunFile, name: str, model: ArmModel) -> None:
 
 
 def _read(program: Path, out: Path, settings: Arm, tcp: Six | None) -> ReadProgram:
-    kind = program.suffix.lower()
+    kind = program_kind(program)
     require_suffix(out, (kind,), f"compensate: a copy of {program}")
     try:
         with program.open("rb") as file:

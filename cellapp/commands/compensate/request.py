@@ -2,29 +2,49 @@
 
 from __future__ import annotations
 
+import re
+from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from pydantic import model_validator
 
-from cellapp.commands.record import Asked, Request, RunFolder, Stored, TargetsPath, Verb
+from cellapp.commands.record import Asked, Request, RunFolder, Stored, Verb
 from cellapp.ground.outputs import Writes
 
 PROGRAMS = (".script", ".urp")
 """Endings of programs of UR controllers."""
+_MOTION = re.compile(rb"^[ \t]*(?:def \w+\(|(?:move[jlpc]|set_tcp)\()", re.MULTILINE)
+_LOOKED_AT = 2**20
+"""Bytes of a file in which its kind shows."""
+
+
+def program_kind(path: Path) -> str:
+    """Return the ending of the kind of UR program that a file is by its content, else by its name; empty if none."""
+    suffix, head = path.suffix.lower(), b""
+    with suppress(OSError), path.open("rb") as file:
+        head = file.read(_LOOKED_AT)
+    if head.startswith(b"\x1f\x8b"):  # packed by gzip
+        return ".urp"
+    if _MOTION.search(head):
+        return ".script"
+    return suffix if suffix in PROGRAMS and b"schema: cellapp-" not in head else ""
 
 
 class CompensateRequest(Request):
     """Commands from the calibrated model that bring the real arms to targets, along paths, through a UR program.
 
-    TARGETS is a target list (YAML, CSV), a path file (YAML: lines and arcs with speeds, 'cellapp docs targets'), or a
-    program of a UR controller (.script, .urp, 'cellapp docs targets'), whose targets are corrected so that a plain
-    controller truly reaches them: every other line stays byte for byte, and nothing is written while a target cannot be
-    corrected, unless with --partly. Nothing moves.
+    TARGETS is a target list (YAML, CSV), a path file (YAML: lines and arcs with speeds), or a program of a UR
+    controller (.script, .urp), known by its content; see 'cellapp docs targets'. The targets of a program are corrected
+    so that a plain controller truly reaches them: every other line stays byte for byte, and nothing is written while a
+    target cannot be corrected, unless with --partly. Nothing moves.
     """
 
     folder: RunFolder
-    targets: TargetsPath
+    targets: Annotated[
+        Path | tuple[Any, ...],
+        Asked("Target list (.yaml, .csv), path file (.yaml) or UR program (.script, .urp).", "TARGETS", argument=True),
+    ]
     out: Annotated[
         Path | None,
         Asked(
@@ -74,8 +94,7 @@ class CompensateRequest(Request):
     @property
     def program(self) -> Path | None:
         """The program of a UR controller whose targets are corrected; None for targets and paths."""
-        is_program = isinstance(self.targets, Path) and self.targets.suffix.lower() in PROGRAMS
-        return self.targets if isinstance(self.targets, Path) and is_program else None
+        return self.targets if isinstance(self.targets, Path) and program_kind(self.targets) else None
 
     @model_validator(mode="after")
     def _of_a_program(self) -> Self:

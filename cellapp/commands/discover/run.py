@@ -35,15 +35,19 @@ from cellapp.estimation.discovery.records import (
 from cellapp.estimation.motion.calibrate import SearchWithRecordings
 from cellapp.estimation.prior.calibrate import SearchWithPriors
 from cellapp.estimation.readings import Readings
+from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
+from cellapp.ground.progress import CancelToken, Listener, Notice, Progress, duration_words, ignore, with_eta
 from cellapp.ground.results import CALIBRATE, DISCOVER
 from cellapp.ground.shell import shell_word
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import CellModel
+
+_SECONDS_A_READING = 0.015
+"""Duration of a search over the readings learnt from, on two common cores [s]."""
 
 
 def run(request: DiscoverRequest, work: Work) -> DiscoverResult:
@@ -153,6 +157,10 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
     model = model_of(run, calibrated)
     plain = SearchWithPriors(earlier) if earlier else discover_arm
     search = SearchWithRecordings(model.arms, stops, recordings, plain) if any(recordings.values()) else plain
+    learnt = sum(len(its) - len(its.in_split("validate")) for its in readings.values())
+    words = f"takes some {duration_words(_SECONDS_A_READING * learnt)} for {counted(learnt, 'reading')} to learn from"
+    if not any(recordings.values()):  # their samples are chosen later
+        listener(Progress("discover", 0, 0, detail=Notice(words)))
     result, found = discover_effects(run.profile, model, readings, listener, cancel, search)
     basis = basis_of(run, {CALIBRATE: calibrated.digest}).model_copy(update={"priors": basis_of_priors(earlier)})
     append_with_model(run, DISCOVER, result, found.model, basis)

@@ -27,6 +27,7 @@ from cellapp.commands.discover.tables import (
     structure_table,
 )
 from cellapp.commands.discover.words import (
+    ahead_sentences,
     also_possible,
     contradiction_sentences,
     description_sentences,
@@ -158,6 +159,7 @@ def _remarks(arm: ArmDiscoveryResult) -> list[str]:
         *rival_sentences(arm),
         *([f"Not accepted, but possible: {possible}."] if possible else []),
         *misfit_sentences(arm),
+        *ahead_sentences(arm),
         *([f"Not visible in these data: {', '.join(hidden)}."] if hidden else []),
     ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from itertools import pairwise
 
@@ -17,6 +18,9 @@ from cellapp.estimation.discovery.records import (
 )
 from cellapp.estimation.discovery.verdict import unnamed_words
 
+_PLAY = re.compile(r"half_play(\d+)")
+_SURELY = 2.0
+"""Standard errors below zero from which half play is called negative."""
 _TURN = 360.0
 _UNEVEN = 2.0
 """Ratio of a curve's largest to smallest standard deviation from which both are named."""
@@ -103,6 +107,19 @@ def misfit_sentences(arm: ArmDiscoveryResult) -> list[str]:
     """State the accepted effects whose law is not quite as expected."""
     words = [misfit_words(found) for found in arm.accepted]
     return [f"{text[0].upper()}{text[1:]}." for text in words if text]
+
+
+def ahead_sentences(arm: ArmDiscoveryResult) -> list[str]:
+    """State what a half play below zero means, of joints where it is surely so."""
+    plays = [(_PLAY.fullmatch(name), play) for found in arm.accepted for name, play in found.parameters.items()]
+    joints = {int(name[1]) for name, play in plays if name and play.value < -_SURELY * (play.standard_error or 0.0)}
+    words = (
+        f"Half play is negative at joint{'s' if len(joints) > 1 else ''} {ranges([*joints])}: the arm rests ahead of"
+    )
+    then = (
+        "its last motion, not behind it. That is no lag of a gear: it overshoots, or rows stand in another order than"
+    )
+    return [f"{words} {then} the motions."] if joints else []
 
 
 def structure_sentences(arm: ArmDiscoveryResult) -> list[str]:

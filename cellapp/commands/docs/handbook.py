@@ -77,7 +77,9 @@ def topic_text(topic: str) -> str:
     if kept is None:
         near = difflib.get_close_matches(topic, topics(), n=1)
         meant = f"did you mean '{near[0]}'? Topics" if near else "topics"
-        said = f"docs: '{topic}' is not a topic; {meant} are {', '.join(topics())}"
+        where = ", ".join(one.section.address for one in search(topic)[:3])
+        where = f"; sections with this word: {where}" if where else ""
+        said = f"docs: '{topic}' is not a topic; {meant} are {', '.join(topics())}{where}"
         raise InputError(removed_command(f"docs {topic}") or said)
     return filled_keys(_FOR_TESTS.sub(r"\1", _MARKER.sub("", kept)))
 

@@ -65,7 +65,9 @@ class InitRequest(Request):
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
-        """Refuse none or several sources."""
+        """Refuse none or several sources, and two numbers of stops."""
+        if self.full and self.sweeps:
+            raise ValueError("--sweeps has 20 stops, --full 400: give one of them")
         if self.demo + self.twin + sum(one is not None for one in (self.starter, self.answers, self.readings)) != 1:
             from cellapp.cell.profile.starters import starter_profiles  # late: needed only for a message
 

@@ -189,6 +189,8 @@ def run_lines(run: RunSummary) -> list[str]:
         *used,
         *(f"{name}: {figures_words(figures)}" for name, figures in run.figures.items()),
     ]
+    if run.in_use:
+        return lines
     if run.resumable:
         return [*lines, f"interrupted, {counted(run.stops_left, 'stop')} left: {run.next_step}"]
     return [*lines, f"next: {run.next_step or 'nothing is left to do'}"]

@@ -10,6 +10,7 @@ from pydantic import Field, create_model, model_validator
 
 from cellapp.commands.record import Asked, Request, RunFolder, Strict, Verb
 from cellapp.commands.registry import STORING, records
+from cellapp.ground.shell import shell_word
 
 OWN_PARTS = ("overview", "plan", "collection", "recordings", "log", "profile", "history")
 """Parts of a run beside the results of verbs."""
@@ -37,7 +38,8 @@ class ShowRequest(Request):
         if self.part != "log" and (self.level is not None or self.last is not None):
             raise ValueError("--level and --last belong to 'log'")
         if (self.check or self.forecast) and (self.part != "plan" or (self.check and self.forecast)):
-            raise ValueError("--check and --forecast belong to 'plan'; give one of them")
+            of_plan = f"'cellapp show {shell_word(self.folder)} plan"
+            raise ValueError(f"--check and --forecast belong to 'plan': {of_plan} --check' or {of_plan} --forecast'")
         if self.part != "targets" and self.target is not None:
             raise ValueError("--target belongs to 'targets'")
         if self.against is not None and self.part != OWN_PARTS[0]:

@@ -18,6 +18,7 @@ from cellapp.commands.show.result import RecordingsResult, Shown
 from cellapp.commands.show.view import profile_text
 from cellapp.commands.stages import complaints_of, read_stages
 from cellapp.commands.stored_model import model_of, values_in_force
+from cellapp.ground.asking import RUNS_NOW, look_at_job, who_uses
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import Result
 from cellapp.ground.shell import filled, shell_word
@@ -36,7 +37,10 @@ def run(request: ShowRequest, work: Work) -> Shown:
 def _found(run: RunFile, request: ShowRequest, work: Work) -> Shown:
     match request.part:
         case "overview":
-            return Shown(part=request.part, result=run_overview(run))
+            result = run_overview(run)
+            if job := _job_step(run):
+                result = result.model_copy(update={"next_step": job, "next_verb": ""})
+            return Shown(part=request.part, result=result)
         case "history":
             return Shown(part=request.part, result=run_history(run))
         case "plan":
@@ -55,6 +59,17 @@ def _found(run: RunFile, request: ShowRequest, work: Work) -> Shown:
         case "profile":
             return Shown(part=request.part, text=profile_text(run.profile))
     return _stored(run, request) if request.target is None else _target(run, request.target)
+
+
+def _job_step(run: RunFile) -> str:
+    """Say what to do with the job that uses the run now; empty if none does."""
+    folder, used = shell_word(run.folder), who_uses(run.folder)
+    if used != RUNS_NOW or (seen := look_at_job(run.folder)) is None:
+        return used and f"wait for {used}"
+    if seen.request == "pause" or (seen.holds and seen.request == "stop"):
+        state = "paused" if seen.request == "pause" else "stopped"
+        return f"{seen.name} is {state}: 'cellapp job resume {folder}' continues, 'cellapp job abort {folder}' ends it"
+    return f"wait for {seen.name}, which runs now ({seen.done} of {seen.total}); 'cellapp stop {folder}' stops it"
 
 
 def _recordings(run: RunFile) -> RecordingsResult:

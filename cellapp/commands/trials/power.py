@@ -44,6 +44,7 @@ from cellapp.ground.counting import counted, plain
 from cellapp.ground.executors import TimeLimit, Work, gather, local_cores
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant as PlantSection
+from cellapp.ground.progress import Notice, Progress
 from cellapp.ground.results import Record, Result
 from cellapp.ground.version import __version__
 from cellapp.robot.effects import EFFECTS
@@ -280,12 +281,13 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: Ti
     ]
     failed: list[str] = []
     allowed = work.jobs or local_cores()  # the first trials show their duration
+    work.listener(Progress("power", 0, 0, detail=Notice(f"takes {limit.words()}; more trials narrow the intervals")))
     while asked := _round(tried, trials)[:allowed]:
         began_s = limit.now()
-        job, begun = f"power, {limit.words()}", any(one.trials for one in tried)
+        begun = any(one.trials for one in tried)
         given = {f"arm {one.arm}, {one.effect}, {one.size_mm:.3f} mm, seed {one.seed}": one for one in asked}
         prepare = partial(trial_cell, planned)
-        gathered = gather(naming_trial, prepare, given, NamingTrial, job, work, all_may_fail=begun)
+        gathered = gather(naming_trial, prepare, given, NamingTrial, "power", work, all_may_fail=begun)
         failed += gathered.failed
         tried = [one.with_trials(asked, gathered.results) for one in tried]
         allowed = limit.allowed((limit.now() - began_s) / len(asked), 2 * len(tried))

@@ -84,6 +84,12 @@ def test_a_profile_that_cannot_be_extended_is_named_with_its_line(twin: Path, ba
     assert f"mine.yaml:2: extends: {says}" in refusal(path)
 
 
+def test_an_arm_that_the_extended_profile_lacks_is_named(twin: Path) -> None:
+    path = twin.with_name("mine.yaml")
+    path.write_text("extends: twin.yaml\nname: mine\narms:\n  lfet: {home: null}\n", "utf-8")
+    assert "mine.yaml:4: arms.lfet: no such arm in twin.yaml, whose arms are left, right" in refusal(path)
+
+
 def test_units_become_si() -> None:
     profile = load_profile(PROFILES / "twin.yaml")
     ur10 = profile.arms["left"].type

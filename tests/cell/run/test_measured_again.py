@@ -80,6 +80,14 @@ def test_a_stop_stays_in_its_split(run: RunFile) -> None:
     assert run.readings("right").split is None, "its splits are not drawn yet"
 
 
+def test_what_stops_to_come_are_for_is_said_when_splits_are_drawn(tmp_path: Path) -> None:
+    with planned_run(tmp_path / "early", 22) as run:
+        for stop in range(20):
+            add_stop(run, stop)
+        *_, note = draw_missing_splits(run)
+    assert note.startswith("2 planned stops are not measured: splits are drawn once")
+
+
 def test_an_arm_without_a_new_reading_keeps_what_it_has_and_one_that_had_none_gets_it(run: RunFile) -> None:
     run.add_stop(2, {"left": seen(2, 1.0)}, [Outcome(2, "right", "not measured", "hidden")])
     replace_stop(run, 2, {"right": seen(3, 2.0)}, [Outcome(2, "left", "not measured", "hidden")])

@@ -165,7 +165,7 @@ def test_sigma_is_the_targets_own_and_what_is_common_stands_once(call: Any) -> N
     Path("a.script").write_text(f"def a():\n{moves}end\n", "utf-8")
     said = call("compensate", "run", "a.script", "--out", "b.script").out
     assert "sigma is not stated: only a discovery estimates" in " ".join(said.split())
-    call("discover", "run")
+    assert "discover: takes some" in call("discover", "run").err
     one_sentence(call("show", "run", "verification"), "no verification is stored; these arms have no device")
     said = call("compensate", "run", "a.script", "--out", "c.script", "--json", "c.json").out
     assert "2 targets are left as taught" in " ".join(said.split())

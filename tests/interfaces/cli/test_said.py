@@ -85,6 +85,8 @@ def test_a_message_names_the_files_of_its_call(call: Any) -> None:
     [
         ("docs backlsh", "did you mean 'backlash'?"),
         ("show FOLDER log --level foo", "foo"),
+        ("show FOLDER --check", "belong to 'plan': 'cellapp show"),
+        ("init --demo --sweeps --full", "--sweeps has 20 stops, --full 400: give one of them"),
         (
             "compensate FOLDER a.script --out b.urp --arm left",
             "is written as .script, not as .urp: give --out b.script",
@@ -117,7 +119,7 @@ def test_parameters_are_those_of_the_model_in_force(call: Any, folder: Path) -> 
 
 
 def test_commands_that_are_typed_as_targets_are_not_corrected_again(call: Any, folder: Path) -> None:
-    """With the digits of a pendant, as poses and as joints of a program; the targets as taught are taken again."""
+    """With the digits of a pendant, as poses and as joints of a program, whatever its name; not targets as taught."""
     given = call("show", folder, "targets", "--json", "-").json["targets"][0]
     with RunFile.open(folder) as run:
         chain = controller_chain(model_of(run, stage_in_force(run, read_stages(run))).arms[given["arm"]])
@@ -128,10 +130,12 @@ def test_commands_that_are_typed_as_targets_are_not_corrected_again(call: Any, f
     for name, (position, rpy) in {"taught": (given["position"], given["rpy"]), "typed": typed}.items():
         row = {"name": "a", "arm": given["arm"], "position": list(map(float, position)), "rpy": list(map(float, rpy))}
         Path(f"{name}.yaml").write_text(f"{head}  - {json.dumps(row)}\n", "utf-8")
-    Path("a.script").write_text(f"def p():\n  movej({given['q_compensated']}, a=1, v=1)\nend\n", "utf-8")
+    shown = np.radians(np.degrees(given["q_compensated"]).round(2)).tolist()
+    for name, q in {"a.script": given["q_compensated"], "shown": shown}.items():
+        Path(name).write_text(f"def p():\n  movej({q}, a=1, v=1)\nend\n", "utf-8")
     twice = "stands where a command that this run computed for an earlier target does"
     one_sentence(call("compensate", folder, "typed.yaml"), "target 'a'", twice)
-    one_sentence(
-        call("compensate", folder, "a.script", "--out", "b.script", "--arm", given["arm"]), "a.script:2", twice
-    )
+    for name in ("a.script", "shown"):
+        again = call("compensate", folder, name, "--out", "b.script", "--arm", given["arm"])
+        one_sentence(again, f"{name}:2", twice)
     assert call("compensate", folder, "taught.yaml").code == 0

@@ -62,7 +62,7 @@ from cellapp.estimation.monitoring.records import (
 from cellapp.estimation.uncertainty.records import UncertaintyParts
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Discovery
-from cellapp.ground.results import CHECK
+from cellapp.ground.results import CHECK, Estimate
 from cellapp.interfaces.page.drawn import drawn_sections
 from cellapp.interfaces.page.page import template
 from cellapp.robot.effects import EFFECTS
@@ -83,7 +83,9 @@ def discoveries() -> Parts:
     """What a terminal shows; the section of the page; noise that was estimated; a law that hardly fits."""
     result, arm = discovery("left", "right"), unknown_effect("left")
     estimated = arm.model_copy(update={"noise_floor_mm": None, "noise_mm": Noise(rms=0.031, source="estimated")})
-    exact = arm.model_copy(update={"accepted": (arm.accepted[1].model_copy(update={"law_misfit": 0.02}),)})
+    ahead = {f"half_play{j}": Estimate(value=-3e-5, standard_error=1e-5, unit="rad") for j in (2, 3)}
+    changed = {"law_misfit": 0.02, "parameters": {**arm.accepted[1].parameters, **ahead}}
+    exact = arm.model_copy(update={"accepted": (arm.accepted[1].model_copy(update=changed),)})
     others = {"estimated": estimated, "exact": exact}
     return [
         *DISCOVER_VERB.view(result).parts,
