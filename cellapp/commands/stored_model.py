@@ -49,6 +49,7 @@ def values_in_force(result: CalibrateResult, model: CellModel) -> CalibrateResul
                     "standard_error": rows[key].standard_error,
                     "nominal": rows[key].nominal,
                     "correlations": related.get(key, {}),
+                    "at_bound": True if key in own.geometry.at_bound else None,
                 }
             )
             for key, one in arm.identified.items()
@@ -126,7 +127,11 @@ def comparable_arms(run: RunFile, stages: RunStages) -> dict[str, CalibratedArm]
     temperatures_c = run.mean_temperatures()
     return {
         name: CalibratedArm(
-            arm, tuple(own.identified), own.merged, own.degrees_of_freedom, temperatures_c.get(name, {})
+            arm,
+            tuple(key for key, one in own.identified.items() if not one.at_bound),
+            own.merged,
+            own.degrees_of_freedom,
+            temperatures_c.get(name, {}),
         )
         for name, arm in model.arms.items()
         if (own := stored.arms.get(name)) is not None and arm.covariance is not None

@@ -32,7 +32,6 @@ from cellapp.robot.kinematics.chain import (
     JointAngles,
     flange_poses,
     frame_poses,
-    jacobian,
 )
 from cellapp.robot.kinematics.statics import gravity_loads
 from cellapp.robot.kinematics.transforms import Array
@@ -293,7 +292,7 @@ class OnlineFit:
         if self._model is None:
             return None
         found = self._model[0].found
-        _, J = jacobian(found.geometry, self._planned, found.estimated.columns)
+        _, J = found.estimated.jacobian(found.geometry, self._planned)
         mean_square = float(np.vdot(gram_matrix(J), found.estimated_covariance)) / self._planned.count
         residual_m = float(np.linalg.norm(self._residuals_M(found, q[None], p_M[None])))
         return StopReport(
