@@ -20,6 +20,7 @@ from cellapp.estimation.calibration.records import (
     ParameterEstimate,
     Scatter,
     largest_correlations,
+    tied_estimates,
 )
 from cellapp.ground.results import Method
 from cellapp.robot.kinematics.chain import parameter_unit
@@ -59,18 +60,13 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
         for name, value, error, unit in estimates
         if name not in {*fixed, *at_bound}
     }
-    merged = {name: its for name, its in found.parameter_set.merged.items() if name not in {*fixed, *at_bound}}
-    for name, first in found.geometry.tied_to.items():
-        if first in identified:
-            value = nominal[name] + identified[first].value - nominal[first]
-            its = {"value": value, "nominal": nominal[name], "tied_to": first}
-            identified[name] = identified[first].model_copy(update=its)
-        elif first in merged:
-            merged[name] = merged[first]
-    for name in filter(at_bound.__contains__, (*found.estimated.names, *found.geometry.tied_to)):
+    for name in filter(at_bound.__contains__, found.estimated.names):
         identified[name] = ParameterEstimate(
             value=values[name], standard_error=None, unit=parameter_unit(name), nominal=nominal[name], at_bound=True
         )
+    identified |= tied_estimates(identified, found.geometry.tied_to, nominal)
+    merged = {name: its for name, its in found.parameter_set.merged.items() if name not in {*fixed, *at_bound}}
+    merged |= {name: merged[first] for name, first in found.geometry.tied_to.items() if first in merged}
     return ArmCalibrationResult.like(
         found,
         identified=identified,

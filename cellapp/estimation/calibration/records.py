@@ -240,6 +240,19 @@ def largest_correlations(names: Sequence[str], covariance: Array) -> dict[str, d
     }
 
 
+def tied_estimates(
+    found: Mapping[str, ParameterEstimate], tied_to: Mapping[str, str], nominal: Mapping[str, float]
+) -> dict[str, ParameterEstimate]:
+    """Return the estimates of parameters that are tied to those found: other values, with the same difference."""
+    beside = {}
+    for name, first in tied_to.items():
+        if first in found:
+            value = nominal[name] + found[first].value - nominal[first]
+            its = {"value": value, "nominal": nominal[name], "tied_to": first}
+            beside[name] = found[first].model_copy(update=its)
+    return beside
+
+
 class ArmCalibrationResult(Record):
     """Calibration of one arm.
 
