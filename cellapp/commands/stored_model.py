@@ -5,13 +5,14 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import replace
 
-from cellapp.cell.exports.dh_tables import parameter_rows
+import numpy as np
+
 from cellapp.cell.run.file import RunFile
 from cellapp.commands.stages import CALIBRATION_FILE, Basis, RunStages, StoredStage, append_stage
-from cellapp.estimation.calibration.records import CalibrateResult, largest_correlations
+from cellapp.estimation.calibration.records import CalibrateResult, largest_correlations, tied_estimates
 from cellapp.estimation.calibration.station_location import factory_doubt
 from cellapp.estimation.discovery.records import DiscoverResult, with_effects
-from cellapp.estimation.monitoring.moved import CalibratedArm
+from cellapp.estimation.monitoring.moved import CalibratedArm, combinations
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, StageName
 from cellapp.ground.shell import shell_word
@@ -36,24 +37,24 @@ def model_of(run: RunFile, stage: StoredStage) -> CellModel:
 
 
 def values_in_force(result: CalibrateResult, model: CellModel) -> CalibrateResult:
-    """Return the calibration with the values of the identified parameters in ``model``, that of the stage in force."""
+    """Return the calibration with the values in ``model``, that of the stage in force, of the same parameters: each
+    with its shares of those that are merged into it, which stay nominal."""
     arms = dict(result.arms)
     for name, arm in result.arms.items():
-        own = model.arms[name]
-        rows = {row.parameter: row for row in parameter_rows(own, own.geometry)}
-        related = {} if own.covariance is None else largest_correlations(own.identified, own.covariance)
-        found = {
-            key: one.model_copy(
-                update={
-                    "value": rows[key].identified,
-                    "standard_error": rows[key].standard_error,
-                    "nominal": rows[key].nominal,
-                    "correlations": related.get(key, {}),
-                }
-            )
-            for key, one in arm.identified.items()
-        }
-        arms[name] = arm.model_copy(update={"identified": found})
+        own, stored = model.arms[name], arm.identified
+        if own.covariance is None:
+            continue
+        determined = tuple(key for key, one in stored.items() if one.tied_to is None)
+        calibrated = CalibratedArm(own, determined, arm.merged, arm.degrees_of_freedom, {})
+        kept, _, values, covariance = combinations(calibrated, calibrated)
+        related, errors = largest_correlations(kept, covariance), np.sqrt(np.diag(covariance))
+        nominal = dict(zip(own.nominal.names, own.nominal.vector().tolist(), strict=True))
+        found = {}
+        for key, value, error in zip(kept, values.tolist(), errors.tolist(), strict=True):
+            held = True if key in own.geometry.at_bound else None
+            new = {"value": value, "standard_error": None if held else error, "nominal": nominal[key]}
+            found[key] = stored[key].model_copy(update={**new, "correlations": related[key], "at_bound": held})
+        arms[name] = arm.model_copy(update={"identified": found | tied_estimates(found, own.geometry.tied_to, nominal)})
     return result.model_copy(update={"arms": arms})
 
 
@@ -126,7 +127,11 @@ def comparable_arms(run: RunFile, stages: RunStages) -> dict[str, CalibratedArm]
     temperatures_c = run.mean_temperatures()
     return {
         name: CalibratedArm(
-            arm, tuple(own.identified), own.merged, own.degrees_of_freedom, temperatures_c.get(name, {})
+            arm,
+            tuple(key for key, one in own.identified.items() if not one.at_bound),
+            own.merged,
+            own.degrees_of_freedom,
+            temperatures_c.get(name, {}),
         )
         for name, arm in model.arms.items()
         if (own := stored.arms.get(name)) is not None and arm.covariance is not None

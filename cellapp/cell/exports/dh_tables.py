@@ -102,7 +102,8 @@ _PARAMETERS_CHAIN = (
 class ParameterRow:
     """Parameter of an arm's model: nominal and identified value with its standard error, all in ``unit``.
 
-    ``standard_error`` is None for parameters that were not identified. An effect's parameter is named ``SLUG.NAME``.
+    ``standard_error`` is None for parameters that were not identified, or are at a bound. An effect's parameter is
+    named ``SLUG.NAME``.
     """
 
     parameter: str
@@ -119,6 +120,8 @@ def parameter_rows(model: ArmModel, geometry: Geometry) -> list[ParameterRow]:
     if model.covariance is not None:
         variances = model.covariance.diagonal().tolist()
         errors = {name: math.sqrt(v) for name, v in zip(model.identified, variances, strict=False) if v >= 0.0}
+        errors |= {name: errors[first] for name, first in geometry.tied_to.items() if first in errors}
+        errors = {name: error for name, error in errors.items() if name not in geometry.at_bound}
     values = zip(names, model.nominal.vector().tolist(), geometry.vector().tolist(), strict=True)
     rows = [ParameterRow(name, parameter_unit(name), old, new, errors.get(name)) for name, old, new in values]
     for term in model.effects:

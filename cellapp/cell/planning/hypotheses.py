@@ -168,7 +168,7 @@ class CandidateDesign:
         true_q = model.true_joints(q, conditions=conditions) if model.effects else None
         context = replace(model.context(q, conditions=conditions), q_actual=true_q)
         white = whitening(_expected_sigma(data, context))
-        linear = LinearModel.of(found.geometry, q, white, found.parameter_set.columns)
+        linear = LinearModel.of(found.geometry, q, white, found.parameter_set)
         return cls(context, white, linear.by_joint, linear.rows)
 
     def rows(self, slug: str, law: Law, names: Sequence[str]) -> Array:

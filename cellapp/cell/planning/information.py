@@ -121,14 +121,13 @@ class InformationModel:
 
     def _columns(self, context: EffectContext, white: Array) -> Array:
         """Compute the columns (n, 3, p), whitened by ``white`` (3, 3, n)."""
-        geometry = self.parameters.columns
-        joints = tuple(6 + 5 * j for j in range(context.joints))
-        _, J = jacobian(self.model.geometry, JointAngles.of(context.q), (*geometry, *joints))
+        size, joints = len(self.parameters.columns), tuple(6 + 5 * j for j in range(context.joints))
+        _, J = self.parameters.jacobian(self.model.geometry, JointAngles.of(context.q), more=joints)
         J = np.einsum("acn,ckn->kan", white, J)
-        by_joint = J[len(geometry) :].swapaxes(0, 1)
+        by_joint = J[:-size].swapaxes(0, 1)
         columns = [column for part in self.parts for column in _columns_of(part, context)]
         of_effects = whitened_displacements(columns, by_joint, white).reshape(len(columns), 3, -1)
-        together = np.concatenate([J[: len(geometry)], of_effects])
+        together = np.concatenate([J[-size:], of_effects])
         together *= self.size[:, None, None]
         return together.transpose(2, 1, 0)
 

@@ -20,8 +20,10 @@ from cellapp.estimation.calibration.records import (
     ParameterEstimate,
     Scatter,
     largest_correlations,
+    tied_estimates,
 )
 from cellapp.ground.results import Method
+from cellapp.robot.kinematics.chain import parameter_unit
 from cellapp.robot.kinematics.transforms import zyx_angles
 from cellapp.robot.model.nominal import FIXED_SD
 
@@ -42,26 +44,35 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
     """Build the result of one arm."""
     found = arm.identification
     estimates = zip(found.names, found.values.tolist(), found.standard_errors.tolist(), found.units, strict=True)
-    nominal = dict(zip(arm.model.nominal.names, arm.model.nominal.vector().tolist(), strict=True))
+    both = (arm.model.nominal, found.geometry)
+    nominal, values = (dict(zip(its.names, its.vector().tolist(), strict=True)) for its in both)
     fixed = {name: nominal[name] for name, sd in found.prior_sigma.items() if sd <= FIXED_SD}
-    related = largest_correlations(found.names, found.covariance)
+    related, at_bound = largest_correlations(found.names, found.covariance), found.geometry.at_bound
+    identified = {
+        name: ParameterEstimate(
+            value=value,
+            standard_error=error,
+            unit=unit,
+            nominal=nominal.get(name),
+            prior_sigma=found.prior_sigma.get(name),
+            correlations=related[name],
+        )
+        for name, value, error, unit in estimates
+        if name not in {*fixed, *at_bound}
+    }
+    for name in filter(at_bound.__contains__, found.estimated.names):
+        identified[name] = ParameterEstimate(
+            value=values[name], standard_error=None, unit=parameter_unit(name), nominal=nominal[name], at_bound=True
+        )
+    identified |= tied_estimates(identified, found.geometry.tied_to, nominal)
+    merged = {name: its for name, its in found.parameter_set.merged.items() if name not in {*fixed, *at_bound}}
+    merged |= {name: merged[first] for name, first in found.geometry.tied_to.items() if first in merged}
     return ArmCalibrationResult.like(
         found,
-        identified={
-            name: ParameterEstimate(
-                value=value,
-                standard_error=error,
-                unit=unit,
-                nominal=nominal.get(name),
-                prior_sigma=found.prior_sigma.get(name),
-                correlations=related[name],
-            )
-            for name, value, error, unit in estimates
-            if name not in fixed
-        },
+        identified=identified,
         rank=len(found.parameter_set.columns),
         parameter_set=found.parameter_set.name,
-        merged={name: its for name, its in found.parameter_set.merged.items() if name not in fixed},
+        merged=merged,
         fixed=fixed or None,
         condition=found.condition if math.isfinite(found.condition) else None,
         scatter=Scatter(value=found.scale, meaning=_SCATTER),

@@ -64,8 +64,12 @@ def calibrate_run(
     recordings = {name: read_recordings_of(run, name) for name in run.profile.arms}
     if prior is not None and any(recordings.values()):
         raise InputError("calibrate: --prior is for readings at rest; recordings of motion have no such prior yet")
-    if prior is not None and (held := [name for name, arm in profile.arms.items() if arm.fixed]):
-        raise InputError(f"calibrate: --prior frees what arms.{held[0]}.fixed holds; take one of them")
+    for name, arm in profile.arms.items():
+        held = [key for key in ("fixed", "bounds", "tied") if getattr(arm, key)]
+        if prior is not None and held:
+            raise InputError(f"calibrate: --prior frees what arms.{name}.{held[0]} holds; take one of them")
+        if recordings[name] and arm.bounds:
+            raise InputError(f"calibrate: arms.{name}.bounds do not hold for recordings of motion yet; take them out")
     with one_blas_thread():
         earlier = {} if prior is None else earlier_arms(run, prior)
     if not earlier and (used := {record.run for record in recorded_priors(run).values()}):

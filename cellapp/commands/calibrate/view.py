@@ -148,6 +148,8 @@ def _parameter_cells(estimate: ParameterEstimate) -> tuple[Cell, ...]:
     values = (nominal, estimate.value, difference, estimate.standard_error, estimate.prior_sigma)
     *shown, prior = (None if one is None else one * (1.0 if unit == estimate.unit else 1e3) for one in values)
     largest = next((f"{other} {rho:+.2f}" for other, rho in estimate.correlations.items()), "")
+    if estimate.at_bound or estimate.tied_to:
+        largest = "at its bound" if estimate.at_bound else f"tied to {estimate.tied_to}"
     return (*shown, unit, prior, largest)
 
 

@@ -55,8 +55,9 @@ from cellapp.estimation.calibration.parameters import (
 from cellapp.estimation.calibration.quantities import with_probe
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile.schema import Calibration
-from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, JointAngles, parameter_names, smr_positions
+from cellapp.robot.kinematics.chain import AT_BOUND, TOOL_NAMES, Geometry, JointAngles, parameter_names, smr_positions
 from cellapp.robot.kinematics.transforms import Array, register, rotation_x
+from cellapp.robot.model.nominal import FIXED_SD
 
 _LEAST_WEIGHT = 1e-3
 """Robust weight below which a point does not count in the degrees of freedom."""
@@ -268,6 +269,7 @@ def identify(
         robust,
         spreads=prior_spreads(parameters, free),
         tabulated=parameter_set == "auto",
+        limits=_limits(parameters, effects, prior_mean or start),
     )
     return problem.result(minimise(problem, problem.at_start(), tolerance=tolerance, max_iterations=max_iterations))
 
@@ -282,6 +284,12 @@ def _priors(
     if effects is not None and effects.prior_sd is not None:
         of_effects = 1.0 / effects.prior_sd**2
     return np.concatenate([precision, of_effects]), means
+
+
+def _limits(parameters: ParameterSet, effects: EffectColumns | None, nominal: Geometry) -> Array | None:
+    """Return least and largest values (2, k) of geometry and effects; None if the geometry has no bounds."""
+    limits, count = parameters.limits(nominal), 0 if effects is None else len(effects.names)
+    return None if limits is None else np.hstack([limits, [[-math.inf] * count, [math.inf] * count]])
 
 
 def _check_count(n: int, precision: Array) -> None:
@@ -307,6 +315,8 @@ class _Problem:
     """Priors whose standard deviations are estimated."""
     tabulated: bool
     """Whether the table states only what the data determine."""
+    limits: Array | None
+    """Least and largest values (2, k)."""
 
     @property
     def effect_count(self) -> int:
@@ -326,6 +336,8 @@ class _Problem:
         return self._estimate(np.concatenate([values, of_effects]), None, self.precision)
 
     def _estimate(self, values: Array, weights: Array | None, precision: Array) -> Estimate:
+        if self.limits is not None:
+            values = np.clip(values, *self.limits)
         normal = normal_equations(self.start, self.observations, self.parameters, values, weights)
         return Estimate(values, normal, weights, precision)
 
@@ -358,7 +370,8 @@ class _Problem:
 
     def step(self, point: Estimate, damping: float) -> tuple[Array, Array]:
         unit = point.normal.unit
-        step = damped_step(point.posterior_precision(point.variance), unit * self._right(point), damping)
+        limits = None if self.limits is None else (self.limits - point.values) / unit
+        step = damped_step(point.posterior_precision(point.variance), unit * self._right(point), damping, limits)
         return unit * step, step
 
     def moved(self, point: Estimate, step: Array) -> Estimate:
@@ -369,6 +382,22 @@ class _Problem:
         return point.normal.cost / point.variance + float(point.precision @ (point.values - self.mean) ** 2)
 
     def result(self, minimum: Minimum[Estimate]) -> Identification:
+        """Return the identification; parameters at their bounds are held there."""
+        point = minimum.point
+        if self.limits is None:
+            return self._result(minimum)
+        held = np.any(np.abs(self.limits - point.values) < AT_BOUND, axis=0)
+        mean = np.where(held, point.values, self.mean)
+        precision, own = (np.where(held, FIXED_SD**-2, its) for its in (self.precision, point.precision))
+        here = replace(minimum, point=replace(point, precision=own))
+        found = replace(self, precision=precision, mean=mean)._result(here)
+        return replace(found, prior_sigma=self._prior_sigma(point))
+
+    def _prior_sigma(self, point: Estimate) -> dict[str, float]:
+        stated = zip(self.parameters.names, point.precision.tolist(), strict=False)
+        return {name: precision**-0.5 for name, precision in stated if precision > 0.0}
+
+    def _result(self, minimum: Minimum[Estimate]) -> Identification:
         point, effects = minimum.point, self.observations.effects
         normal, n = point.normal, self.observations.count
         geometry, effect_values = split_values(self.start, self.parameters, point.values)
@@ -388,11 +417,7 @@ class _Problem:
             geometry=geometry,
             estimated=self.parameters,
             estimated_covariance=covariance,
-            prior_sigma={
-                name: precision**-0.5
-                for name, precision in zip(self.parameters.names, point.precision.tolist(), strict=False)
-                if precision > 0.0
-            },
+            prior_sigma=self._prior_sigma(point),
             parameter_set=chosen,
             names=chosen.names + (() if effects is None else effects.names),
             units=chosen.units + (() if effects is None else effects.units),
@@ -604,7 +629,7 @@ def excess_of(found: Identification, sigma: Array) -> tuple[float, float]:
 def _mirrored_tool(found: Identification) -> Array | None:
     """Mirror the SMR (3,) [m] along the last axis about the origin of the frame before; None if that is too far."""
     places = [found.estimated.names.index(name) for name in TOOL_NAMES if name in found.estimated.names]
-    if len(places) < len(TOOL_NAMES):
+    if len(places) < len(TOOL_NAMES) or {*TOOL_NAMES} & {*found.geometry.tied_to.values()}:
         return None
     _, d, a, alpha, _ = found.geometry.rows[-1].tolist()
     to_last = rotation_x(alpha).T

@@ -375,9 +375,19 @@ def _parts(step: Array, size: float, tolerance: float) -> Iterator[Array]:
         yield step
 
 
-def damped_step(A: Array, b: Array, damping: float) -> Array:
-    """Solve ``(A + damping diag(A)) step = b``; return the solution of least norm if ``A`` (k, k) is singular."""
-    return solve_psd(A + damping * np.diag(np.diag(A)) if damping > 0.0 else A, b)
+def damped_step(A: Array, b: Array, damping: float, limits: Array | None = None) -> Array:
+    """Solve ``(A + damping diag(A)) step = b``; return the solution of least norm if ``A`` (k, k) is singular.
+
+    Within ``limits`` (2, k), some of the step is held at them, and the rest is the best beside that.
+    """
+    H = A + damping * np.diag(np.diag(A)) if damping > 0.0 else A
+    step = solve_psd(H, b)
+    if limits is None or bool(np.all((limits[0] <= step) & (step <= limits[1]))):
+        return step
+    values, vectors = _significant(H)
+    root = np.sqrt(values)
+    found = scipy.optimize.lsq_linear(root[:, None] * vectors.T, vectors.T @ b / root, limits, method="bvls")
+    return np.asarray(found.x)
 
 
 # -- Weights of readings ----------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet, gram_matrix
-from cellapp.robot.kinematics.chain import Geometry, JointAngles, Workspace, jacobian, joint_jacobian
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, Workspace, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 
 _CHUNK = 2048
@@ -183,10 +183,8 @@ class NormalEquations:
 
 def split_values(start: Geometry, parameters: ParameterSet, values: Array) -> tuple[Geometry, Array]:
     """Split ``values`` (k,): return the geometry with its identified parameters set, and the effects' values."""
-    vector = start.vector()
     size = len(parameters.columns)
-    vector[list(parameters.columns)] = values[:size]
-    return start.with_vector(vector), values[size:]
+    return parameters.moved(start, values[:size]), values[size:]
 
 
 def normal_equations(
@@ -233,7 +231,7 @@ def linearise(
 ) -> tuple[Array, Array]:
     """Compute SMR positions (3, last - first) [m] and their Jacobian (3, k, last - first) in a chunk."""
     angles, effects = observations.angles_with(beta, first, last), observations.effects
-    P, J = jacobian(geometry, angles, parameters.columns, observations.workspace)
+    P, J = parameters.jacobian(geometry, angles, observations.workspace)
     if effects is not None:
         _, by_joint = joint_jacobian(geometry, angles)
         by_offset = effects.offsets[:, None, first:last] * by_joint.swapaxes(0, 1)[effects.joints]

@@ -26,7 +26,7 @@ from cellapp.estimation.calibration.parameters import estimated_parameters, gram
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import StopReport
-from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, JointAngles, flange_poses, frame_poses, jacobian
+from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, JointAngles, flange_poses, frame_poses
 from cellapp.robot.kinematics.statics import gravity_loads
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model.nominal import OFF_AXIS, bodies_of, nominal_arm, prior_sigmas, up_in_tracker
@@ -286,7 +286,7 @@ class OnlineFit:
         if self._model is None:
             return None
         found = self._model[0].found
-        _, J = jacobian(found.geometry, self._planned, found.estimated.columns)
+        _, J = found.estimated.jacobian(found.geometry, self._planned)
         mean_square = float(np.vdot(gram_matrix(J), found.estimated_covariance)) / self._planned.count
         residual_m = float(np.linalg.norm(self._residuals_M(found, q[None], p_M[None])))
         return StopReport(

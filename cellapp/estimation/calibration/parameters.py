@@ -23,6 +23,7 @@ from cellapp.robot.kinematics.chain import (
     TOOL_NAMES,
     Geometry,
     JointAngles,
+    Workspace,
     all_names,
     jacobian,
     parallel_rows,
@@ -81,6 +82,8 @@ class ParameterSet:
     scaled_information : array, shape (k + l, k + l), optional
         Information matrix of the data about columns and dropped columns, in that order, each scaled by its ``unit``.
     unit : array, shape (k + l,), optional
+    tied : tuple of pairs of int
+        Indices of a parameter that is corrected by the same amount as one of the columns, and of that one.
     """
 
     name: str
@@ -89,6 +92,52 @@ class ParameterSet:
     dropped: tuple[int, ...] = ()
     scaled_information: Array | None = None
     unit: Array | None = None
+    tied: tuple[tuple[int, int], ...] = ()
+
+    @classmethod
+    def of(cls, name: str, geometry: Geometry, columns: tuple[int, ...]) -> ParameterSet:
+        """Return the ``columns`` without those that are tied to others; ``ValueError`` if a tied one is not there."""
+        place = geometry.names.index
+        tied = tuple((place(other), place(first)) for other, first in geometry.tied_to.items())
+        if missing := {column for pair in tied for column in pair}.difference(columns):
+            lost = geometry.names[min(missing)]
+            raise ValueError(f"'{name}' does not estimate {lost}; take it out of the arm's 'tied', or take another set")
+        followers = {follower for follower, _ in tied}
+        return cls(name, geometry.joints, tuple(c for c in columns if c not in followers), tied=tied)
+
+    def jacobian(
+        self, geometry: Geometry, angles: JointAngles, workspace: Workspace | None = None, more: tuple[int, ...] = ()
+    ) -> tuple[Array, Array]:
+        """Compute as ``jacobian`` of ``more`` parameters, then of the columns, each with those tied to it."""
+        tied = [pair for pair in self.tied if pair[1] in self.columns]
+        P, J = jacobian(geometry, angles, (*more, *self.columns, *(follower for follower, _ in tied)), workspace)
+        end = J.shape[1] - len(tied)
+        for place, (_, first) in enumerate(tied, start=end):
+            J[:, len(more) + self.columns.index(first)] += J[:, place]
+        return P, J[:, :end]
+
+    def moved(self, geometry: Geometry, values: Array) -> Geometry:
+        """Return the geometry with ``values`` (k,) of the columns; tied parameters change by the same amount."""
+        vector = geometry.vector()
+        for follower, first in self.tied:
+            if first in self.columns:
+                vector[follower] += values[self.columns.index(first)] - vector[first]
+        vector[list(self.columns)] = values
+        return geometry.with_vector(vector)
+
+    def limits(self, nominal: Geometry) -> Array | None:
+        """Return least and largest values (2, k) of the columns by the bounds of all that move with them; None if none
+        has bounds."""
+        vector, names = nominal.vector(), nominal.names
+        limits = np.array([[-math.inf], [math.inf]]) * np.ones(len(self.columns))
+        for name, pair in nominal.bounds.items():
+            own = names.index(name)
+            first = dict(self.tied).get(own, own)
+            if first in self.columns:
+                place = self.columns.index(first)
+                low, high = np.array(pair) - vector[own] + vector[first]
+                limits[:, place] = max(limits[0, place], low), min(limits[1, place], high)
+        return limits if np.isfinite(limits).any() else None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -177,8 +226,7 @@ def candidate_columns(geometry: Geometry) -> tuple[int, ...]:
 
 def full_set(geometry: Geometry) -> ParameterSet:
     """Return the redundant set of all candidates (34 for six joints with two parallel pairs), the paper's start."""
-    columns = candidate_columns(geometry)
-    return ParameterSet("full", geometry.joints, columns)
+    return ParameterSet.of("full", geometry, candidate_columns(geometry))
 
 
 def paper_set(geometry: Geometry) -> ParameterSet:
@@ -193,7 +241,7 @@ def paper_set(geometry: Geometry) -> ParameterSet:
         raise ValueError("the paper's parameter set is for six joints with axes 2, 3 and 4 parallel; use 'auto'")
     names = parameter_names(6)
     columns = tuple(c for c in candidate_columns(geometry) if names[c] not in _PAPER_DROPS)
-    return ParameterSet("paper", geometry.joints, columns)
+    return ParameterSet.of("paper", geometry, columns)
 
 
 @lru_cache(maxsize=32)
@@ -257,6 +305,7 @@ def determined_set(estimated: ParameterSet, information: Array, prior_sd: Array)
         dropped=tuple(estimated.columns[place] for place in dropped),
         scaled_information=scaled[both[:, None], both],
         unit=unit[both],
+        tied=estimated.tied,
     )
 
 
@@ -286,7 +335,7 @@ def _undetermined(information: Array) -> NDArray[np.bool_]:
 def auto_set(geometry: Geometry, q: Array) -> ParameterSet:
     """Choose the parameters that readings at ``q`` (n, N) [rad] with the expected scatter determine."""
     estimated, priors = estimated_parameters("auto", geometry, {})
-    _, J = jacobian(geometry, JointAngles.of(q), estimated.columns)
+    _, J = estimated.jacobian(geometry, JointAngles.of(q))
     return determined_set(estimated, gram_matrix(J) / EXPECTED_SCATTER_M**2, prior_sds(estimated, priors))
 
 

@@ -217,13 +217,16 @@ class ParameterEstimate(Estimate):
     """An identified parameter of a geometry, and the ``nominal`` value that it had before.
 
     ``prior_sigma`` is the standard deviation of its prior about that value, None where only the readings determine it;
-    ``correlations`` are its largest ones with others, by name. Earlier versions stored neither of the three.
+    ``correlations`` are its largest ones with others, by name. Earlier versions stored neither of the three. One
+    ``at_bound`` is held there and has no standard error; the difference of one that is ``tied_to`` another is the same.
     """
 
     nominal: float | None = None
     prior_sigma: float | None = None
     correlations: Mapping[str, float] = {}
-    omitted_when_none = frozenset({"nominal", "prior_sigma"})
+    at_bound: Literal[True] | None = None
+    tied_to: str | None = None
+    omitted_when_none = frozenset({"nominal", "prior_sigma", "at_bound", "tied_to"})
 
 
 def largest_correlations(names: Sequence[str], covariance: Array) -> dict[str, dict[str, float]]:
@@ -237,12 +240,25 @@ def largest_correlations(names: Sequence[str], covariance: Array) -> dict[str, d
     }
 
 
+def tied_estimates(
+    found: Mapping[str, ParameterEstimate], tied_to: Mapping[str, str], nominal: Mapping[str, float]
+) -> dict[str, ParameterEstimate]:
+    """Return the estimates of parameters that are tied to those found: other values, with the same difference."""
+    beside = {}
+    for name, first in tied_to.items():
+        if first in found:
+            value = nominal[name] + found[first].value - nominal[first]
+            its = {"value": value, "nominal": nominal[name], "tied_to": first}
+            beside[name] = found[first].model_copy(update=its)
+    return beside
+
+
 class ArmCalibrationResult(Record):
     """Calibration of one arm.
 
-    ``identified`` are the parameters of the geometry, ``rank`` their number, ``merged`` maps each dropped parameter to
-    those that take its place and their shares, ``fixed`` each held parameter to its value. ``excess_mm`` is the scatter
-    of a coordinate beyond the stated uncertainty, ``excess_mrad`` that of an orientation where it was measured,
+    ``identified`` are the parameters of the geometry, ``rank`` the number of independent ones, ``merged`` maps each
+    dropped parameter to those that take its place and their shares, ``fixed`` each held parameter to its value.
+    ``excess_mm`` is the scatter of a coordinate beyond the stated uncertainty, ``excess_mrad`` that of an orientation,
     ``tracker_mm`` and ``probe_mrad`` the rms length of the stated noise of positions and of orientations. Where an
     earlier calibration was taken as ``prior``,
     the stage ``effects`` is the model with it, and the others are those without. ``left_out_configurations`` are those

@@ -98,19 +98,19 @@ def model_without(found: SearchResult, out: Collection[int]) -> ArmModel:
     """Return the model without the terms ``out``, the other parameters fitted again, linear about the fit."""
     fit = found.fit
     kept = np.all([fit.layout.all_but(number) for number in out], axis=0)
-    columns, first = list(fit.identification.estimated.columns), fit.layout.geometric
-    vector = fit.model.geometry.vector()
-    values = np.concatenate([(vector - found.data.model.nominal.vector())[columns], fit.identification.effect_values])
+    estimated, first, mean = fit.identification.estimated, fit.layout.geometric, fit.geometry_mean
+    deviation = fit.model.geometry.vector()[list(estimated.columns)] - mean
+    values = np.concatenate([deviation, fit.identification.effect_values])
     residual = fit.residual + sum(fit.signal(number) for number in out)
     residual = fit.rows[kept] @ residual - (fit.precision * values)[kept]
     values[kept] += fit.normal.take(kept).with_priors(fit.precision[kept]).solve(residual)
-    vector[columns] = found.data.model.nominal.vector()[columns] + values[:first]
     effects = tuple(
         replace(effect, values=values[fit.layout.parameters(other)])
         for other, effect in enumerate(fit.model.effects)
         if other not in out
     )
-    return replace(fit.model, geometry=fit.model.geometry.with_vector(vector), effects=effects)
+    geometry = estimated.moved(fit.model.geometry, mean + values[:first])
+    return replace(fit.model, geometry=geometry, effects=effects)
 
 
 def accepted_effect(

@@ -109,9 +109,9 @@ def _process(found: SearchResult, data: ArmData, named: ModelTerms, needed: floa
     smooth = [term for term in found.fit.terms if term.smooth is not None]
     had = {lent_effect(term.law).slug if is_unnamed(term.law) else term.slug: term for term in smooth}
     chosen = [one if one.slug in had else one.coarse() for one in components(found.data, base)]
-    deviation = base.model.geometry.vector() - data.model.nominal.vector()
     columns = list(base.identification.estimated.columns)
-    values = np.concatenate([deviation[columns], base.identification.effect_values])
+    deviation = base.model.geometry.vector()[columns] - base.geometry_mean
+    values = np.concatenate([deviation, base.identification.effect_values])
     normal = _gathered(data, base, chosen).about(np.pad(values, (0, sum(len(one.columns) for one in chosen))))
     gram = ProcessData.behind(normal, base.layout.total, base.precision, 3 * len(data))
     start = Hyperparameters(
@@ -158,7 +158,7 @@ def _gathered(data: ArmData, fit: JointFit, further: Sequence[Component] = ()) -
         columns = [*of_terms, *_columns(chunk, further)]
         moved = displacement_by(of_terms, fit.identification.effect_values.tolist(), *q.shape)
         q = q + moved.joints
-        estimated = fit.identification.estimated.columns
+        estimated = fit.identification.estimated
         linear = LinearModel.of(fit.model.geometry, q, white, estimated, columns, R_M_S)
         predicted = smr_positions(fit.model.geometry, q, R_M_S) + moved.shift_M
         residual = np.einsum("acn,nc->an", white, chunk.readings.p_M - predicted)
@@ -199,13 +199,12 @@ class _AllReadings:
     def _at(self, values: Array) -> _Point:
         """Linearise at some values: the columns of the effects, too, are those at this model."""
         fit = self.start
-        columns, flat = list(fit.identification.estimated.columns), fit.layout.geometric
-        vector = fit.model.geometry.vector()
-        vector[columns] = self.nominal + values[:flat]
+        flat = fit.layout.geometric
+        geometry = fit.identification.estimated.moved(fit.model.geometry, self.nominal + values[:flat])
         effects = tuple(
             replace(term, values=values[fit.layout.parameters(number)]) for number, term in enumerate(fit.model.effects)
         )
-        model = replace(fit.model, geometry=fit.model.geometry.with_vector(vector), effects=effects)
+        model = replace(fit.model, geometry=geometry, effects=effects)
         fit = replace(fit, model=model, identification=replace(fit.identification, effect_values=values[flat:]))
         data = self.data.at(model)
         return _Point(fit, data, values, _gathered(data, fit))
@@ -234,16 +233,17 @@ def _fitted(data: ArmData, fit: JointFit, spread: float) -> ArmModel:
 
     Raises ``NotConverged``.
     """
-    columns = fit.identification.estimated.columns
-    problem = _AllReadings(data.model.nominal.vector()[list(columns)], fit, data)
+    estimated = fit.identification.estimated
+    problem = _AllReadings(fit.geometry_mean, fit, data)
     found = minimise(problem, problem.at_start(), tolerance=_TOLERANCE, max_iterations=_MOST_STEPS)
     if not found.converged:
         raise NotConverged.of("effects to all readings", found.message)
     draws = PosteriorDraws.of_covariance(
-        columns=columns,
+        columns=estimated.columns,
         sizes=[term.size for term in fit.terms],
         covariance=found.point.normal.with_priors(fit.precision).covariance * spread**2,
         noise=noise_of(data, spread, smoothness_of(fit.terms)),
         seed=(data.profile.seed, _DRAW_SEED),
+        tied=estimated.tied,
     )
     return replace(found.point.fit.model, posterior=draws)

@@ -27,6 +27,7 @@ from cellapp.estimation.calibration.least_squares import (
     with_excess,
 )
 from cellapp.estimation.calibration.normal_equations import EffectColumns
+from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.design.information import SMALLEST, NuisanceProjector, visible_squares
 from cellapp.estimation.discovery.arm_data import (
     LEAST_SCATTER_M,
@@ -45,10 +46,11 @@ from cellapp.estimation.discovery.arm_data import (
 )
 from cellapp.estimation.readings.readings import folds_of
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Law
-from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.model import PosteriorDraws, ReadingsNoise
+from cellapp.robot.model.nominal import FIXED_SD
 
 # -- Normal equations of a linear model with priors: accumulated over readings, solved, and partly eliminated ---------
 #
@@ -290,17 +292,17 @@ class LinearModel:
         geometry: Geometry,
         q: Array,
         white: Array,
-        parameters: tuple[int, ...],
+        parameters: ParameterSet,
         effects: Sequence[EffectColumn] = (),
         R_M_S: Array | None = None,
     ) -> LinearModel:
         """Linearise at configurations ``q`` (n, N) [rad], whitened by ``white`` (3, 3, n), for some geometric
         parameters and columns of effects; where ``R_M_S`` (n, 3, 3) was measured, for the orientation."""
         angles = JointAngles.of(q, R_M_S)
-        _, J = jacobian(geometry, angles, parameters)
+        _, J = parameters.jacobian(geometry, angles)
         _, by_joint = joint_jacobian(geometry, angles)
         by_joint = np.einsum("acn,cjn->ajn", white, by_joint)
-        geometric = np.einsum("acn,ckn->kan", white, J).reshape(len(parameters), -1)
+        geometric = np.einsum("acn,ckn->kan", white, J).reshape(len(parameters.columns), -1)
         rows = np.concatenate([geometric, whitened_displacements(effects, by_joint, white)]) if effects else geometric
         return cls(by_joint, rows)
 
@@ -437,6 +439,13 @@ class JointFit:
         """Return the whitened displacement that a term predicts (3 n,)."""
         return np.asarray(self.term_values(term) @ self.term_rows(term))
 
+    @property
+    def geometry_mean(self) -> Array:
+        """Means of the priors (K,) of the geometric parameters: nominal, or the bound at which one is held."""
+        found, columns = self.identification, list(self.identification.estimated.columns)
+        held = np.isin(found.estimated.names, [*found.geometry.at_bound])
+        return np.where(held, found.geometry.vector()[columns], self.model.nominal.vector()[columns])
+
     @cached_property
     def target(self) -> Array:
         """Whitened residual plus prediction of the terms with priors (3 n,): the data of linear refits with priors."""
@@ -485,9 +494,7 @@ def _layout(found: Identification, terms: ModelTerms) -> TermLayout:
 def _linearised(data: ArmData, terms: ModelTerms, found: Identification, columns: tuple[EffectColumn, ...]) -> JointFit:
     layout = _layout(found, terms)
     white = whitening(data.sigma)
-    linear = LinearModel.of(
-        found.geometry, data.readings.q, white, found.parameter_set.columns, columns, data.conditions.R_M_S
-    )
+    linear = LinearModel.of(found.geometry, data.readings.q, white, found.parameter_set, columns, data.conditions.R_M_S)
     fit = JointFit(
         terms=terms,
         layout=layout,
@@ -519,6 +526,7 @@ def with_posterior(data: ArmData, fit: JointFit, spread: float = 1.0) -> ArmMode
         covariance=found.covariance[np.ix_(kept, kept)] * spread**2,
         noise=noise_of(data, max(found.scale, 1.0) * spread, smoothness_of(fit.terms)),
         seed=(data.profile.seed, _DRAW_SEED),
+        tied=found.estimated.tied,
     )
     return replace(fit.model, posterior=draws)
 
@@ -663,6 +671,8 @@ def _precision(data: ArmData, found: Identification, layout: TermLayout, columns
     for row, name in enumerate(found.names[: layout.geometric]):
         if name in data.prior_sigma:
             precision[row] = 1.0 / data.prior_sigma[name] ** 2
+        if name in found.geometry.at_bound:
+            precision[row] = FIXED_SD**-2
     sd = prior_sd(columns)
     if sd is not None:
         precision[layout.geometric :] = 1.0 / sd**2

@@ -41,7 +41,7 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Tracker
 from cellapp.ground.results import Estimate
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
-from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, smr_positions
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import OFF_AXIS, nominal_arm, pose_matrix, prior_sigmas
@@ -267,7 +267,7 @@ def planned_accuracy(design: ArmDesign, scatter_m: float) -> PlannedAccuracy:
     """
     data = design.with_scatter(scatter_m).data
     parameters, priors = data.parameter_set, prior_sds(data.parameter_set, data.prior_sigma)
-    _, J = jacobian(data.model.geometry, JointAngles.of(data.readings.q), parameters.columns)
+    _, J = parameters.jacobian(data.model.geometry, JointAngles.of(data.readings.q))
     white = whitening(data.sigma)
     information = gram_matrix(np.einsum("acn,ckn->akn", white, J))
     return accuracy_of(data.model.nominal, parameters, priors, information, J, scatter_m)

@@ -124,9 +124,10 @@ def differences(first: CalibratedArm, later: CalibratedArm) -> list[Difference]:
     return found
 
 
-def determined_values(arm: CalibratedArm, first: CalibratedArm) -> dict[str, Determined]:
-    """The combinations that the data of the ``first`` calibration determine, in another one.
+def combinations(arm: CalibratedArm, first: CalibratedArm) -> tuple[list[str], Array, Array, Array]:
+    """Compute the combinations that the data of the ``first`` calibration determine, in another one.
 
+    Return their k names, the shares (k, K) in them of the other's parameters, values (k,) and covariance (k, k).
     Parameters that the other did not estimate are left out.
     """
     names = arm.identified
@@ -140,14 +141,18 @@ def determined_values(arm: CalibratedArm, first: CalibratedArm) -> dict[str, Det
                 shares[row, place[dropped]] = takers.get(name, 0.0)
     in_chain = [arm.model.geometry.names.index(name) for name in names]
     value, nominal = arm.model.geometry.vector()[in_chain], arm.model.nominal.vector()[in_chain]
-    rows = [place[name] for name in kept]
+    values = shares @ (value - nominal) + nominal[[place[name] for name in kept]]
     assert arm.model.covariance is not None
-    covariance = arm.model.covariance[: len(names), : len(names)]
-    values = shares @ (value - nominal) + nominal[rows]
-    errors = np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", shares, covariance, shares), 0.0))
-    angles = np.array([parameter_unit(name) == "rad" for name in names], dtype=bool)
-    grows = np.where(angles, 0.0, np.maximum(np.abs(nominal), HOUSING_M))
-    lengths = np.where(angles[rows], 0.0, np.abs(shares) @ grows)
+    return kept, shares, values, shares @ arm.model.covariance[: len(names), : len(names)] @ shares.T
+
+
+def determined_values(arm: CalibratedArm, first: CalibratedArm) -> dict[str, Determined]:
+    """Compute the ``combinations`` by name, with their standard errors and the lengths that grow with them."""
+    kept, shares, values, covariance = combinations(arm, first)
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    nominal = dict(zip(arm.model.nominal.names, arm.model.nominal.vector().tolist(), strict=True))
+    grows = [0.0 if parameter_unit(one) == "rad" else max(abs(nominal[one]), HOUSING_M) for one in arm.identified]
+    lengths = np.abs(shares) @ grows * [parameter_unit(name) == "m" for name in kept]
     found = zip(kept, values.tolist(), errors.tolist(), lengths.tolist(), strict=True)
     return {name: Determined(value, error, length) for name, value, error, length in found}
 

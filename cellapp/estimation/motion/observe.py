@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.motion.laws import CHUNK, JointState, JointTerm, Masses, state_at_rest, state_in_motion
 from cellapp.estimation.motion.tracks import Track
-from cellapp.robot.kinematics.chain import Geometry, JointAngles, Workspace, jacobian, smr_positions
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, Workspace, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 
 # -- Information in correlated residuals: band spectra of the noise, and the covariance of the estimate ---------------
@@ -354,9 +354,7 @@ class Model:
     @property
     def geometry(self) -> Geometry:
         """Geometry at these values."""
-        vector = self.start.vector()
-        vector[list(self.layout.parameters.columns)] = self.values[: self.layout.geometric]
-        return self.start.with_vector(vector)
+        return self.layout.parameters.moved(self.start, self.values[: self.layout.geometric])
 
     @property
     def of_terms(self) -> Array:
@@ -496,12 +494,12 @@ def _arm_columns(
     units = [term.offset(state) for term in model.layout.terms]
     angles = JointAngles.of(state.q + state.offsets(model.layout.terms, model.of_terms, units))
     thetas = tuple(6 + 5 * joint for joint in range(joints))
-    wanted = model.layout.parameters.columns
-    added = tuple(theta for theta in thetas if theta not in wanted)
-    P, J = jacobian(geometry, angles, added + wanted, work)
+    plain = set(model.layout.parameters.columns).difference(first for _, first in model.layout.parameters.tied)
+    added = tuple(theta for theta in thetas if theta not in plain)
+    P, J = model.layout.parameters.jacobian(geometry, angles, work, added)
     out[:, :size] = J[:, len(added) :]
-    place = {column: i for i, column in enumerate(added + wanted)}
-    by_joint = J[:, [place[theta] for theta in thetas]]
+    every = added + model.layout.parameters.columns
+    by_joint = J[:, [every.index(theta) for theta in thetas]]
     for number, (term, unit) in enumerate(zip(model.layout.terms, units, strict=True)):
         np.multiply(by_joint[:, term.joint], unit, out=out[:, size + number])
     return P, by_joint

@@ -20,7 +20,7 @@ from cellapp.estimation.motion.tracks import Track
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw
 from cellapp.robot.effects.backlash import BELL, LOAD_BELL, LOAD_REACH, REACH
 from cellapp.robot.effects.joint_compliance import SECOND_KNEE
-from cellapp.robot.kinematics.chain import Geometry, JointAngles, jacobian, joint_jacobian
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 
 SHOWN = 3.5
@@ -504,11 +504,11 @@ def motion_information(
     """
     k = len(estimated.columns)
     thetas = tuple(6 + 5 * joint for joint in range(nominal.joints))
-    _, J = jacobian(nominal, JointAngles.of(state.q), (*estimated.columns, *thetas))
-    by_joint = J[:, k:]
+    _, J = estimated.jacobian(nominal, JointAngles.of(state.q), more=thetas)
+    by_joint, by_geometry = J[:, :-k], J[:, -k:]
     of_terms = [by_joint[:, term.joint] * term.offset(state) for term in terms]
     delay = -np.einsum("ajn,nj->an", by_joint, state.qd)
-    columns = np.concatenate([J[:, :k], np.stack([*of_terms, delay], axis=1)], axis=1)
+    columns = np.concatenate([by_geometry, np.stack([*of_terms, delay], axis=1)], axis=1)
     X = np.einsum("acn,ckn->kan", whitening(covariance), columns)
     flat = X.reshape(len(X), -1)
     return np.asarray(flat @ flat.T)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import excess_of_kinds, inverse_psd, shortened, solve_psd, with_excess
-from cellapp.estimation.calibration.parameters import candidate_columns, typical_spreads
+from cellapp.estimation.calibration.parameters import ParameterSet, candidate_columns, typical_spreads
 from cellapp.estimation.calibration.quantities import NOT_STATED, Quantities, measured_quantities
 from cellapp.estimation.calibration.records import SignaturePart
 from cellapp.estimation.discovery.arm_data import whitening
@@ -99,7 +99,8 @@ def design(model: ArmModel, measured: Measured, columns: tuple[int, ...]) -> Arr
     white, terms = whitening(measured.sigma), term_columns(model, measured)
     q, conditions = measured.readings.q, measured.conditions
     actual = model.true_joints(q, conditions=conditions) if model.effects else q
-    return LinearModel.of(model.geometry, actual, white, columns, terms, conditions.R_M_S).rows
+    parameters = ParameterSet("", model.geometry.joints, columns)
+    return LinearModel.of(model.geometry, actual, white, parameters, terms, conditions.R_M_S).rows
 
 
 def normal_matrix(model: ArmModel, measured: Measured, columns: tuple[int, ...], reference: Geometry) -> NormalMatrix:

@@ -7,10 +7,11 @@ and tracker, and the sensors, hold the settings of one of the kinds that are reg
 
 from __future__ import annotations
 
+import difflib
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from cellapp.ground.network_kind import NetworkKind
 from cellapp.ground.profile.sections import (
@@ -38,6 +39,7 @@ from drivers.quantities import (
     Temperature,
     Time,
     Turn,
+    parse_quantity,
 )
 from drivers.sensors.registry import AIR_SENSORS
 from drivers.sensors.settings import AirSensorSettings
@@ -126,6 +128,31 @@ class Payload(Section):
     center_of_mass: ArmPoint = (0.0, 0.0, 0.0)
 
 
+_ROW_KEYS = ("theta", "d", "a", "alpha", "beta")
+
+
+def _kind_of(parameter: str) -> str:
+    return "angle" if parameter.startswith(("theta", "alpha", "beta")) else "length"
+
+
+def _bounds_in_si(value: object) -> object:
+    """Convert pairs with units, by parameter, to SI."""
+    if not isinstance(value, dict):
+        return value
+    found: dict[object, object] = {}
+    for name, pair in value.items():
+        if str(name).rstrip("0123456789") not in {*_ROW_KEYS, "tx", "ty", "tz"}:
+            found[name] = (0.0, 0.0)  # the check of the names refuses it
+            continue
+        if not isinstance(pair, list | tuple) or len(pair) != 2:
+            raise ValueError(f"{name}: expected lower and upper bound, got {pair!r:.40}")
+        try:
+            found[name] = tuple(parse_quantity(_kind_of(str(name)), one) for one in pair)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+    return found
+
+
 class Arm(GrownSection, defer_build=True):
     """One arm. ``base`` is its approximate pose in the cell; planning and pointing need it, calibration does not."""
 
@@ -145,7 +172,11 @@ class Arm(GrownSection, defer_build=True):
     """The controller's own calibration, which then is nominal instead of the published rows: a ``calibration.conf``."""
     fixed: tuple[str, ...] = ()
     """Parameters that keep their nominal values, as ``tx``, ``ty``, ``tz`` of a measured ``smr.offset``."""
-    later_keys = frozenset({"payloads", "factory", "fixed"})
+    bounds: Annotated[dict[str, tuple[float, float]], BeforeValidator(_bounds_in_si)] = Field(default_factory=dict)
+    """Lower and upper bound of parameters [m, rad]: one that would go beyond is held at its bound."""
+    tied: tuple[tuple[str, ...], ...] = ()
+    """Groups of parameters whose corrections, found less nominal, are equal."""
+    later_keys = frozenset({"payloads", "factory", "fixed", "bounds", "tied"})
 
     @property
     def joint_limits(self) -> tuple[tuple[float, float], ...]:
@@ -162,14 +193,39 @@ class Arm(GrownSection, defer_build=True):
         return next((one for one in (self.payload, *self.payloads) if abs(one.mass - mass) <= SAME_PAYLOAD_KG), None)
 
     @model_validator(mode="after")
-    def _fixed_are_its_own(self) -> Self:
-        tool = ("tx", "ty", "tz")
-        joints = range(1, len(self.type.joints) + 1)
-        rows = {f"{name}{joint}" for name in ("theta", "d", "a", "alpha", "beta") for joint in joints}
-        if unknown := [name for name in self.fixed if name not in {*tool, *rows}]:
-            raise ValueError(f"fixed: '{unknown[0]}' is no parameter of a D-H row or of the SMR's offset (tx, ty, tz)")
-        if self.smr.offset == "unknown" and (hidden := [name for name in self.fixed if name in tool]):
-            raise ValueError(f"fixed: {hidden[0]} has no value to keep: smr.offset is unknown; give it")
+    def _constraints_are_possible(self) -> Self:
+        rows = enumerate(self.type.joints, start=1)
+        nominal = {f"{key}{joint}": getattr(row, key, 0.0) for joint, row in rows for key in _ROW_KEYS}
+        of_rows, offset = set(nominal), None if self.smr.offset == "unknown" else self.smr.offset
+        nominal |= dict(zip(("tx", "ty", "tz"), offset or (0.0, 0.0, 0.0), strict=True))
+        named = [("fixed", name) for name in self.fixed] + [("bounds", name) for name in self.bounds]
+        for key, name in [*named, *(("tied", name) for group in self.tied for name in group)]:
+            if name not in nominal:
+                near = difflib.get_close_matches(name, nominal, n=1)
+                hint = f"; did you mean '{near[0]}'?" if near else ""
+                words = "is no parameter of a D-H row or of the SMR's offset (tx, ty, tz)"
+                raise ValueError(f"{key}: '{name}' {words}{hint}")
+            if name not in of_rows and offset is None:
+                raise ValueError(f"{key}: {name} has no value to start from: smr.offset is unknown; give it")
+            if key != "fixed" and name in self.fixed:
+                raise ValueError(f"{key}: {name} is also in fixed; take it out of one of the two")
+        for name, (low, high) in self.bounds.items():
+            if not low < nominal[name] < high:
+                raise ValueError(
+                    f"bounds: {name} is nominally {nominal[name]:g}, which [{low:g}, {high:g}] does not hold (SI); give"
+                    " a lower and an upper bound about it, or correct the nominal value"
+                )
+            if self.factory is not None and name in of_rows:
+                raise ValueError(f"bounds: {name} starts at the controller's value, not at the row's; take out factory")
+        for place, group in enumerate(self.tied):
+            if len(group) < 2 or len({*group}) < len(group):
+                raise ValueError(f"tied: a group needs two parameters or more, each once; got [{', '.join(group)}]")
+            if twice := [name for other in self.tied[:place] for name in other if name in group]:
+                raise ValueError(f"tied: {twice[0]} is in two groups; write them as one group")
+            if other := [name for name in group if _kind_of(name) != _kind_of(group[0])]:
+                raise ValueError(
+                    f"tied: {group[0]} is {_kind_of(group[0])}, {other[0]} is {_kind_of(other[0])}; tie like to like"
+                )
         return self
 
     @model_validator(mode="after")

@@ -30,8 +30,8 @@ from __future__ import annotations
 import itertools
 import math
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -55,6 +55,8 @@ from cellapp.robot.kinematics.transforms import (
 # Angles and lengths are those of ``robot.kinematics.chain``.
 
 
+AT_BOUND = 1e-12
+"""Distance from a bound [m, rad] within which a value is at it: more than rounding leaves."""
 IN_TRACKER_AXES: Array = np.eye(3)
 """``R_ref`` of an arm whose first axis is near the tracker's z axis."""
 
@@ -130,6 +132,10 @@ class Geometry:
         Tracker axis (0 x, 1 y, 2 z) that ``base`` uses as z: 2 unless the arm is mounted on a wall.
     probe : array, shape (3,), or None
         Rotation vector of a 6-D probe in the last joint's frame [rad]; None for an SMR, which has no orientation.
+    tied : tuple of tuples of str
+        Groups of parameters that an identification corrects by the same amount; the first stands for the group.
+    bounds : mapping
+        Parameter -> least and largest value [m, rad] that an identification may give it.
     """
 
     base: Array
@@ -137,6 +143,8 @@ class Geometry:
     tool: Array
     reference_axis: int = 2
     probe: Array | None = None
+    tied: tuple[tuple[str, ...], ...] = ()
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @cached_property
     def base_vectors(self) -> Array:
@@ -157,6 +165,18 @@ class Geometry:
     def names(self) -> tuple[str, ...]:
         """Names of its parameters in the order of ``vector``: ``parameter_names``, then the probe's if it has one."""
         return parameter_names(self.joints) + (() if self.probe is None else PROBE_NAMES)
+
+    @property
+    def tied_to(self) -> dict[str, str]:
+        """Map each tied parameter, but the first of its group, to that first one."""
+        return {name: first for first, *others in self.tied for name in others}
+
+    @property
+    def at_bound(self) -> set[str]:
+        """Parameters at one of their bounds, and those that are tied to them."""
+        value = dict(zip(self.names, self.vector().tolist(), strict=True))
+        held = {name for name, pair in self.bounds.items() if min(abs(value[name] - one) for one in pair) < AT_BOUND}
+        return held.union(*(group for group in self.tied if held & {*group}))
 
     def vector(self) -> Array:
         """All 6 + 5 N + 3 parameters, and the 3 of a probe, in the order of ``names`` [rad, m]."""

@@ -531,6 +531,8 @@ def _geometry_to_json(geometry: Geometry) -> dict[str, Any]:
         "parameters": dict(zip(geometry.names, geometry.vector().tolist(), strict=True)),
         "base_z_is_tracker_axis": "xyz"[geometry.reference_axis],
         "T_M_B": geometry.T_M_B().tolist(),
+        **({"tied": plain_data(geometry.tied)} if geometry.tied else {}),
+        **({"bounds": plain_data(geometry.bounds)} if geometry.bounds else {}),
     }
 
 
@@ -544,6 +546,8 @@ def _geometry_from_json(content: Mapping[str, Any]) -> Geometry:
         tool=np.zeros(3),
         reference_axis="xyz".index(content["base_z_is_tracker_axis"]),
         probe=np.zeros(3) if has_probe else None,
+        tied=tuple(tuple(group) for group in content.get("tied", ())),
+        bounds={name: (low, high) for name, (low, high) in content.get("bounds", {}).items()},
     )
     if left or tuple(content["parameters"]) != geometry.names:
         raise ValueError("the parameters are not those of a chain")
@@ -725,8 +729,12 @@ class PosteriorDraws:
         covariance: Array,
         noise: ReadingsNoise,
         seed: Sequence[int],
+        tied: Sequence[tuple[int, int]] = (),
     ) -> PosteriorDraws:
-        """Draw from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters."""
+        """Draw from ``covariance`` (p, p) of K geometric parameters and of terms with ``sizes`` parameters.
+
+        Further geometric parameters are ``tied``, each to one of ``columns``.
+        """
         scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         correlation = covariance / scale / scale[:, None]
         root, failed = scipy.linalg.lapack.dpotrf(correlation, lower=1)
@@ -739,7 +747,8 @@ class PosteriorDraws:
         drawn = (normal @ root.T) * scale
         ends = np.cumsum([len(columns), *sizes])
         parts = np.split(drawn, ends[:-1], axis=1)
-        return cls(columns, parts[0], tuple(parts[1:]), *noise)
+        geometry = parts[0][:, [*range(len(columns)), *(columns.index(first) for _, first in tied)]]
+        return cls((*columns, *(column for column, _ in tied)), geometry, tuple(parts[1:]), *noise)
 
     def of_columns(self, end: int) -> PosteriorDraws:
         """Keep the draws of geometric parameters before ``end`` and of all terms; drop the noise of orientations."""

@@ -24,7 +24,7 @@ def nominal_arm(arm: Arm) -> Geometry:
     """
     tool = np.zeros(3) if arm.smr.offset == "unknown" else np.array(arm.smr.offset)
     published = published_rows(arm)
-    geometry = nominal_geometry(published, tool)
+    geometry = replace(nominal_geometry(published, tool), tied=arm.tied, bounds=arm.bounds)
     if arm.factory is None:
         return geometry
     return replace(geometry, rows=hayati_rows(controller_rows(arm), published))

@@ -150,6 +150,26 @@ WRONG = [
         "arms.left.fixed",
         "tz has no value",
     ),
+    *(
+        ("    speed_scale: 0.5 ", f"    fixed: [d1]\n    {key}: {value} #", f"arms.left.{at}", says)
+        for key, value, at, says in [
+            ("bounds", "{d1: [0, 1]}", "bounds", "d1 is also in fixed; take it out of one of the two"),
+            (
+                "bounds",
+                "{a2: [-0.6, -0.5]}",
+                "bounds",
+                "a2 is nominally -0.612, which [-0.6, -0.5] does not hold (SI); give",
+            ),
+            ("bounds", "{a2: [-611 mm, -613 mm]}", "bounds", "give a lower and an upper bound about it"),
+            ("bounds", "{a2: [-1 deg, 1 deg]}", "bounds.a2", "'deg' is not a unit of length; use one of m, cm, mm"),
+            ("bounds", "{a2: 1 mm}", "bounds.a2", "expected lower and upper bound, got '1 mm'"),
+            ("bounds", "{thta3: [-1 deg, 1 deg]}", "bounds", "did you mean 'theta3'?"),
+            ("tied", "[[d1, a2]]", "tied", "d1 is also in fixed; take it out of one of the two"),
+            ("tied", "[[a2, a3], [d5, a3]]", "tied", "a3 is in two groups; write them as one group"),
+            ("tied", "[[a2, theta3]]", "tied", "a2 is length, theta3 is angle; tie like to like"),
+            ("tied", "[[a2, a2]]", "tied", "a group needs two parameters or more, each once; got [a2, a2]"),
+        ]
+    ),
     ("    home: ", "    # ", "arms.left.home", "missing; arm left has a driver: planning and pointing need it"),
     ("    base: ", "    # ", "arms.left.base", "missing; arm left has a driver"),
     ("  pose: ", "  # ", "tracker.pose", "missing; arm left has a driver"),

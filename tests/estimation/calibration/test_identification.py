@@ -26,6 +26,7 @@ from cellapp.estimation.calibration.parameters import auto_set, candidate_column
 from cellapp.estimation.calibration.station_location import better_reading, explained
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import CheckFailed, InputError, NotConverged, tried, with_not_fitted
+from cellapp.interfaces.python.cell import Cell
 from cellapp.robot.kinematics.chain import (
     JointAngles,
     jacobian,
@@ -36,6 +37,7 @@ from cellapp.robot.kinematics.chain import (
     smr_positions,
 )
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, transform
+from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
 from drivers.plant import GeometryErrors
 from tests.arms import HALF_TURN, OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plant_of, true_geometry
@@ -246,6 +248,41 @@ def test_fixed_parameters_keep_their_values_and_others_take_their_part():
     assert {"theta6", "a6", "d6"} <= {*result.identified}
     assert {"theta6", "a6", "d6"} <= {*arm_result(free).merged}
     assert held.validate["geometry"].position_mm.rms < 1.2 * free.validate["geometry"].position_mm.rms
+
+
+def calibrated_with(**held):
+    """An arm whose a2 and a3 are both 0.4 mm off, calibrated with further keys of its profile; and these two found."""
+    profile = load_profile(PROFILES / "twin-small.yaml")
+    plain = profile.network.model_copy(update={"kind": "none"})
+    arms = {"left": with_arm(profile, "left", **held).arms["left"]}
+    one = profile.model_copy(update={"arms": arms, "network": plain, "plant": None})
+    rng, T_M_B = np.random.default_rng(3), transform(np.eye(3), [2.5, 0.5, 0.3])
+    nominal = nominal_arm(profile.arms["left"]).with_T_M_B(T_M_B)
+    vector, pair = true_geometry(nominal, rng).vector(), [nominal.names.index(name) for name in ("a2", "a3")]
+    vector[pair] = nominal.vector()[pair] + 0.4e-3
+    q = rng.uniform(-2.0, 2.0, (80, 6))
+    p_M = smr_positions(nominal.with_vector(vector), q) + rng.normal(0.0, SIGMA, (80, 3))
+    fit = Cell(one).calibrate({"left": {"q": q, "p_M": p_M, "split": ["identify"] * 60 + ["validate"] * 20}})
+    return fit, *(fit.result.arms["left"].identified[name] for name in ("a2", "a3"))
+
+
+def test_tied_parameters_are_corrected_alike_and_known_better():
+    (_, *free), (fit, a2, a3) = calibrated_with(), calibrated_with(tied=(("a2", "a3"),))
+    assert a2.value - a2.nominal == pytest.approx(a3.value - a3.nominal, abs=1e-15)
+    assert a2.value - a2.nominal == pytest.approx(0.4e-3, abs=4.0 * a2.standard_error)
+    assert a2.standard_error == a3.standard_error < 0.8 * min(one.standard_error for one in free)
+    assert (a2.tied_to, a3.tied_to) == (None, "a2")
+    assert "tied to a2" in fit.report()
+
+
+def test_a_parameter_that_would_leave_its_bounds_is_held_there_and_says_so():
+    fit, a2, a3 = calibrated_with(bounds={"a2": (-0.6121, -0.6118), "a3": (-0.6, -0.5)})
+    assert a2.value == pytest.approx(-0.6118, abs=1e-12)  # the truth is -0.6116
+    assert (a2.standard_error, a2.at_bound, a3.at_bound) == (None, True, None)
+    assert a3.standard_error > 0.0
+    assert "at its bound" in fit.report()
+    found = fit.discover().model
+    assert CellModel.from_json(found.to_json()).arms["left"].geometry.at_bound == {"a2"}
 
 
 def test_a_profile_that_allows_too_few_steps_ends_with_an_error_that_names_the_arm():

@@ -109,13 +109,16 @@ def test_a_table_of_parameters_says_what_it_holds(call: Any, folder: Path) -> No
     assert "joint_compliance." in head
 
 
-def test_parameters_are_those_of_the_model_in_force(call: Any, folder: Path) -> None:
+def test_parameters_are_those_in_force_with_their_shares_of_what_is_merged(call: Any, folder: Path) -> None:
     call("export", folder, "--as", "parameters", "--out", "p.csv", "--arm", "left")
     exported = [line.split(",") for line in Path("p.csv").read_text("utf-8").splitlines() if not line.startswith("#")]
-    values = {row[0]: float(row[3]) for row in exported[1:]}
-    shown = call("show", folder, "parameters", "--json", "-").json["arms"]["left"]["identified"]
-    assert len(shown) > 20
-    assert {name: one["value"] for name, one in shown.items()} == pytest.approx({name: values[name] for name in shown})
+    off = {row[0]: float(row[3]) - float(row[2]) for row in exported[1:]}
+    arm = call("show", folder, "parameters", "--json", "-").json["arms"]["left"]
+    assert len(arm["identified"]) > 20
+    for name, one in arm["identified"].items():
+        merged = sum(its.get(name, 0.0) * off[key] for key, its in arm["merged"].items())
+        assert one["value"] - one["nominal"] == pytest.approx(off[name] + merged, abs=1e-9)
+    assert arm["identified"]["theta0"]["standard_error"] < 1e-4  # of the sum with theta1, not of either
 
 
 def test_commands_that_are_typed_as_targets_are_not_corrected_again(call: Any, folder: Path) -> None:
