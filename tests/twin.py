@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import re
 import shutil
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 from cellapp.cell.driving.cell import Cell
 from cellapp.cell.profile import load_profile
+from cellapp.cell.targets.targets import load_targets
 from cellapp.ground.profile import Profile
 from drivers.clock import SimulatedClock
 from drivers.plant import Plant
@@ -23,6 +25,14 @@ def write_profile(folder: Path) -> Path:
     path = folder / "twin.yaml"
     make_small(path)
     return path
+
+
+def write_few_targets(path: Path) -> None:
+    """Write three targets of the twin: one with a tolerance that is met, one that is not, one without."""
+    listed = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())[:3]
+    keys = [one.model_dump(include={"name", "arm", "position", "rpy"}) for one in listed]
+    few = [*({**one, "tolerance": size} for one, size in zip(keys, (2e-3, 1e-6), strict=False)), keys[2]]
+    path.write_text(json.dumps({"schema": "cellapp-targets", "version": 1, "targets": few}), "utf-8")
 
 
 def make_small(path: Path) -> None:

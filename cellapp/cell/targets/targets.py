@@ -361,16 +361,6 @@ def targets_of(source: TargetSource, profile: Profile) -> tuple[Target, ...]:
     return listed.targets
 
 
-def set_problem(
-    target: Target, others: Iterable[Target], profile: Profile, frames: Iterable[str] = ()
-) -> TargetProblem | None:
-    """Return why a target does not fit the cell or ``others``; None if it does. ``frames`` are known work frames."""
-    listed = list(others)
-    return next(
-        (problem for index, problem in list_problems([*listed, target], profile, frames) if index == len(listed)), None
-    )
-
-
 def list_problems(
     targets: Sequence[Target], profile: Profile, frames: Iterable[str] = ()
 ) -> Iterator[tuple[int, TargetProblem]]:

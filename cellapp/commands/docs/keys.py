@@ -34,13 +34,10 @@ KEYS: Mapping[str, Key] = {
     "sort": Key("s", "s", "sort by the next column"),
     "export": Key("e", "e", "write for others: arms, programs, plans, certificates"),
     "import": Key("i", "i", "take from elsewhere: readings, an earlier run"),
-    "save": Key("w", "w", "save what is shown: a list, tables, the log"),
+    "save": Key("w", "w", "save what is shown: tables, the log"),
     "copy": Key("y", "y", "copy what is shown or marked"),
-    "add": Key("plus,insert", "+", "add: a profile, stops, a target, a network from all readings"),
-    "remove": Key("minus,delete", "-", "remove the row"),
+    "add": Key("plus,insert", "+", "add: a profile, stops, a network from all readings"),
     "mark": Key("space", "Space", "mark the row"),
-    "undo": Key("ctrl+z", "Ctrl+Z", "take back the last edit"),
-    "redo": Key("ctrl+y", "Ctrl+Y", "make it again"),
     "again": Key("r", "r", "again: read the folder, design the rest of a plan, measure marked stops"),
     "before": Key("comma", ",", "the stop before"),
     "after": Key("full_stop", ".", "the next stop"),
@@ -48,7 +45,7 @@ KEYS: Mapping[str, Key] = {
     "measure": Key("m", "m", "drive and measure: targets, tests, proposed stops. The arms move"),
     "push": Key("P", "P", "drive to the targets without measuring. The arms move"),
     "locate": Key("l", "l", "measure where the tracker stands. The arms move"),
-    "edit": Key("u", "u", "change the profile in $EDITOR"),
+    "edit": Key("u", "u", "change the profile, or the list of targets, in $EDITOR"),
     "forecast": Key("j", "j", "foresee what a plan gives"),
     "freeze": Key("z", "z", "let later designs leave the marked stops"),
     "drift": Key("d", "d", "accept a drift of the references"),
@@ -60,9 +57,7 @@ KEYS: Mapping[str, Key] = {
     "handbook": Key("f1,h", "F1", "the handbook: contents, search"),
     "palette": Key("ctrl+p", "Ctrl+P", "every action by its name, and the themes"),
     "quit": Key(
-        "q",
-        "q",
-        "quit; asks where something runs or is not saved; in a text to read: close it. Ctrl-Q does so in a text field",
+        "q", "q", "quit; asks while something runs; in a text to read: close it. Ctrl-Q does so in a text field"
     ),
 }
 SHOWN: Mapping[str, str] = {meaning: key.shown for meaning, key in KEYS.items()}

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -31,11 +30,10 @@ from cellapp.commands.trials.scoring import (
     NoiseLengths,
     Outcome,
     ScoredRun,
-    SecondName,
     scores,
 )
 from cellapp.commands.trials.sealed import DescribedTerm, GroundTruth, check_readings, check_seal, open_truth
-from cellapp.commands.trials.sealed_setup import FLIP, HARD, POSITION
+from cellapp.commands.trials.sealed_setup import HARD, POSITION
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.discovery.arm_data import UNKNOWN
 from cellapp.estimation.discovery.outcome import Discovery, HeldOut
@@ -48,8 +46,6 @@ from cellapp.ground.progress import Progress
 from cellapp.ground.results import CALIBRATE, Record
 from cellapp.ground.version import __version__
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.effects.data_driven import form_named
-from cellapp.robot.effects.law import DriverVariable
 from cellapp.robot.model import CellModel
 
 _POSITIONS: tuple[frozenset[str], ...] = (
@@ -60,16 +56,6 @@ _POSITIONS: tuple[frozenset[str], ...] = (
 """Sets of variables that together state where the SMR is."""
 _OF_SPACE = ("tracker", "base", "workspace", "field", "position")
 """First words of channels that may describe a field over the workspace."""
-_CONVENTION = re.compile(r"opposite|wrong sign|reversed|flipped|convention", re.IGNORECASE)
-"""Words which say that approach signs follow the other convention."""
-
-_ALIKE: tuple[frozenset[DriverVariable], ...] = (
-    frozenset({DriverVariable.APPROACH, DriverVariable.STEP, DriverVariable.DWELL}),
-    frozenset({DriverVariable.TIME, DriverVariable.AIR_TEMPERATURE, DriverVariable.JOINT_TEMPERATURE}),
-    frozenset({DriverVariable.TORQUE, DriverVariable.PAYLOAD}),
-    frozenset({DriverVariable.BEAM, DriverVariable.INCIDENCE}),
-)
-"""Quantities that can stand for one another: the last motion, the course of the run, the load, the line of sight."""
 
 
 def score_run(truth: GroundTruth, arms: Mapping[str, ArmFindings]) -> ScoredRun:
@@ -86,8 +72,7 @@ def score_run(truth: GroundTruth, arms: Mapping[str, ArmFindings]) -> ScoredRun:
         outcome=None if here is None else _outcome(names, frozenset(here.accepted)),
         in_answer_set=None if here is None else names <= {slug for answers in here.answer_sets for slug in answers},
         description="" if here is None or truth.expected is None else _description(truth.expected, here.described),
-        second_names=() if here is None else _second_names(called, hidden, truth.expected, here),
-        says_convention=None if here is None or truth.kind != FLIP else _says_convention(here),
+        second_names=() if here is None else _second_names(called, truth.expected, here),
         arms=arms,
     )
 
@@ -139,63 +124,21 @@ def _field_description(described: Sequence[DescribedTerm]) -> Likeness:
     return best
 
 
-def _says_convention(found: ArmFindings) -> bool:
-    """Return whether the verdict or a description says that a sign is the opposite of what it should be."""
-    return any(_CONVENTION.search(text) for text in (found.sentence, *(term.sentence for term in found.described)))
-
-
-# -- second names -----------------------------------------------------------------------------------------------------
-
-
-def _second_names(
-    called: Sequence[str], hidden: Sequence[HiddenEffect], expected: DescribedTerm | None, found: ArmFindings
-) -> tuple[SecondName, ...]:
+def _second_names(called: Sequence[str], expected: DescribedTerm | None, found: ArmFindings) -> tuple[str, ...]:
     """Return the names accepted beyond the number of hidden effects; a name that replaces a missing one is only wrong.
 
     ``called`` are the names that the hidden effects should get.
     """
     wanted = Counter([UNKNOWN] if expected is not None else called)
     terms = iter(found.described)
-    beyond: list[tuple[str, frozenset[DriverVariable]]] = []
+    beyond: list[str] = []
     for slug in found.accepted:
         term = next(terms, None) if slug == UNKNOWN else None
         if wanted[slug] > 0:
             wanted[slug] -= 1
-        elif slug == UNKNOWN:
-            beyond.append((_term_name(term), _term_drivers(term)))
         else:
-            beyond.append((slug, EFFECTS[slug].variables if slug in EFFECTS else frozenset()))
-    missing = sum(wanted.values())
-    causes = _drivers(hidden, expected)
-    alike = {name for effect in hidden if effect.effect in EFFECTS for name in EFFECTS[effect.effect].look_alikes}
-    return tuple(
-        SecondName(name=name, same_cause=name in alike or bool(_widened(drivers) & causes))
-        for name, drivers in beyond[missing:]
-    )
-
-
-def _widened(drivers: frozenset[DriverVariable]) -> frozenset[DriverVariable]:
-    """Add to quantities those that can stand for them."""
-    return drivers.union(*(group for group in _ALIKE if group & drivers))
-
-
-def _term_name(term: DescribedTerm | None) -> str:
-    return UNKNOWN if term is None else f"{term.channel}: {', '.join(term.variables)}"
-
-
-def _term_drivers(term: DescribedTerm | None) -> frozenset[DriverVariable]:
-    form = None if term is None else form_named("|".join([term.channel, *term.variables]))
-    return frozenset() if form is None else form.variables
-
-
-def _drivers(hidden: Sequence[HiddenEffect], expected: DescribedTerm | None) -> frozenset[DriverVariable]:
-    """Return the quantities on which the hidden effects depend."""
-    if expected is not None and expected.variables == (POSITION,):
-        return frozenset({DriverVariable.BEAM, DriverVariable.JOINT_ANGLE})
-    if expected is not None:
-        return _term_drivers(expected)
-    each = [EFFECTS[effect.effect].variables for effect in hidden if effect.effect in EFFECTS]
-    return frozenset().union(*each)
+            beyond.append(slug if term is None else f"{term.channel}: {', '.join(term.variables)}")
+    return tuple(beyond[sum(wanted.values()) :])
 
 
 TRIAL_RESULT = "sealed-trial"

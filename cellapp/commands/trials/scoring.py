@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from cellapp.commands.trials.sealed import DescribedTerm, SealHeader
-from cellapp.commands.trials.sealed_setup import FLIP, Setup
+from cellapp.commands.trials.sealed_setup import MASS_ERROR, Setup
 from cellapp.commands.view.table import Field, Number, Table, table_of
 from cellapp.estimation.discovery.arm_data import UNKNOWN
 from cellapp.estimation.discovery.records import BeforeAfter
@@ -43,7 +43,7 @@ def posterior_scores(runs: Sequence[ScoredRun]) -> tuple[PosteriorScore, ...]:
         for arm, found in run.arms.items():
             if not found.posteriors:
                 continue
-            hidden = run.hidden if arm == run.arm and run.kind != FLIP else ()
+            hidden = run.hidden if arm == run.arm else ()
             present = {effect.effect for effect in hidden}
             left_out = {UNKNOWN, *found.invisible, *(effect.effect for effect in hidden if not effect.visible)}
             for slug in EFFECTS:
@@ -106,7 +106,7 @@ def targets(
         _at_most("none", "false names, by arm", 0.01, [bool(arm.names) for arm in clean], ENOUGH_CLEAN),
         _at_most("none", "false unknown effects, by arm", 0.01, [arm.unknown for arm in clean], ENOUGH_CLEAN),
         _at_most("beside", "false names, arms beside one that hides something", 0.01, false_beside, ENOUGH_CLEAN),
-        *_outside([run for run in runs if run.kind == "outside"], [run for run in runs if run.kind == "flipped"]),
+        *_outside([run for run in runs if run.kind == "outside"]),
         _at_most("hard", "a name too many", 0.02, too_many, _SECOND, bar=False),
         _at_most("one", "below the noise: another name", 0.02, wrong_below, _SECOND, bar=False),
         *_second([run for run in known if run.visible], [run for run in runs if run.kind == "outside"]),
@@ -132,26 +132,22 @@ def _names(visible: Sequence[ScoredRun]) -> list[TargetScore | None]:
     ]
 
 
-def _outside(outside: Sequence[ScoredRun], flipped: Sequence[ScoredRun]) -> list[TargetScore | None]:
-    """Score laws outside the library, and signs of the wrong convention; only above the noise."""
+def _outside(outside: Sequence[ScoredRun]) -> list[TargetScore | None]:
+    """Score laws outside the library; only above the noise."""
     called = [run.findings.unknown for run in outside if run.visible]
     described = [run.description == "right" for run in outside if run.visible]
-    said = [run.findings.unknown and bool(run.says_convention) for run in flipped if run.visible]
     return [
         _at_least("outside", "visible: called unknown", 0.95, called, _OUTSIDE),
         _at_least("outside", "visible: right channel and variables", 0.85, described, _OUTSIDE),
-        _at_least("flipped", "visible: called unknown, opposite sign said", 0.95, said, _OUTSIDE),
     ]
 
 
 def _second(known: Sequence[ScoredRun], outside: Sequence[ScoredRun]) -> list[TargetScore | None]:
     """Score names beyond those of the hidden effects."""
     beyond = [bool(run.second_names) for run in known]
-    same = [any(one.same_cause for one in run.second_names) for run in known]
     further = [bool(run.second_names) for run in outside]
     return [
         _at_most("one, pair, triple", "second names", 0.02, beyond, _SECOND),
-        _at_most("one, pair, triple", "of these for the same cause", 0.02, same, _SECOND, bar=False),
         _at_most("outside", "names beyond the one description", 0.02, further, _SECOND),
     ]
 
@@ -227,7 +223,7 @@ def _target(
 
 def scores(runs: Sequence[ScoredRun]) -> Scores:
     """Count outcomes and targets over all runs."""
-    one = [run for run in runs if run.kind in ("one", "flipped")]
+    one = [run for run in runs if run.kind == "one"]
     outside = [run for run in runs if run.kind == "outside"]
     several = [run for run in runs if len(run.hidden) > 1]
     clean = [found for run in runs if run.kind == "none" for found in run.arms.values()]
@@ -275,9 +271,6 @@ def _outcome_counts(runs: Sequence[ScoredRun]) -> OutcomeCounts:
         **counts,
         n=len(runs),
         visible_um=Spread.of([min(effect.visible_um for effect in run.hidden) for run in runs]),
-        beyond_law_um=Spread.of(
-            [effect.beyond_law_um for run in runs for effect in run.hidden if effect.beyond_law_um]
-        ),
         in_answer_set=sum(bool(run.in_answer_set) for run in runs),
     )
 
@@ -315,8 +308,6 @@ def _missed(run: ScoredRun, arm: str) -> bool:
     found = run.arms[arm]
     if arm != run.arm:
         return bool(found.accepted) or found.unknown
-    if run.kind == "flipped":
-        return not (found.unknown and run.says_convention)
     if run.kind == "outside":
         return run.description != "right" or bool(found.names)
     if run.kind == "hard" and run.second_names:
@@ -341,10 +332,9 @@ def _miss(run: ScoredRun, arm: str) -> Miss:
 
 
 def _hidden_words(effect: HiddenEffect) -> str:
-    """Describe an effect, ``backlash/many_plays (84, beyond its law 12)``: visible size, size beyond the law [µm]."""
+    """Describe an effect, ``backlash/many_plays (84)``: its law and its visible size [µm]."""
     law = f"/{effect.law}" if effect.law else ""
-    beyond = "" if effect.beyond_law_um is None else f", beyond its law {effect.beyond_law_um:.0f}"
-    return f"{effect.plant}{law} ({effect.visible_um:.0f}{beyond})"
+    return f"{effect.plant}{law} ({effect.visible_um:.0f})"
 
 
 THRESHOLD = "visible rms above the rms length of the stated noise (noise per coordinate times root 3)"
@@ -394,7 +384,6 @@ class HiddenEffect(Record):
     law: str = ""
     raw_um: float
     visible_um: float
-    beyond_law_um: float | None = None
     visible: bool = True
 
 
@@ -439,25 +428,13 @@ class ArmFindings(Record):
         return self.heldout_um.after / self.noise_um.stated if self.noise_um.stated else None
 
 
-class SecondName(Record):
-    """Something accepted beyond as many effects as were hidden.
-
-    ``same_cause`` says whether it depends on a quantity that a hidden effect depends on too: it then stands in for what
-    that effect's law left. Otherwise it is a false alarm beside a hidden effect.
-    """
-
-    name: str
-    same_cause: bool
-
-
 class ScoredRun(Record):
     """One run: what was hidden in which arm, what was found, and how that scores.
 
     ``visible``, ``outcome`` and ``in_answer_set`` are None where nothing is hidden. ``outcome`` is ``named`` (exactly
     the names), ``extra`` (those and more), ``part`` (some of them and nothing else), ``unknown`` (data-driven terms
     only), ``none`` or ``wrong``. ``description`` is ``right`` where a term has the channel and the variables of a law
-    outside the library, ``part`` with the channel and some of them, else empty. ``says_convention`` is whether the
-    words say that a sign is opposite; None unless approach signs were flipped.
+    outside the library, ``part`` with the channel and some of them, else empty.
     """
 
     run: str
@@ -470,8 +447,7 @@ class ScoredRun(Record):
     outcome: Outcome | None
     in_answer_set: bool | None
     description: Likeness
-    second_names: tuple[SecondName, ...] = ()
-    says_convention: bool | None = None
+    second_names: tuple[str, ...] = ()
     arms: Mapping[str, ArmFindings]
 
     @property
@@ -481,10 +457,10 @@ class ScoredRun(Record):
 
     @property
     def hidden_names(self) -> str:
-        """The hidden effects as the plant names them; a single one with its law, and whether signs were flipped."""
+        """The hidden effects as the plant names them; a single one with its law."""
         names = " + ".join(effect.plant for effect in self.hidden)
         law = self.hidden[0].law if len(self.hidden) == 1 else ""
-        return names + (f"/{law}" if law else "") + (", signs flipped" if self.says_convention is not None else "")
+        return names + (f"/{law}" if law else "")
 
 
 class EndState(Record):
@@ -499,7 +475,6 @@ class OutcomeCounts(EndState):
 
     n: int
     visible_um: Spread | None
-    beyond_law_um: Spread | None
     named: int
     extra: int
     part: int
@@ -672,8 +647,8 @@ def judge_sentences(result: JudgeResult) -> list[str]:
 
 def setup_words(setup: Setup) -> str:
     """Describe the conditions of a set of trials."""
-    said = [f"kind {setup.hides}", f"noise {setup.noise}", f"laws {setup.laws}", f"ranges {setup.ranges}"]
-    said.append(f"masses {100 * setup.mass_error:.0f} % off")
+    said = [f"kind {setup.kind}", f"noise {setup.noise}", f"laws {setup.laws}", f"ranges {setup.ranges}"]
+    said.append(f"masses {100 * MASS_ERROR:.0f} % off")
     return ", ".join([*said, *([] if setup.stated else ["no stated uncertainty"])])
 
 
@@ -724,7 +699,6 @@ def _count_table(title: str, groups: Mapping[str, EffectCounts]) -> Table:
         rows,
         ("effect", itemgetter(0)),
         ("visible µm", lambda row: _range(row[1].visible_um)),
-        ("beyond law µm", lambda row: _range(row[1].beyond_law_um)),
         ("n", lambda row: row[1].n, "d"),
         ("named", lambda row: row[1].named, "d"),
         ("otherwise", lambda row: _otherwise(row[1])),

@@ -30,15 +30,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.columns import KINDS
 from cellapp.cell.run.recordings import read_stream, recording_states, store_recording
 from cellapp.cell.run.recordings_csv import RecordedStreams
-from cellapp.commands.trials.blind import (
-    Noise,
-    Session,
-    beyond_geometry,
-    beyond_law,
-    blind_readings,
-    registered_model,
-    with_hidden,
-)
+from cellapp.commands.trials.blind import Noise, Session, beyond_geometry, blind_readings, with_hidden
 from cellapp.commands.trials.sealed_setup import (
     EXPECTED,
     HARD,
@@ -51,7 +43,6 @@ from cellapp.commands.trials.sealed_setup import (
     library_name,
 )
 from cellapp.estimation.calibration.calibrate import rms_length_mm
-from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.readings import Readings, stated_uncertainty
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile, Sensors
@@ -115,8 +106,7 @@ class HiddenLaw(Record):
     """One hidden effect: its name in the library and in the plant, its parameters, and how far it moves the SMR.
 
     ``raw_um`` is the rms displacement over the run's stops [µm], ``visible_um`` what remains of it after the part that
-    the geometric parameters can follow, ``beyond_law_um`` what geometry and the library's best law of that effect
-    leave (None where the library has no such law).
+    the geometric parameters can follow.
     """
 
     effect: str
@@ -124,7 +114,6 @@ class HiddenLaw(Record):
     parameters: Mapping[str, JsonValue]
     raw_um: float
     visible_um: float
-    beyond_law_um: float | None = None
 
     @property
     def law(self) -> str:
@@ -225,7 +214,7 @@ def seal_trials(
     build_plant(profile)  # report an error in the cell before making a folder
     made = _new_folder(folder)
     try:
-        hidden = cases(tuple(profile.arms), setup.hides, n, seed)
+        hidden = cases(tuple(profile.arms), setup.kind, n, seed)
         truths: list[GroundTruth] = []
         for first in range(0, len(hidden), _TRIALS_A_PLAN):
             listener(Progress("seal", first, n, f"run {first + 1}"))
@@ -446,19 +435,14 @@ def _hidden_laws(cell: _HiddenCell, parameters: _Effects, with_all: Mapping[str,
     """Return every hidden effect with its size, from exact readings without it and ``with_all`` effects."""
     found = []
     for slug, law in parameters.items():
-        without = cell.exact({other: values for other, values in parameters.items() if other != slug})
-        own = without[cell.arm]
+        own = cell.exact({other: values for other, values in parameters.items() if other != slug})[cell.arm]
         moved = with_all[cell.arm].p_M - own.p_M
-        models = {name: registered_model(cell.profile, name, arm.q, arm.p_M) for name, arm in without.items()}
-        conditions = conditions_of_arms(models, without)[cell.arm]
-        beyond = beyond_law(models[cell.arm], library_name(slug), own.q, conditions, moved)
         one = HiddenLaw(
             effect=library_name(slug),
             plant=slug,
             parameters=json.loads(json.dumps(law)),
             raw_um=_rms_um(moved),
             visible_um=_rms_um(beyond_geometry(cell.profile.arms[cell.arm], own.q, own.p_M, moved)),
-            beyond_law_um=None if beyond is None else _rms_um(beyond),
         )
         found.append(one)
     return tuple(found)

@@ -94,12 +94,10 @@ IN_MOTION: tuple[tuple[str, ...], ...] = (
     ("transmission_error", "friction_windup"),
 )
 """Effects of joints, which recordings of motion show."""
-FLIPPED: tuple[tuple[str, ...], ...] = (("backlash",), ("friction_windup",))
-"""Effects that show in approach signs; hidden in cases whose signs have the wrong convention."""
 
 IN_THE_LIBRARY = {"tracker_drift": "base_drift"}
 """Laws of the plant that one arm's data cannot tell from an effect of the library, and that effect."""
-ONE, NONE, OUT, PAIR, TRIPLE, HARD, FLIP = "one", "none", "outside", "pair", "triple", "hard", "flipped"
+ONE, NONE, OUT, PAIR, TRIPLE, HARD = "one", "none", "outside", "pair", "triple", "hard"
 MOTION = "motion"
 KINDS = (ONE, NONE, OUT, PAIR, TRIPLE)
 MIXED = "mixed"
@@ -135,7 +133,6 @@ def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
         PAIR: [*((pair, False) for pair in PAIRS), *((pair, True) for pair in LOOK_ALIKES)],
         TRIPLE: [(triple, False) for triple in TRIPLES],
         HARD: [(hard, False) for hard in HARD_CASES],
-        FLIP: [(one, False) for one in FLIPPED],
         MOTION: [(joints, False) for joints in IN_MOTION],
     }
     counts = dict.fromkeys(menus, 0)
@@ -185,12 +182,8 @@ class Setup(Record):
         Stops of each run, in place of the profile's, or of those to sweep at and ``HELD_OUT`` more.
     ranges : str
         full; narrow: each joint moves over 10 to 50 degrees about a drawn centre.
-    mass_error : float
-        Standard deviation of true link masses, relative to the nominal ones.
     stated : bool
         Whether readings state their uncertainty.
-    flip_approach : bool
-        Whether approach signs have the opposite convention; last steps are then not given.
     plan_method : str
         random or designed: how the stops of each run are chosen.
     sweeps : int or None
@@ -203,16 +196,9 @@ class Setup(Record):
     laws: str = "same"
     stops: int | None = None
     ranges: str = "full"
-    mass_error: float = MASS_ERROR
     stated: bool = True
-    flip_approach: bool = False
     plan_method: str = "random"
     sweeps: int | None = None
-
-    @property
-    def hides(self) -> str:
-        """The kind of its cases."""
-        return FLIP if self.flip_approach else self.kind
 
     @property
     def session(self) -> Session:
@@ -231,21 +217,15 @@ class Setup(Record):
         for name, word, known in words:
             if word not in known:
                 raise InputError(f"--{name}: '{word}' is not known; {name.rstrip('s')}s are {', '.join(known)}")
-        if self.flip_approach and self.kind != ONE:
-            raise InputError(f"--flip-approach hides backlash and friction by itself; leave out --kind {self.kind}")
         if self.plan_method == "designed" and self.ranges != "full":
             raise InputError("--plan designed needs the full joint ranges; leave out --ranges narrow")
         if self.stops is not None and self.stops < FEWEST_STOPS:
             raise InputError(f"--stops: {self.stops} are too few to identify the geometry; give {FEWEST_STOPS} or more")
         if self.sweeps is not None:
             self._check_sweeps(self.sweeps)
-        if not 0.0 <= self.mass_error < 1.0:
-            raise InputError(f"--mass-error: {self.mass_error:g} is not a share from 0 to below 1")
 
     def _check_sweeps(self, sweeps: int) -> None:
         """Raise ``InputError`` for conditions that recordings of motion cannot have."""
-        if self.flip_approach:
-            raise InputError("--sweeps: motion has no approach signs to flip; leave out --flip-approach")
         if self.ranges != "full":
             raise InputError("--sweeps needs the full joint ranges; leave out --ranges narrow")
         if self.stops is not None and self.stops - sweeps < FEWEST_HELD_OUT:
@@ -257,7 +237,7 @@ class Setup(Record):
     def cell(self, profile: Profile) -> Profile:
         """Return the profile with these trials' number of stops, splits and masses, and nothing hidden."""
         assert profile.plant is not None
-        geometry = profile.plant.geometry.model_copy(update={"mass": self.mass_error})
+        geometry = profile.plant.geometry.model_copy(update={"mass": MASS_ERROR})
         plant = profile.plant.model_copy(update={"geometry": geometry, "effects": {}})
         changes: dict[str, object] = {"plant": plant}
         stops = self.stops if self.sweeps is None or self.stops is not None else self.sweeps + HELD_OUT
@@ -295,11 +275,7 @@ class Setup(Record):
 
     def reported(self, readings: Readings) -> Readings:
         """Return the readings as a run of these trials holds them."""
-        if not self.stated:
-            readings = replace(readings, covariance_M=None)
-        if self.flip_approach:
-            readings = replace(readings, approach=-readings.approach, step=None)
-        return readings
+        return readings if self.stated else replace(readings, covariance_M=None)
 
 
 USUAL_SETUP = Setup()

@@ -48,13 +48,7 @@ def seal(
     ranges: Annotated[
         str, typer.Option("--ranges", metavar="RANGES", help="full, or narrow: every joint moves over 10 to 50 deg.")
     ] = "full",
-    mass_error: Annotated[
-        float, typer.Option("--mass-error", help="Standard deviation of true link masses, relative.")
-    ] = 0.05,
     unstated: Annotated[bool, typer.Option("--unstated", help="Readings do not state their uncertainty.")] = False,
-    flip_approach: Annotated[
-        bool, typer.Option("--flip-approach", help="Backlash or friction, approach signs by the opposite convention.")
-    ] = False,
     plan: Annotated[
         str, typer.Option("--plan", metavar="PLAN", help="How stops are chosen: random or designed.")
     ] = "random",
@@ -70,8 +64,8 @@ def seal(
     from cellapp.commands.trials.sealed_setup import Setup
 
     setup = Setup(
-        kind=kind, noise=noise, laws=laws, stops=stops, ranges=ranges, mass_error=mass_error,
-        stated=not unstated, flip_approach=flip_approach, plan_method=plan, sweeps=sweeps,
+        kind=kind, noise=noise, laws=laws, stops=stops, ranges=ranges,
+        stated=not unstated, plan_method=plan, sweeps=sweeps,
     )  # fmt: skip
     with Job(json_file) as job:
         result = seal_trials(load_profile(profile), out, n, setup, seed=seed, listener=job.listen, cancel=job.control)

@@ -361,11 +361,10 @@ class CellApp(JobKeys):
         await self.action_quit()
 
     async def action_quit(self) -> None:
-        """Quit; with a running job or unsaved changes, ask first; stop the job and wait for its end."""
-        unsaved = [words for screen in self._screens.values() if (words := screen.unsaved)]
-        if self.jobs.running or unsaved:
+        """Quit; with a running job, ask first; stop the job and wait for its end."""
+        if self.jobs.running:
             if not self._leaving and not isinstance(self.screen, QuitQuestion):
-                offer_to_quit(self, self._leave, unsaved)
+                offer_to_quit(self, self._leave)
         else:
             self.exit(return_code=self.code)
 

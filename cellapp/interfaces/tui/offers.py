@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import records
 from cellapp.interfaces.tui import work
@@ -138,22 +137,18 @@ def ask_of_calibrated(
 
 
 class QuitQuestion(Choice):
-    """Whether to quit, and what that ends or loses."""
+    """Whether to quit, and what that ends."""
 
 
-def offer_to_quit(app: Host, leave: Callable[[bool], None], unsaved: Sequence[str] = ()) -> None:
-    """Ask whether to stop the job or to lose unsaved changes, and quit; ``leave`` receives the answer."""
-    text = f"Not saved, and lost: {', '.join(unsaved)}. " if unsaved else ""
-    stay, quits = "Stay", Answer("leave", "Quit, lose them", "y", "error")
-    if not app.jobs.running:
-        text += f"Key {SHOWN['save']} saves on the screen that has them."
-    elif app.jobs.watched:
-        quits = Answer("leave", "Quit, it goes on", "y", "warning")
-        text += f"'{app.record.name}' runs in another process and goes on; its arms are not stopped."
+def offer_to_quit(app: Host, leave: Callable[[bool], None]) -> None:
+    """Ask whether to quit while a job runs; ``leave`` receives the answer."""
+    if app.jobs.watched:
+        stay, quits = "Stay", Answer("leave", "Quit, it goes on", "y", "warning")
+        text = f"'{app.record.name}' runs in another process and goes on; its arms are not stopped."
     else:
         stay, quits = "Continue", Answer("leave", "Stop and quit", "y", "error")
         brake = "Brake all arms, end it" if app.jobs.control.has_brakes else "End it"
-        text += f"'{app.record.name}' is in progress. {brake} and quit?"
+        text = f"'{app.record.name}' is in progress. {brake} and quit?"
     question = QuitQuestion("Quit?", text, (Answer("stay", stay, "n"), quits))
     app.push_screen(question, lambda answer: leave(answer == "leave"))
 

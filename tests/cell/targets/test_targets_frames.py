@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from cellapp.cell.targets.goals import work_frame_pose
-from cellapp.cell.targets.target_text import targets_text
 from cellapp.cell.targets.targets import (
     FramePoint,
     Partner,
@@ -200,18 +199,6 @@ def test_conditions_of_the_file_hold_where_a_target_states_none(path: Path) -> N
     assert target.partner.conditions == WorkingConditions(dwell=1.0)
 
 
-# -- written again ----------------------------------------------------------------------------------------------------
-
-finite = st.floats(-9.0, 9.0)
-points = st.tuples(finite, finite, finite)
-angles = st.none() | st.tuples(*[st.floats(-12.0, 12.0)] * 3)
-conditions = st.builds(
-    WorkingConditions,
-    payload=st.none() | st.floats(0.0, 50.0),
-    temperature=st.none() | st.floats(-10.0, 60.0),
-    time=st.none() | st.floats(0.0, 1e6),
-    dwell=st.none() | st.floats(0.0, 60.0),
-)
 TABLE = WorkFrame(
     name="Tisch: 'ä'",
     parent="right",
@@ -221,36 +208,6 @@ TABLE = WorkFrame(
     ),
 )
 
-
-@st.composite
-def targets(draw: st.DrawFn, name: str) -> Target:
-    frame: str | WorkFrame = draw(st.sampled_from(["base", "tracker", "left", "right"]) | st.just(TABLE))
-    rpy = draw(angles)
-    partner = None
-    if rpy is not None and draw(st.booleans()):
-        partner = Partner(arm="right", position=draw(points), rpy=draw(angles), conditions=draw(conditions))
-    return Target(
-        name=name,
-        arm="left",
-        position=draw(points),
-        rpy=rpy,
-        frame=frame if isinstance(frame, str) else frame.name,
-        work_frame=None if isinstance(frame, str) else frame,
-        tolerance=draw(st.none() | st.floats(1e-6, 1e-2)),
-        approach=draw(st.none() | st.tuples(*[st.sampled_from([-1, 0, 1])] * 6)),
-        conditions=draw(conditions | st.just(WorkingConditions(payload=2.0))),
-        partner=partner,
-    )
-
-
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(listed=st.integers(1, 3).flatmap(lambda n: st.tuples(*[targets(f"t{k}") for k in range(n)])))
-def test_every_list_is_written_and_read_bit_for_bit(path: Path, listed: tuple[Target, ...]) -> None:
-    path.write_text(targets_text(listed), encoding="utf-8")
-    assert load_targets(path, PROFILE) == listed
-
-
-# -- typed ------------------------------------------------------------------------------------------------------------
 
 FULL = Target(
     name="one",

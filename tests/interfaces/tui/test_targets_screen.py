@@ -1,4 +1,4 @@
-"""The screen Targets: listed, edited with undo, saved, opened, compensated, pushed and verified; what is refused."""
+"""The screen Targets: a list that an editor changes; a push with a model that is out of date."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import pytest
 from textual.pilot import Pilot
 from textual.widgets import DataTable, Input, Static
 
-from cellapp.cell.targets.target_text import targets_text
 from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.push.request import PushRequest
 from cellapp.commands.record import Verb
@@ -17,8 +16,9 @@ from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.workspace import Workspace
-from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, until
-from tests.twin import small_twin
+from tests.interfaces.tui.pilot import PROFILES, SMALL, ended, opened, shows, until
+from tests.interfaces.tui.test_cell_screen import edits
+from tests.twin import small_twin, write_few_targets
 
 TWIN = PROFILES / "twin.yaml"
 LISTED = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
@@ -62,8 +62,7 @@ def asked(app: CellApp) -> str:
 def few(tmp_path: Path) -> Path:
     """Three targets, the first with a tolerance that is met, the second with one that is not."""
     path = tmp_path / "few.yaml"
-    sizes = (2e-3, 1e-6, None)
-    path.write_text(targets_text([t.model_copy(update={"tolerance": size}) for t, size in zip(LISTED, sizes)]))
+    write_few_targets(path)
     return path
 
 
@@ -91,3 +90,18 @@ async def test_a_model_that_is_out_of_date_is_used_only_if_that_is_said(
     (request,) = started
     assert request.targets == load_targets(few, small_twin())
     assert (request.verify, request.out_of_date) == (False, True)
+
+
+async def test_a_list_is_edited_and_checked_again(tmp_path: Path, few: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    app = CellApp(PROFILES)
+    async with app.run_test(size=SMALL) as pilot:
+        await show_targets(pilot, app, None, few)
+        monkeypatch.chdir(tmp_path)
+        edits(app, monkeypatch, "left-02", "left-01")
+        await pilot.press("u")
+        await shows(pilot, "is listed twice")
+        assert grid(app).row_count == 3, "the list that was read before"
+        edits(app, monkeypatch, "left-03", "third")
+        few.write_text(few.read_text("utf-8").replace("left-01", "first", 1), "utf-8")
+        await pilot.press("u")
+        await shows(pilot, "third")

@@ -18,20 +18,17 @@ from textual.pilot import Pilot
 from textual.widgets import Input
 
 from cellapp.cell.run import RunFile
-from cellapp.cell.targets.target_text import targets_text
-from cellapp.cell.targets.targets import load_targets
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.target_form import FieldRow
 from cellapp.interfaces.tui.job_record import LEVELS, LogRow
 from cellapp.interfaces.tui.widgets.log_pane import LogPane
 from cellapp.robot.kinematics.chain import nominal_geometry, smr_positions
 from tests.approved import assert_approved, commands_of
 from tests.arms import UR5
 from tests.cell.run.small_runs import collected_run, set_began
-from tests.interfaces.tui.pilot import PROFILES, SIZES, ended, opened, shows, until
+from tests.interfaces.tui.pilot import SIZES, ended, opened, shows, until
 from tests.interfaces.tui.test_snapshots import final_text, words_of
-from tests.twin import small_twin, write_profile
+from tests.twin import small_twin, write_few_targets, write_profile
 
 WALKS = sorted((Path(__file__).parent / "walks").glob("*.txt"))
 DAY = Path("logs") / "day"
@@ -69,11 +66,9 @@ def make_run(kind: str, count: str, finished: Path) -> None:
 
 
 def make_profiles() -> None:
-    """Small profiles, and a list of three targets: one with a tolerance that is met, one that is not, one without."""
+    """Small profiles, and a list of three targets."""
     write_profile(Path("profiles"))
-    listed = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())[:3]
-    few = [one.model_copy(update={"tolerance": size}) for one, size in zip(listed, (2e-3, 1e-6, None), strict=True)]
-    Path("few.yaml").write_text(targets_text(few), encoding="utf-8")
+    write_few_targets(Path("few.yaml"))
 
 
 class Walk:
@@ -86,8 +81,7 @@ class Walk:
 
     def _fields(self, name: str) -> list[Input]:
         """The fields of the screen that are called so."""
-        rows = [row.input for row in self.app.screen.query(FieldRow) if row.field_id == name]
-        return [*rows, *self.app.screen.query(f"Input#{name}, #{name} Input").results(Input)]
+        return list(self.app.screen.query(f"Input#{name}, #{name} Input").results(Input))
 
     async def step(self, what: str, rest: str) -> str:
         """Do a step; what it shows."""
@@ -138,6 +132,8 @@ class Walk:
                 await until(self.pilot, lambda: pane.view.size.width > 0, "the log on the screen")
                 texts = (f"event {number} of arm {'left' if number % 3 else 'right'}" for number in range(int(rest)))
                 pane.show("A log", [LogRow(NOON, LEVELS[n % 4], text) for n, text in enumerate(texts)])
+            case "edit":  # FILE OLD NEW: another text in a file
+                Path(name).write_text(Path(name).read_text("utf-8").replace(*text.split(" ")), "utf-8")
             case "clipboard":
                 return self.app.clipboard
             case "bend":  # FILE NEW: a plan whose third row is bent down into the floor

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
 
+from textual import on
 from textual.app import ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal
@@ -18,7 +19,7 @@ from textual.widgets import Button, Input, Static
 
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
-from cellapp.interfaces.tui.dialogs.question import FieldsQuestion
+from cellapp.interfaces.tui.dialogs.question import Question
 
 _MOST_SHOWN = 200
 _MOST_NAMED = 5
@@ -88,8 +89,12 @@ class PathField(Input):
         self.focus()
 
 
-class PathQuestion(FieldsQuestion[Path]):
-    """Dialog for a path, which Tab completes. Returns it; None if the dialog is closed."""
+class PathQuestion(Question[Path]):
+    """Dialog for a path, which Tab completes. Returns it; None if the dialog is closed.
+
+    Enter, or the first button, submits it. A subclass closes the dialog in ``action_send``, or calls ``explain`` with
+    what is wrong with the path.
+    """
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", "Complete", priority=True)]
     DOES: ClassVar[str] = "Open"
@@ -116,6 +121,29 @@ class PathQuestion(FieldsQuestion[Path]):
         field = self.query_one("#path", Input)
         field.focus()
         field.cursor_position = len(field.value)
+
+    @on(Input.Submitted)
+    def submit(self, event: Input.Submitted) -> None:
+        """Submit with Enter in any field."""
+        event.stop()
+        self.action_send()
+
+    @on(Button.Pressed)
+    def press(self, event: Button.Pressed) -> None:
+        """Submit or close."""
+        event.stop()
+        if event.button is self.query(".answers Button").first():
+            self.action_send()
+        else:
+            self.dismiss(None)
+
+    def action_send(self) -> None:
+        """Close with the answer, if the fields are complete."""
+        raise NotImplementedError
+
+    def explain(self, sentence: str) -> None:
+        """Show below the fields what is wrong with them."""
+        self.query_one("#why", Static).update(sentence)
 
     def action_complete(self) -> None:
         """Complete to the longest common prefix of all candidates; a single candidate completely."""

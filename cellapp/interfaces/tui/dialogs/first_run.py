@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 from textual.app import SuspendNotSupported
@@ -96,9 +97,22 @@ def take_own_readings(app: Host) -> None:
 
 
 def edit_profile(app: Host, path: Path) -> None:
-    """Let a person edit a profile in ``$EDITOR``, then read and check it again; say where it is if that cannot be."""
+    """Let a person edit a profile, then read and check it again."""
+
+    def read() -> None:
+        if app.workspace.folder is not None and path == app.workspace.profile_path:
+            app.open_run(app.workspace.folder, path)
+        else:
+            app.open_profile(path)
+
+    edit_file(app, path, read, "Enter on its name checks it again")
+
+
+def edit_file(app: Host, path: Path, read: Callable[[], None], again: str) -> None:
+    """Let a person edit a file in ``$EDITOR``, then ``read`` it; say where it is if that cannot be, and what ``again``
+    reads it."""
     if app.jobs.running:
-        app.say("A job runs: edit the profile when it has ended, STOP must stay at hand.", "warning")
+        app.say(f"A job runs: edit {path.name} when it has ended, STOP must stay at hand.", "warning")
         return
     editor = os.environ.get("VISUAL") or os.environ.get("EDITOR") or ""
     why = "" if editor else "EDITOR names no editor"
@@ -110,9 +124,6 @@ def edit_profile(app: Host, path: Path) -> None:
         why = "this terminal cannot be lent to an editor"
     except (OSError, ValueError) as error:
         why = f"'{editor}' cannot be started ({error})"
-    if app.workspace.folder is not None and path == app.workspace.profile_path:
-        app.open_run(app.workspace.folder, path)
-    else:
-        app.open_profile(path)
+    read()
     if why:
-        app.say(f"Edit {path.resolve()} in another window ({why}); Enter on its name checks it again.", "warning")
+        app.say(f"Edit {path.resolve()} in another window ({why}); {again}.", "warning")

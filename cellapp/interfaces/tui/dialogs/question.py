@@ -47,36 +47,6 @@ class Question(ModalScreen[A]):
         return self.query_one(f"#{name}", Input).value.strip()
 
 
-class FieldsQuestion(Question[A]):
-    """Dialog with fields. Enter in a field, or the first button, submits them; the other button closes.
-
-    A subclass closes the dialog in ``action_send``, or calls ``explain`` with what is wrong with the fields.
-    """
-
-    @on(Input.Submitted)
-    def submit(self, event: Input.Submitted) -> None:
-        """Submit with Enter in any field."""
-        event.stop()
-        self.action_send()
-
-    @on(Button.Pressed)
-    def press(self, event: Button.Pressed) -> None:
-        """Submit or close."""
-        event.stop()
-        if event.button is self.query(".answers Button").first():
-            self.action_send()
-        else:
-            self.dismiss(None)
-
-    def action_send(self) -> None:
-        """Close with the answer, if the fields are complete."""
-        raise NotImplementedError
-
-    def explain(self, sentence: str) -> None:
-        """Show below the fields what is wrong with them."""
-        self.query_one("#why", Static).update(sentence)
-
-
 @dataclass(frozen=True)
 class Answer:
     """One answer of a choice: its return value, the button's label, its key, its style."""

@@ -125,11 +125,6 @@ class DayScreen(Screen[None]):
             self.show_state(state)
             self._state = state  # only now: if a widget was missing above, the next call draws it
 
-    @property
-    def unsaved(self) -> str:
-        """What would be lost with this screen, in words; empty if nothing."""
-        return ""
-
     def show_state(self, state: RunState) -> None:
         """Draw the sentences of this screen about the state."""
 

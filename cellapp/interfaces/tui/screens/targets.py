@@ -1,16 +1,11 @@
-"""The screen Targets: the list with the run's results for each, edited, compensated, pushed and verified.
-
-The list of targets that the screen Targets edits, with its undo history. Draws nothing.
-"""
+"""The screen Targets: the list with the run's results for each, compensated, pushed and verified."""
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Literal
 
 from rich.text import Text
 from textual import on
@@ -22,7 +17,6 @@ from textual.widgets import DataTable, Static, TabbedContent, TabPane, Tabs
 from textual.worker import get_current_worker
 
 from cellapp.cell.programs.records import CorrectResult
-from cellapp.cell.targets.target_text import new_texts, targets_text, typed_texts
 from cellapp.cell.targets.targets import Target, list_problems, load_targets
 from cellapp.commands.check.location import LocateResult
 from cellapp.commands.check.request import STOPS_TO_LOCATE
@@ -49,9 +43,8 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui import work
-from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, SaveAs
-from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
-from cellapp.interfaces.tui.dialogs.target_form import TargetForm
+from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
+from cellapp.interfaces.tui.dialogs.question import Choice, Reading
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, WRITE, arms_words, ask_of_calibrated
@@ -61,75 +54,7 @@ from cellapp.interfaces.tui.widgets.parts_view import PartsView, words_first
 from cellapp.interfaces.tui.widgets.tables import TextTable
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
-EMPTY = f"No targets: {SHOWN['open']} opens a list (YAML), {SHOWN['add']} adds a target."
-
-
-@dataclass(frozen=True)
-class TargetEdits:
-    """A list, its file, and its undo history.
-
-    Attributes
-    ----------
-    path : Path or None
-        None for a list that has no file yet.
-    saved : tuple of Target
-        The list in the file.
-    history : tuple of lists
-        The list before and after each edit.
-    place : int
-        Index of the current list in the history, for undo and redo.
-    """
-
-    path: Path | None = None
-    saved: tuple[Target, ...] = ()
-    history: tuple[tuple[Target, ...], ...] = ((),)
-    place: int = 0
-
-    @property
-    def targets(self) -> tuple[Target, ...]:
-        """The current list."""
-        return self.history[self.place]
-
-    @property
-    def edited(self) -> bool:
-        """Whether there are unsaved edits."""
-        return self.targets != self.saved
-
-    def changed(self, targets: Sequence[Target]) -> Self:
-        """Return the edits with another list, after an edit."""
-        return replace(self, history=(*self.history[: self.place + 1], tuple(targets)), place=self.place + 1)
-
-    def with_target(self, index: int, target: Target) -> Self:
-        """Return the edits with one target replaced; an index behind the last appends it."""
-        return self.changed((*self.targets[:index], target, *self.targets[index + 1 :]))
-
-    def without(self, index: int) -> Self:
-        """Return the edits with one target removed."""
-        return self.changed((*self.targets[:index], *self.targets[index + 1 :]))
-
-    def stepped(self, step: int) -> Self | None:
-        """Return the edits with the last edit undone (-1) or redone (1); None if there is none."""
-        place = self.place + step
-        return replace(self, place=place) if 0 <= place < len(self.history) else None
-
-    def saved_as(self, path: Path, targets: tuple[Target, ...]) -> Self:
-        """Return the edits after ``targets`` were written to a file."""
-        return replace(self, path=path, saved=targets)
-
-    @property
-    def heading(self) -> str:
-        """File, number of targets, and whether they are saved."""
-        if self.path is None and not self.targets:
-            return EMPTY
-        count = counted(len(self.targets), "target")
-        name = "no file yet" if self.path is None else str(self.path)
-        state = f" · NOT SAVED ({SHOWN['save']} saves)" if self.edited else ""
-        gone = (
-            f" · the file is gone, {SHOWN['save']} writes it again"
-            if self.path is not None and not self.path.is_file()
-            else ""
-        )
-        return f"{name} · {count}{state}{gone}" + ("" if self.targets else f" · {EMPTY}")
+EMPTY = f"No targets: {SHOWN['open']} opens a list (YAML, CSV)."
 
 
 def listed_path(workspace: Workspace) -> Path | None:
@@ -137,16 +62,6 @@ def listed_path(workspace: Workspace) -> Path | None:
     if workspace.profile is None or workspace.profile_path is None or workspace.profile.targets is None:
         return None
     return workspace.profile_path.parent / workspace.profile.targets
-
-
-def new_name(like: str, targets: Sequence[Target]) -> str:
-    """Return a name that no target has: ``like`` with the next free number."""
-    stem, number = re.fullmatch(r"(.*?)(\d*)", like, re.DOTALL).groups()  # type: ignore[union-attr]
-    taken = {target.name for target in targets}
-    count = int(number or 1) + 1
-    while (name := f"{stem}{count:0{len(number)}d}" if number else f"{stem}-{count}") in taken:
-        count += 1
-    return name
 
 
 def why_not(workspace: Workspace, state: RunState, targets: Sequence[Target]) -> str:
@@ -164,10 +79,9 @@ def _unfit(targets: Sequence[Target], profile: Profile) -> str:
     if first is None:
         return ""
     index, problem = first
-    return f"Target '{targets[index].name}'{problem.text}. Enter edits it."
+    return f"Target '{targets[index].name}'{problem.text}. {SHOWN['edit']} edits the list."
 
 
-_NO_TARGET = f"No target: {SHOWN['open']} opens a list, {SHOWN['add']} adds a target."
 _NOT_MEASURED = f"Nothing was computed yet: {SHOWN['go']} compensates, {SHOWN['measure']} pushes and verifies."
 _WIDEST = 26
 """Longest text of a cell in the list [characters]; the sentence below the list is complete."""
@@ -179,11 +93,11 @@ LIST_SUFFIXES = (".yaml", ".yml", ".csv")
 class TargetGrid(TextTable):
     """The list, one row for each target."""
 
-    BINDINGS: ClassVar[list[BindingType]] = [Binding("enter", "select_cursor", "Edit", tooltip="edit the target")]
+    BINDINGS: ClassVar[list[BindingType]] = [Binding("enter", "select_cursor", "Target", tooltip="more of the target")]
 
 
 class TargetsScreen(DayScreen):
-    """Targets: list, edit, compensate, push, verify."""
+    """Targets: list, compensate, push, verify."""
 
     AUTO_FOCUS = "#grid"
     STEP: ClassVar[Step] = "targets"
@@ -191,12 +105,8 @@ class TargetsScreen(DayScreen):
         bind("go", "compensate", "Compensate", "compute commands; nothing moves"),
         bind("push", "push", "Push", "drive to the targets: THE ARMS MOVE"),
         bind("measure", "verify", "Verify", "drive to the targets and measure: THE ARMS MOVE"),
-        bind("add", "add", "Add", "add a target"),
-        bind("remove", "remove", "Remove", "remove the target"),
-        bind("undo", "undo", "Undo", "take back the last edit"),
-        bind("redo", "redo", "Redo", "make the edit again", show=False),
         bind("open", "open_list", "Open", "open another list (YAML, CSV)"),
-        bind("save", "save", "Save", "save the list (YAML)"),
+        bind("edit", "edit", "Edit list", "change the list in $EDITOR, then check it again"),
         bind("export", "correct", "Program", "correct the targets of a UR program; nothing moves"),
         bind("locate", "locate", "Locate", "measure where the moved tracker stands: THE ARMS MOVE"),
         bind("filter", "attention", "Attention", "only targets that need attention, or all", show=False),
@@ -206,7 +116,8 @@ class TargetsScreen(DayScreen):
 
     def __init__(self) -> None:
         super().__init__()
-        self._edits = TargetEdits()
+        self._path: Path | None = None
+        self._targets: tuple[Target, ...] = ()
         self._opened_for: Path | None = None
         self._attention = False
         self._rows: list[int] = []
@@ -217,19 +128,14 @@ class TargetsScreen(DayScreen):
             with TabPane("List", id="list"):
                 yield Static("", id="about-list", markup=False)
                 grid = TargetGrid(id="grid", cursor_type="row", zebra_stripes=True)
-                tip = "Enter edits, {add} adds, {remove} removes, {undo} undoes, {save} saves"
+                tip = "Enter shows more of a target, {edit} edits the list, {open} opens another"
                 grid.tooltip = tip.format_map(SHOWN)
                 yield grid
                 yield Static("", id="about-target", classes="muted", markup=False)
             with TabPane("Target", id="target"):
-                yield PartsView(_NO_TARGET, id="details")
+                yield PartsView(EMPTY, id="details")
             with TabPane("Results", id="results"):
                 yield PartsView(id="target-results")
-
-    @property
-    def unsaved(self) -> str:
-        """The unsaved edits of the list, in words."""
-        return f"{counted(len(self._edits.targets), 'target')} with edits" if self._edits.edited else ""
 
     @property
     def _grid(self) -> TargetGrid:
@@ -243,21 +149,23 @@ class TargetsScreen(DayScreen):
     # -- the list ------------------------------------------------------------------------------------------------------
 
     def action_open_list(self) -> None:
-        """Ask for a file; if there are unsaved edits, ask about them first."""
+        """Ask for a file."""
         if self.workspace.profile is None:
             self.say(self.state.no_run, "warning")
-        elif not self._edits.edited:
-            self._pick()
-        else:
-            answers = (Answer("stay", "Keep them", "k"), Answer("open", "Open another list", "o", "warning"))
-            text = f"Edits are not saved ({SHOWN['save']} saves). Another list replaces them."
-            question = Choice("Leave the edits?", text, answers)
-            self.app.push_screen(question, lambda answer: self._pick() if answer == "open" else None)
-
-    def _pick(self) -> None:
-        known = self._edits.path or self.workspace.profile_path or Path.cwd() / "targets.yaml"
+            return
+        known = self._path or self.workspace.profile_path or Path.cwd() / "targets.yaml"
         picker = FilePicker("A list of targets (YAML, CSV)", known.parent, lambda path: path.suffix in LIST_SUFFIXES)
         self.app.push_screen(picker, self._open)
+
+    def action_edit(self) -> None:
+        """Edit the list in the person's editor."""
+        # late, for the start-up time
+        from cellapp.interfaces.tui.dialogs.first_run import edit_file
+
+        if (path := self._path) is None:
+            self.say(EMPTY, "warning")
+        else:
+            edit_file(self.cell_app, path, lambda: self._open(path), f"{SHOWN['open']} opens it again")
 
     def _open(self, path: Path | None) -> None:
         if path is not None and self.workspace.profile is not None:
@@ -277,64 +185,13 @@ class TargetsScreen(DayScreen):
         if problem:
             self.say(f"{problem}. {SHOWN['open']} opens another list.", "error")
             return
-        self._edits = TargetEdits(path, targets, (targets,))
+        self._path, self._targets = path, targets
         self._draw_list()
 
     @on(DataTable.RowSelected, "#grid")
-    def edit(self) -> None:
-        """Edit the target under the cursor in a form."""
-        index = self._index
-        if index >= 0 and self.workspace.profile is not None:
-            target = self._edits.targets[index]
-            others = self._edits.without(index).targets
-            form = TargetForm(f"Target {target.name}", target, typed_texts(target), others, self.workspace.profile)
-            self.app.push_screen(form, lambda typed: self._take(index, typed))
-
-    def action_add(self) -> None:
-        """Add a target in a form, with the values of the one under the cursor."""
-        profile, targets = self.workspace.profile, self._edits.targets
-        if profile is None:
-            self.say(self.state.no_run, "warning")
-            return
-        arm = next(iter(profile.arms))
-        texts = new_texts(arm)
-        like = targets[self._index] if self._rows else None
-        if like is not None:
-            texts = {**typed_texts(like), "name": new_name(like.name, targets)}
-        form = TargetForm("New target", like, texts, targets, profile)
-        self.app.push_screen(form, lambda typed: self._take(len(targets), typed))
-
-    def _take(self, index: int, target: Target | None) -> None:
-        if target is not None and self._edits.targets[index : index + 1] != (target,):
-            self._show(self._edits.with_target(index, target), index)
-
-    def action_remove(self) -> None:
-        """Remove the target under the cursor."""
-        index = self._index
-        if index >= 0:
-            name = self._edits.targets[index].name
-            self._show(self._edits.without(index), index)
-            self.notify(f"Target {name} removed; Ctrl+Z brings it back.")
-
-    def action_undo(self) -> None:
-        """Undo the last edit."""
-        self._step(-1, "Nothing to undo.")
-
-    def action_redo(self) -> None:
-        """Redo the last undone edit."""
-        self._step(1, "Nothing to redo.")
-
-    def _step(self, step: int, nothing: str) -> None:
-        if (edits := self._edits.stepped(step)) is None:
-            self.notify(nothing)
-        else:
-            self._show(edits, self._index)
-
-    def _show(self, edits: TargetEdits, index: int) -> None:
-        self._edits, self._attention = edits, False
-        self.query_one("#targets", TabbedContent).active = "list"
-        self._draw_list()
-        self._grid.move_cursor(row=index)
+    def show_details(self) -> None:
+        """Show all that is known of the target under the cursor."""
+        self._show_tab("target")
 
     def action_attention(self) -> None:
         """Show only targets that are refused, out of tolerance, undecided or not measured; the second time, all."""
@@ -342,27 +199,11 @@ class TargetsScreen(DayScreen):
         self.query_one("#targets", TabbedContent).active = "list"
         self._draw_list()
 
-    def action_save(self) -> None:
-        """Save the list as commented YAML."""
-        targets = self._edits.targets
-        if not targets:
-            self.say("An empty list cannot be saved: + adds a target, Ctrl+Z brings back what was removed.", "warning")
-            return
-        proposed = (self._edits.path or Path("targets.yaml")).with_suffix(".yaml")
-
-        def saved(path: Path | None) -> None:
-            if path is not None:
-                self._edits = self._edits.saved_as(path, targets)
-                self._draw_list()
-                self.say(f"{counted(len(targets), 'target')} saved as {path}.")
-
-        self.app.push_screen(SaveAs("targets", targets_text(targets), proposed), saved)
-
     # -- the jobs ------------------------------------------------------------------------------------------------------
 
     def _ready(self) -> Path | None:
         """Return the run's folder if commands can be computed for the list; else say why not and return None."""
-        if reason := why_not(self.workspace, self.state, self._edits.targets):
+        if reason := why_not(self.workspace, self.state, self._targets):
             self.say(reason, "warning")
             return None
         return self.workspace.folder
@@ -370,13 +211,13 @@ class TargetsScreen(DayScreen):
     def action_compensate(self) -> None:
         """Compute commands for the shown list."""
         if (folder := self._ready()) is not None:
-            self.start(work.job_of(COMPENSATE, folder=folder, targets=self._edits.targets))
+            self.start(work.job_of(COMPENSATE, folder=folder, targets=self._targets))
 
     def action_push(self) -> None:
         """Ask, then drive to the targets."""
         if (folder := self._ready()) is not None:
             stale, text = self._push_words("")
-            given = {"folder": folder, "targets": self._edits.targets, "verify": False, "out_of_date": stale}
+            given = {"folder": folder, "targets": self._targets, "verify": False, "out_of_date": stale}
             answers = USE_STALE if stale else BEGIN
             self.ask(Choice("Push?", text, answers), lambda: self.start(work.job_of(PUSH, **given)))
 
@@ -384,12 +225,12 @@ class TargetsScreen(DayScreen):
         """Ask, also how often each target is corrected; then drive to the targets and measure."""
         if (folder := self._ready()) is not None:
             stale, text = self._push_words(" with the nominal and the compensated command, measured by the tracker")
-            given = {"folder": folder, "targets": self._edits.targets, "verify": True, "out_of_date": stale}
+            given = {"folder": folder, "targets": self._targets, "verify": True, "out_of_date": stale}
             self.ask_verb(VerbQuestion(PUSH, text, USE_STALE if stale else BEGIN, given))
 
     def _push_words(self, measured: str) -> tuple[bool, str]:
         """Return whether the model is out of date, and where a push drives to, with what a person must know."""
-        targets, stale = self._edits.targets, self.workspace.stale
+        targets, stale = self._targets, self.workspace.stale
         counts = Counter(arm for target in targets for arm in target.arms)
         where = " and ".join(f"arm {arm} to {n}" for arm, n in counts.items())
         pairs = ", except at cooperative targets" if any(target.partner is not None for target in targets) else ""
@@ -434,9 +275,7 @@ class TargetsScreen(DayScreen):
 
             self._corrected = result
             self._draw_results()
-            tabs = self.query_one("#targets", TabbedContent)
-            tabs.active = "results"
-            tabs.query_one(Tabs).focus()  # the list, which has the focus, would bring its tab back
+            self._show_tab("results")
             lines = correct_lines(result)
             self.app.push_screen(Reading("\n".join(["# Program", "", "```text", *lines, "```"])))
 
@@ -444,9 +283,12 @@ class TargetsScreen(DayScreen):
 
     def action_plots(self) -> None:
         """Show what was measured."""
+        self._show_tab("results")
+
+    def _show_tab(self, name: str) -> None:
         tabs = self.query_one("#targets", TabbedContent)
-        tabs.active = "results"
-        tabs.query_one(Tabs).focus()
+        tabs.active = name
+        tabs.query_one(Tabs).focus()  # the list, which has the focus, would bring its tab back
 
     def tab_shown(self, tabs: TabbedContent) -> None:
         """Focus the list."""
@@ -462,7 +304,7 @@ class TargetsScreen(DayScreen):
     def show_run(self, workspace: Workspace) -> None:
         """Draw the list with the results of the run; open the list that the profile names."""
         path = listed_path(workspace)
-        if path is not None and path != self._opened_for and workspace.profile is not None and not self._edits.edited:
+        if path is not None and path != self._opened_for and workspace.profile is not None:
             self._opened_for = path
             self._read(path, workspace.profile)
         self._draw_list()
@@ -476,13 +318,14 @@ class TargetsScreen(DayScreen):
 
     def _draw_list(self) -> None:
         """Draw all rows; the cursor stays in its row."""
-        results, edits = self.workspace.results, self._edits
+        results = self.workspace.results
         outdated = [] if results is None else [results.out_of_date.get(name, "") for name in ("compensate", "verify")]
         reasons = "; ".join(dict.fromkeys(filter(None, outdated)))
         mark = f"\n! results are out of date: {reasons}; {SHOWN['go']} compensates again" if reasons else ""
         only = f"\nonly targets that need attention; {SHOWN['filter']} shows all" if self._attention else ""
-        self.query_one("#about-list", Static).update(edits.heading + mark + only)
-        table, grid = target_list(edits.targets, results), self._grid
+        heading = EMPTY if self._path is None else f"{self._path} · {counted(len(self._targets), 'target')}"
+        self.query_one("#about-list", Static).update(heading + mark + only)
+        table, grid = target_list(self._targets, results), self._grid
         row = grid.cursor_row
         grid.clear(columns=True)
         self._rows = self._shown_rows()
@@ -500,7 +343,7 @@ class TargetsScreen(DayScreen):
     @on(DataTable.RowHighlighted, "#grid")
     def _draw_target(self) -> None:
         """Draw what is known about the target under the cursor."""
-        words = target_words(self._edits.targets[self._index], self.workspace.results) if self._rows else ""
+        words = target_words(self._targets[self._index], self.workspace.results) if self._rows else ""
         self.query_one("#about-target", Static).update(words)
         if self.query_one("#targets", TabbedContent).active == "target":
             self._draw_details()
@@ -512,14 +355,14 @@ class TargetsScreen(DayScreen):
             return
         parts: list[Part] = []
         if self._rows:
-            target, results = self._edits.targets[self._index], self.workspace.results
+            target, results = self._targets[self._index], self.workspace.results
             known = [] if results is None else target_parts(results, target_state(target, results))
             parts = [target_words(target, results), *known]
         self.query_one("#details", PartsView).show(words_first(parts))
 
     def _shown_rows(self) -> list[int]:
         """Return the indices of the shown targets."""
-        states = target_states(self._edits.targets, self.workspace.results)
+        states = target_states(self._targets, self.workspace.results)
         return [row for row, state in enumerate(states) if state.needs_attention or not self._attention]
 
     def _draw_results(self) -> None:
