@@ -50,8 +50,8 @@ GROUPS: Mapping[str, tuple[Sequence[str], Sequence[str]]] = {
     "discovery's decision": (
         ["cellapp/estimation/discovery/verdict.py", "cellapp/estimation/discovery/posterior.py"],
         [
-            *(f"{_DISCOVERY}findings.py", f"{_DISCOVERY}propose.py", _PRIOR, f"{_DISCOVERY}structure.py"),
-            *(f"{_DISCOVERY}discover.py", "tests/estimation/discovery/search"),
+            *("tests/estimation/discovery/search", f"{_DISCOVERY}findings.py", f"{_DISCOVERY}structure.py"),
+            *(f"{_DISCOVERY}propose.py", f"{_DISCOVERY}discover.py", _PRIOR),
         ],
     ),
     "decision rule": (

@@ -10,14 +10,21 @@ from cellapp.cell.planning.propose import Effort, Proposal, propose_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.stages import CALIBRATION_FILE
+from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.design.information import NuisanceProjector
-from cellapp.estimation.discovery.arm_data import CandidateLaw, LawScore
+from cellapp.estimation.discovery.arm_data import ArmData, CandidateLaw, LawScore
 from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.discovery.joint_fit import ProjectedResidual
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.search.scan import LawScan
+from cellapp.estimation.readings import Readings
+from cellapp.ground.profile import Profile
 from cellapp.robot.effects import Channel, EffectColumn, LawForm
-from cellapp.robot.model import CellModel
+from cellapp.robot.kinematics.chain import Geometry
+from cellapp.robot.kinematics.transforms import Array
+from cellapp.robot.model import ArmModel, CellModel
+from cellapp.robot.model.nominal import bodies_of, nominal_arm
+from tests.arms import STATION
 
 N = 300
 """Coordinates."""
@@ -74,6 +81,29 @@ def refining_law(rng: np.random.Generator, main: np.ndarray) -> CandidateLaw:
         column("d", "four", refines=True),
     )
     return CandidateLaw("refined", PLAIN.law(), columns, np.stack([main, *rng.normal(size=(3, N))]))
+
+
+def arm_of(profile: Profile, geometry: Geometry | None = None) -> ArmModel:
+    """The left arm of the twin at its station, as it was built."""
+    arm = profile.arms["left"]
+    geometry = geometry or nominal_arm(arm).with_T_M_B(STATION)
+    return ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(arm), up_M=STATION[:3, 2])
+
+
+def data_of(
+    profile: Profile, q: Array, approach: Array, p_M: Array, sigma_m: float | None, time_s: Array | None = None
+) -> ArmData:
+    """Readings of the left arm; no times if None."""
+    n, model = len(q), arm_of(profile)
+    readings = Readings(
+        configuration=np.arange(n, dtype=np.int64),
+        time_s=np.full(n, np.nan) if time_s is None else time_s,
+        q=q,
+        approach=approach.astype(np.int8),
+        p_M=p_M,
+        sigma_m=None if sigma_m is None else np.full(n, sigma_m),
+    )
+    return ArmData.of(profile, model, readings, measurement_conditions(readings))
 
 
 def calibrated_and_searched(run: RunFile) -> CellDiscovery:

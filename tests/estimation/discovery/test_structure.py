@@ -42,14 +42,11 @@ from cellapp.estimation.discovery.process import (
 )
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.verdict import CHANCE, has_structure, pearson3_tail, structure_left
-from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import Channel, EffectColumn, LawForm
 from cellapp.robot.effects.context import Wave
 from cellapp.robot.kinematics.chain import smr_positions
-from cellapp.robot.model import ArmModel
 from cellapp.robot.model.model import network_to_json
-from cellapp.robot.model.nominal import bodies_of, nominal_arm
-from tests.arms import STATION
+from tests.estimation.discovery.problems import arm_of, data_of
 from tests.evidence.shared.series import load_entrant
 from tests.twin import PROFILES, small_twin
 
@@ -60,22 +57,12 @@ PROFILE = load_profile(PROFILES / "twin.yaml")
 def fitted(n, bend=None, *, noise=None, seed=5, stated=True, times=True) -> tuple[ArmData, JointFit]:
     """Geometry fitted to random stops with joint offsets ``bend(q, approach, time)`` [rad]."""
     rng = np.random.default_rng(seed)
-    geometry = nominal_arm(PROFILE.arms["left"]).with_T_M_B(STATION)
     q, time_s = rng.uniform(-2.0, 2.0, (n, 6)), 60.0 * np.arange(n, dtype=np.float64)
     approach = rng.choice([-1, 1], (n, 6)).astype(np.int8)
     offset = np.zeros((n, 6)) if bend is None else bend(q, approach, time_s)
     scatter = rng.normal(0.0, SIGMA_M, (n, 3)) if noise is None else noise(rng, q)
-    readings = Readings(
-        configuration=np.arange(n, dtype=np.int64),
-        time_s=time_s if times else np.full(n, np.nan),
-        q=q,
-        approach=approach,
-        p_M=smr_positions(geometry, q + offset) + scatter,
-        sigma_m=np.full(n, SIGMA_M) if stated else None,
-    )
-    up = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
-    model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(PROFILE.arms["left"]), up_M=up)
-    data = ArmData.of(PROFILE, model, readings, measurement_conditions(readings))
+    p_M = smr_positions(arm_of(PROFILE).geometry, q + offset) + scatter
+    data = data_of(PROFILE, q, approach, p_M, SIGMA_M if stated else None, time_s if times else None)
     return data, fit_terms(data, ())
 
 
@@ -297,12 +284,6 @@ def test_a_network_is_trained_where_the_profile_asks(searched, network, kind, ex
     assert needs_network(profile, judged(discovery, "unknown effect")) == unknown
 
 
-def test_explained_effects_leave_nothing_to_a_network(searched):
-    found = trained(searched, searched[1])
-    assert found.result.network_mm.after < 0.01
-    assert found.model.network is None
-
-
 def test_a_network_models_what_has_no_name(searched):
     _, readings, model, discovery = searched
     # as if compliance had no name: the geometry alone stands for the accepted terms
@@ -417,30 +398,7 @@ def test_hyperparameters_of_a_simulated_curve_are_recovered():
 
 # -- The structured process on a simulated arm: what is there stays, what is not is removed, with any weights ----------
 
-SIGMA_M_OF_PROCESS = 12e-6
-NEEDED = 30.0
-
-
-def data_of(bend, *, N=300, stated=True, seed=7):
-    """Readings of an arm whose joints are off by ``bend(q)``, with white noise."""
-    profile = load_profile(PROFILES / "twin.yaml")
-    geometry = nominal_arm(profile.arms["left"]).with_T_M_B(STATION)
-    rng = np.random.default_rng(seed)
-    q = rng.uniform(-2.5, 2.5, (N, 6))
-    readings = Readings(
-        configuration=np.arange(N, dtype=np.int64),
-        time_s=60.0 * np.arange(N, dtype=np.float64),
-        q=q,
-        approach=np.sign(rng.uniform(-1.0, 1.0, (N, 6))).astype(np.int8),
-        p_M=smr_positions(geometry, q + bend(q)) + rng.normal(0.0, SIGMA_M_OF_PROCESS, (N, 3)),
-        sigma_m=np.full(N, SIGMA_M_OF_PROCESS if stated else np.nan),
-    )
-    up = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
-    model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(profile.arms["left"]), up_M=up)
-    return ArmData.of(profile, model, readings, measurement_conditions(readings))
-
 
 @pytest.mark.parametrize("stated", [True, False])
 def test_noise_needs_no_process(stated):
-    data = data_of(np.zeros_like, N=150, stated=stated)
-    assert fit_process(data, fit_terms(data, ()), NEEDED) is None
+    assert fit_process(*fitted(150, stated=stated), 30.0) is None

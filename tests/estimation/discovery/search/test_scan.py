@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.estimation.calibration.quantities import measurement_conditions
-from cellapp.estimation.discovery.arm_data import ArmData, CandidateLaw, ModelTerm
+from cellapp.estimation.discovery.arm_data import CandidateLaw, ModelTerm
 from cellapp.estimation.discovery.joint_fit import refit
 from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search import stepwise
@@ -26,15 +25,11 @@ from cellapp.estimation.discovery.search.scan import (
     smallest_detectable,
 )
 from cellapp.estimation.discovery.search.state import Posteriors, Review, SearchProblem, SearchResult, SearchState
-from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import smr_positions
-from cellapp.robot.model import ArmModel
-from cellapp.robot.model.nominal import bodies_of, nominal_arm
-from tests.arms import STATION
-from tests.estimation.discovery.problems import PLAIN, N, problem, refining_law
+from tests.estimation.discovery.problems import PLAIN, N, arm_of, data_of, problem, refining_law
 from tests.estimation.discovery.search.test_data_driven import readings_with
 
 
@@ -143,24 +138,12 @@ def searched(
     """
     profile = load_profile(TWIN)
     few = profile.discovery.model_copy(update={"null_simulations": 60, "false_alarm": 0.02})
-    arm = profile.arms["left"]
-    geometry = nominal_arm(arm).with_T_M_B(STATION)
+    profile = profile.model_copy(update={"discovery": few})
     rng = np.random.default_rng(8)
     q = rng.uniform(-2.5, 2.5, (N_at_even_odds, 6))
-    approach = rng.choice([-1, 1], (N_at_even_odds, 6)).astype(np.int8)
-    readings = Readings(
-        configuration=np.arange(N_at_even_odds, dtype=np.int64),
-        time_s=np.full(N_at_even_odds, np.nan),
-        q=q,
-        approach=approach,
-        p_M=smr_positions(geometry, q - PLAY * approach) + rng.normal(0.0, SIGMA_M, (N_at_even_odds, 3)),
-        sigma_m=np.full(N_at_even_odds, SIGMA_M),
-    )
-    up_M = STATION[:3, :3] @ np.array([0.0, 0.0, 1.0])
-    model = ArmModel(geometry=geometry, nominal=geometry, bodies=bodies_of(arm), up_M=up_M)
-    data = ArmData.of(
-        profile.model_copy(update={"discovery": few}), model, readings, measurement_conditions(readings), None
-    )
+    approach = rng.choice([-1, 1], (N_at_even_odds, 6))
+    exact = smr_positions(arm_of(profile).geometry, q - PLAY * approach)
+    data = data_of(profile, q, approach, exact + rng.normal(0.0, SIGMA_M, (N_at_even_odds, 3)), SIGMA_M)
 
     def probable(found: SearchResult, scan: object) -> Posteriors:
         out = all(max(one.alternatives.values(), default=0.0) < one.score for one in found.reviews)
