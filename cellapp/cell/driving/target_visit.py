@@ -26,7 +26,7 @@ from cellapp.cell.driving.verification import (
     by_arm,
     distance_error_m,
     mean_of,
-    measured_turn,
+    measured_rotation,
     predict_at_rest,
     rms_error_m,
     summary_of,
@@ -265,7 +265,7 @@ class TargetVisit:
                 predicted_M=predict_at_rest(self.model, mover, name, states[name], point),
                 point=point,
                 repeatability_m=self.repeatability_m.get(name, 0.0),
-                turn_M=measured_turn(
+                angle_M=measured_rotation(
                     self.model.arms[name], point, command.nominal_rotation_M if nominal else command.rotation_M
                 ),
             )

@@ -60,7 +60,7 @@ def _stands(chain: Geometry, q: Sequence[tuple[float, ...]], R: Array, p: Array)
     """Return whether each pose is that of the chain at one of ``q``."""
     if not q or not len(p):
         return np.zeros(len(p), dtype=np.bool_)
-    at, turned = smr_positions(chain, np.array(q)), flange_poses(chain, np.array(q))[0]
+    at, rotated = smr_positions(chain, np.array(q)), flange_poses(chain, np.array(q))[0]
     near = scipy.spatial.cKDTree(at).query_ball_point(p, _SAME_M)
-    off = [np.linalg.norm(turned[rows] - R[k], axis=(1, 2)) for k, rows in enumerate(near)]
+    off = [np.linalg.norm(rotated[rows] - R[k], axis=(1, 2)) for k, rows in enumerate(near)]
     return np.array([bool(np.any(~(one > np.sqrt(2.0) * _SAME_RAD))) for one in off])

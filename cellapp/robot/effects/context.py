@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, frame_poses, jacobian
 from cellapp.robot.kinematics.statics import Bodies, GravityLoads, gravity_loads
-from cellapp.robot.kinematics.transforms import Array, turned_rows
+from cellapp.robot.kinematics.transforms import Array, angular_rows
 
 # -- Columns of an effect: the SMR displacement per unit of each parameter, and the channel it acts through -----------
 
@@ -210,9 +210,9 @@ class MeasurementConditions:
     R_M_S: Array | None = None
 
     @property
-    def turned(self) -> NDArray[np.bool_] | None:
+    def angular(self) -> NDArray[np.bool_] | None:
         """Mask (n,) of readings of an orientation; None if there are none."""
-        return turned_rows(self.R_M_S)
+        return angular_rows(self.R_M_S)
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> MeasurementConditions:
         """Select some of the stops; the temperature record stays whole."""
@@ -307,23 +307,23 @@ class EffectContext:
         return JointAngles.of(self.posture, self.conditions.R_M_S)
 
     @cached_property
-    def turned(self) -> Array | None:
+    def angular(self) -> Array | None:
         """1 at readings (n, 1) of an orientation, 0 at those of a position; None if all are of positions."""
-        turned = self.conditions.turned
-        return None if turned is None else turned[:, None].astype(np.float64)
+        angular = self.conditions.angular
+        return None if angular is None else angular[:, None].astype(np.float64)
 
-    def moved(self, shift_M: Array | None, turn_M: Array | None = None, lever_M: Array | None = None) -> Array:
+    def moved(self, shift_M: Array | None, angle_M: Array | None = None, lever_M: Array | None = None) -> Array:
         """Compute the change (n, 3) of each reading, position [m] or orientation [rad], by a small motion of a body.
 
-        The body shifts by ``shift_M`` [m] and turns by ``turn_M`` [rad] about a point from which ``lever_M`` (n, 3) [m]
-        points to the SMR, all in the tracker frame. An orientation changes by the turn alone.
+        The body shifts by ``shift_M`` [m] and rotates by ``angle_M`` [rad] about a point from which ``lever_M`` (n, 3)
+        [m] points to the SMR, all in the tracker frame. An orientation changes by the rotation alone.
         """
         moved = np.zeros((len(self), 3)) if shift_M is None else np.asarray(shift_M)
-        if turn_M is not None and lever_M is not None:
-            moved = moved + np.cross(turn_M, lever_M)
-        if self.turned is None:
+        if angle_M is not None and lever_M is not None:
+            moved = moved + np.cross(angle_M, lever_M)
+        if self.angular is None:
             return moved
-        return np.asarray(moved * (1.0 - self.turned) + (0.0 if turn_M is None else turn_M * self.turned))
+        return np.asarray(moved * (1.0 - self.angular) + (0.0 if angle_M is None else angle_M * self.angular))
 
     @cached_property
     def base_twists(self) -> Array:
@@ -363,17 +363,17 @@ class EffectContext:
         upward = np.stack([-s * np.cos(azimuth), -s * np.sin(azimuth), np.cos(elevation)], axis=1)
         return azimuth, elevation, horizontal, upward
 
-    def twist_shift(self, frame: int, shift: Array | None, turn: Array | None) -> Array:
+    def twist_shift(self, frame: int, shift: Array | None, rotation: Array | None) -> Array:
         """Compute the SMR shift (n, 3) [m, tracker frame] for a small twist of D-H frame ``frame`` (0: base).
 
-        ``shift`` [m] and ``turn`` [rad], each (n, 3) or (3,), are in that frame. For readings of an orientation, the
-        result is its change [rad].
+        ``shift`` [m] and ``rotation`` [rad], each (n, 3) or (3,), are in that frame. For readings of an orientation,
+        the result is its change [rad].
         """
         rotations, origins = self.frames
         R, o = rotations[frame], origins[frame]
         in_M = [
             None if one is None else np.einsum("nab,nb->na", R, np.broadcast_to(one, (len(self), 3)))
-            for one in (shift, turn)
+            for one in (shift, rotation)
         ]
         return self.moved(in_M[0], in_M[1], self.p_M - o)
 

@@ -133,7 +133,7 @@ class DataChannel:
 
     @cached_property
     def name(self) -> str:
-        """``joint 2``, ``base shift``, ``base turn x``, ``tool``, ``tool y``, ``tracker radial``."""
+        """``joint 2``, ``base shift``, ``base rotation x``, ``tool``, ``tool y``, ``tracker radial``."""
         if self.channel is Channel.JOINT:
             return place_name(self.channel, self.joint)
         if self.channel is Channel.TOOL:

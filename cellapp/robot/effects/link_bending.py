@@ -151,15 +151,15 @@ class _Beam:
         e, L = self.along, (fraction * self.length)[:, None]
         lever = np.cross(e, force)
         moment_across = moment - np.einsum("na,na->n", moment, e)[:, None] * e
-        turn = moment_across * L + lever * L**2 / 2.0
+        rotation = moment_across * L + lever * L**2 / 2.0
         shift = np.cross(lever, e) * L**3 / 3.0 + np.cross(moment, e) * L**2 / 2.0
         beyond = self.to_smr + e * (self.length[:, None] - L)
-        return self.context.moved(shift, turn, beyond)
+        return self.context.moved(shift, rotation, beyond)
 
     def twisted(self, moment: Array, fraction: Array | float = 1.0) -> Array:
         """SMR shift (n, 3) for GJ = 1, under a moment (n, 3) at a fraction of the length."""
-        turn = np.einsum("na,na->n", moment, self.along) * fraction * self.length
-        return self.context.moved(None, turn[:, None] * self.along, self.to_smr)
+        rotation = np.einsum("na,na->n", moment, self.along) * fraction * self.length
+        return self.context.moved(None, rotation[:, None] * self.along, self.to_smr)
 
     def sheared(self, force: Array) -> Array:
         """SMR shift (n, 3) for k G A = 1, under a force (n, 3) at the end."""

@@ -168,7 +168,7 @@ class TrackerAngleError(Effect):
 
 _MOST_SLIP = 1e-2
 """Bound [m]: a target that slipped by a centimetre has fallen off."""
-_MOST_TURN = 0.1
+_MOST_ROTATION = 0.1
 """Bound [rad] of a probe's turn in its mount; from twice this a calibration refuses the orientations."""
 _MOST_INCIDENCE = 5e-3
 """Bound [m]: ``1 - cos th`` is 0.13 at 30 degrees, so that this is 0.7 mm, some thirty times the error of a prism."""
@@ -204,12 +204,12 @@ class TargetSlip(OnsetEffect):
             shift_column(f"slip_{letter}", "m", Channel.TOOL, context.moved(moved[:, :, k]), -_MOST_SLIP, _MOST_SLIP)
             for k, letter in enumerate("xyz")
         ]
-        if context.turned is None if names is None else "turn_x" not in names:
+        if context.angular is None if names is None else "turn_x" not in names:
             return slips
-        turns = [context.moved(None, moved[:, :, k]) for k in range(3)]
+        rotations = [context.moved(None, moved[:, :, k]) for k in range(3)]
         return slips + [
-            shift_column(f"turn_{letter}", "rad", Channel.TOOL, turn_M, -_MOST_TURN, _MOST_TURN)
-            for letter, turn_M in zip("xyz", turns, strict=True)
+            shift_column(f"turn_{letter}", "rad", Channel.TOOL, angle_M, -_MOST_ROTATION, _MOST_ROTATION)
+            for letter, angle_M in zip("xyz", rotations, strict=True)
         ]
 
 

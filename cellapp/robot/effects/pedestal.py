@@ -99,8 +99,8 @@ class PedestalCompliance(Effect):
 def _unsymmetric(context: EffectContext, moments: Array, axes: Array) -> list[EffectColumn]:
     """Turns across the own moment (n, 2) and about the vertical, and shifts, in a block of turns and one of shifts."""
     x, y = axes
-    turns = [("x", "y", x), ("y", "x", y), ("z", "x", np.cross(x, y)), ("z", "y", np.cross(x, y))]
-    moved = [(f"turn_{letter}_{by}", "rad/Nm", by, context.twist_shift(0, None, axis)) for letter, by, axis in turns]
+    tilts = [("x", "y", x), ("y", "x", y), ("z", "x", np.cross(x, y)), ("z", "y", np.cross(x, y))]
+    moved = [(f"turn_{letter}_{by}", "rad/Nm", by, context.twist_shift(0, None, axis)) for letter, by, axis in tilts]
     moved += [
         (f"shift_{letter}_{by}", "m/Nm", by, context.base_twists[k]) for k, letter in enumerate("xyz") for by in "xy"
     ]

@@ -142,10 +142,10 @@ def test_beyond_its_range_a_variable_is_held_at_its_limit():
 def test_azimuth_has_no_jump_where_the_tracker_counts_from_half_a_turn():
     """The same cell seen by a tracker that is turned about its own axis gives the same columns."""
     law = law_of("joint 2", "azimuth")
-    turned = np.eye(4)
+    rotated = np.eye(4)
     middle = np.arctan2(CONTEXT.p_M[:, 1].mean(), CONTEXT.p_M[:, 0].mean())
-    turned[:3, :3] = rotation_z(np.pi - middle)
-    geometry = CONTEXT.geometry.with_T_M_B(turned @ CONTEXT.geometry.T_M_B())
+    rotated[:3, :3] = rotation_z(np.pi - middle)
+    geometry = CONTEXT.geometry.with_T_M_B(rotated @ CONTEXT.geometry.T_M_B())
     across = replace(CONTEXT, geometry=geometry)
     azimuth = np.arctan2(across.p_M[:, 1], across.p_M[:, 0])
     assert np.ptp(azimuth) > 6.0, "the readings lie on both sides of the jump"
