@@ -34,7 +34,7 @@ from cellapp.estimation.discovery.search.state import Posteriors, SearchResult
 from cellapp.ground.results import Estimate
 from cellapp.robot.effects import (
     EFFECTS,
-    Channel,
+    ActsOn,
     DriverVariable,
     EffectColumn,
     EffectTerm,
@@ -42,9 +42,9 @@ from cellapp.robot.effects import (
     place_in_words,
     term_to_json,
 )
-from cellapp.robot.effects.data_driven import FIELD_LENGTH, DataChannel, Quantity, Variable, data_driven_form
+from cellapp.robot.effects.data_driven import FIELD_LENGTH, ActedOn, Quantity, Variable, data_driven_form
 from cellapp.robot.effects.effect import is_borrowed, is_contradiction, is_unnamed, lent_effect
-from cellapp.robot.effects.unknown import channel_directions
+from cellapp.robot.effects.unknown import acted_directions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
@@ -207,7 +207,7 @@ def rms_length(fit: JointFit, whitened: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
 
 
-# -- Description of a data-driven term: channel, variables, curve, and a short formula if one fits as well ------------
+# -- Description of a data-driven term: place, variables, curve, and a short formula if one fits as well ------------
 
 
 _POINTS = 60
@@ -233,7 +233,7 @@ def describe(data: ArmData, fit: JointFit, number: int) -> TermDescription:
         said = term.note
     else:
         form = data_driven_form(term.law)
-        channel, names = form.channel.name, tuple(variable.name for variable in form.drivers)
+        channel, names = form.acts_on.name, tuple(variable.name for variable in form.drivers)
         if form.is_field:
             length = term.law.constants[FIELD_LENGTH.name]
             said = (
@@ -241,7 +241,7 @@ def describe(data: ArmData, fit: JointFit, number: int) -> TermDescription:
             )
         else:
             values = [variable.values(data.context) for variable in form.drivers]
-            formula, gain = _formula(data, fit, number, form.channel, form.drivers, values)
+            formula, gain = _formula(data, fit, number, form.acts_on, form.drivers, values)
             if len(names) == 1 and fit.term_columns(number)[0].joint is not None:
                 curve = _curve(fit, number, values[0])
             said = f"{channel} depends on {' and '.join(names)}{f', about {formula}' if formula else ''}"
@@ -280,7 +280,7 @@ def _formula(
     data: ArmData,
     fit: JointFit,
     number: int,
-    channel: DataChannel,
+    acts_on: ActedOn,
     variables: Sequence[Variable],
     values: Sequence[Array],
 ) -> tuple[str, float | None]:
@@ -291,7 +291,7 @@ def _formula(
     if any(not np.isfinite(one).all() for one in values):
         return "", None
     basis = fit.term_columns(number)[0]
-    directions = [] if basis.joint is not None else channel_directions(data.context, channel)
+    directions = [] if basis.joint is not None else acted_directions(data.context, acts_on)
     found = formulas(variables, values)
     candidates = []
     for formula in found:
@@ -310,9 +310,9 @@ def _formula(
 
 
 def _columns(text: str, values: Array, basis: EffectColumn, directions: Sequence[Array]) -> tuple[EffectColumn, ...]:
-    """Return the columns of a formula in the channel of ``basis``, all in one block; for a shift one a direction."""
-    common = ("", text, -np.inf, np.inf, basis.channel, basis.index)
-    if basis.channel is Channel.JOINT:
+    """Return the columns of a formula in the place of ``basis``, all in one block; for a shift one a direction."""
+    common = ("", text, -np.inf, np.inf, basis.acts_on, basis.index)
+    if basis.acts_on is ActsOn.JOINT:
         return tuple(EffectColumn(f"{text}#{k}", *common, offset=values[:, k]) for k in range(values.shape[1]))
     return tuple(
         EffectColumn(f"{text}#{k}#{d}", *common, shift_M=values[:, k, None] * direction)
@@ -454,7 +454,7 @@ def _band(power: dict[int, float]) -> CycleBand:
     return CycleBand(first=first, last=last, peak=counts[int(np.argmax(each))], rms_urad=rms * 1e6)
 
 
-# -- Pictures of a fit: each term's partial residuals in its own channel, against the variable of the term ------------
+# -- Pictures of a fit: each term's partial residuals in its own place, against the variable of the term ------------
 #
 # The partial residual is residual + term: the readings minus everything else in the model. A joint offset is estimated
 # along the direction J_j in which the joint moves the SMR,
@@ -500,7 +500,7 @@ def pictures(data: ArmData, fit: JointFit) -> tuple[Picture, ...]:
                 found += one.of_joint(joint)
         if not joints:
             # a tilting joint axis is shown against its own joint; all other columns shift the SMR together
-            axis_of = {column.where: column.index if column.channel is Channel.AXIS else None for column in columns}
+            axis_of = {column.where: column.index if column.acts_on is ActsOn.AXIS else None for column in columns}
             for axis in dict.fromkeys(axis_of[place.where] for place in movements[number]):
                 found += one.of_shift(axis)
     return tuple(picture for picture in found if picture.x)
@@ -537,8 +537,8 @@ class _TermPictures:
         title = EFFECTS[term.slug].title
         if term.slug != UNKNOWN or is_borrowed(term.law):
             return title
-        channel = data_driven_form(term.law).channel
-        return title if channel.channel is Channel.JOINT else f"{title}, {channel.name}"
+        acts_on = data_driven_form(term.law).acts_on
+        return title if acts_on.acts_on is ActsOn.JOINT else f"{title}, {acts_on.name}"
 
     def of_joint(self, joint: int) -> list[Picture]:
         """Draw the offset of a joint (from 0)."""

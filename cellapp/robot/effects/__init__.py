@@ -1,7 +1,7 @@
 """The library of physical effects. A new effect is one file and one line in ``registry``, or a plug-in."""
 
 from cellapp.robot.effects.context import (
-    Channel,
+    ActsOn,
     EffectColumn,
     EffectContext,
     MeasurementConditions,
@@ -32,7 +32,7 @@ __all__ = [
     "EFFECTS",
     "FIXED",
     "SCALED",
-    "Channel",
+    "ActsOn",
     "Constant",
     "Displacement",
     "DriverVariable",

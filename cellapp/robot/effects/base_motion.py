@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, shift_column
+from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, shift_column
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.law import AMPLITUDE, FIXED, Constant, DriverVariable, Law, LawForm, SmoothLaw, with_prior_sd
@@ -181,6 +181,6 @@ def _twist(name: str, context: EffectContext, along: Array, suffix: str = "") ->
     """The six components of a base motion, times a function of time (n,)."""
     moved = context.base_twists * along[:, None]
     return [
-        shift_column(f"{name}_{component}{suffix}", unit, Channel.BASE, moved[k], -_MOST_MOTION, _MOST_MOTION)
+        shift_column(f"{name}_{component}{suffix}", unit, ActsOn.BASE, moved[k], -_MOST_MOTION, _MOST_MOTION)
         for k, (component, unit) in enumerate(_COMPONENTS)
     ]

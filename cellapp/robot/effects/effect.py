@@ -2,7 +2,7 @@
 
 An effect is one subclass of ``Effect`` in one file, and one line in ``registry``. It declares its words, the variables
 it depends on, its look-alikes and the forms of its law; it computes columns that are linear in its parameters.
-Joint offsets enter the chain exactly; all other channels move the SMR by less than a millimetre and enter linearly.
+Joint offsets enter the chain exactly; all other places move the SMR by less than a millimetre and enter linearly.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 import numpy as np
 
-from cellapp.robot.effects.context import INDEXED_CHANNELS, EffectColumn, EffectContext, place_name
+from cellapp.robot.effects.context import INDEXED, EffectColumn, EffectContext, place_name
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm, SmoothLaw
 from cellapp.robot.effects.modulation import (
     FreeDriver,
@@ -328,12 +328,12 @@ def sentence(effect: Effect, columns: Sequence[EffectColumn], values: Sequence[f
 def _places(columns: Sequence[EffectColumn]) -> str:
     """``joint 2``, ``joints 1, 2, 3``, ``base``."""
     indices = sorted({column.index for column in columns if column.index is not None})
-    channel = columns[0].channel
-    if channel not in INDEXED_CHANNELS or not indices:
-        return place_name(channel, None)
+    acts_on = columns[0].acts_on
+    if acts_on not in INDEXED or not indices:
+        return place_name(acts_on, None)
     if len(indices) == 1:
-        return place_name(channel, indices[0])
-    return f"{place_name(channel, None).removeprefix('all ')} {', '.join(str(index + 1) for index in indices)}"
+        return place_name(acts_on, indices[0])
+    return f"{place_name(acts_on, None).removeprefix('all ')} {', '.join(str(index + 1) for index in indices)}"
 
 
 # -- Accepted effects as terms of an arm model: their displacement, and the one JSON form of a term -------------------

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, Wave, shift_column
+from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, Wave, shift_column
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.law import (
@@ -132,7 +132,7 @@ def error_motions(
                 shift_column(
                     own,
                     unit,
-                    Channel.AXIS,
+                    ActsOn.AXIS,
                     moved * wave(context.q[:, joint])[:, None],
                     -largest,
                     largest,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, shift_column
+from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, shift_column
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
 from cellapp.robot.effects.law import DriverVariable, Law, LawForm
@@ -107,7 +107,7 @@ def _link_columns(context: EffectContext, form: LawForm, i: int) -> list[EffectC
 
     def column(name: str, shift_M: Array, part: str = "", unit: str = _UNIT, most: float = _MOST_FLEXIBILITY) -> None:
         block, refines = f"link {i + 1}{part}", bool(part)
-        made = shift_column(f"{name}{i + 1}", unit, Channel.LINK, shift_M, 0.0, most, block, index=i, refines=refines)
+        made = shift_column(f"{name}{i + 1}", unit, ActsOn.LINK, shift_M, 0.0, most, block, index=i, refines=refines)
         columns.append(made)
 
     columns: list[EffectColumn] = []

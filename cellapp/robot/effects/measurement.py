@@ -7,7 +7,7 @@ from collections.abc import Collection
 import numpy as np
 
 from cellapp.robot.effects.base_motion import OnsetEffect
-from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, joint_column, shift_column, varies
+from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, joint_column, shift_column, varies
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
@@ -80,8 +80,8 @@ class TrackerScale(Effect):
         if law.form == AIR_SCALE:
             shift_M = context.moved(above_mean_air(context, law)[:, None] * context.p_M)
             largest = _MOST_SCALE_PER_KELVIN
-            return [shift_column("scale_air", "1/K", Channel.TRACKER, shift_M, -largest, largest)]
-        return [shift_column("scale", "m/m", Channel.TRACKER, context.moved(context.p_M), -_MOST_SCALE, _MOST_SCALE)]
+            return [shift_column("scale_air", "1/K", ActsOn.TRACKER, shift_M, -largest, largest)]
+        return [shift_column("scale", "m/m", ActsOn.TRACKER, context.moved(context.p_M), -_MOST_SCALE, _MOST_SCALE)]
 
 
 class TrackerDistanceOffset(Effect):
@@ -110,7 +110,7 @@ class TrackerDistanceOffset(Effect):
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column."""
         along = context.moved(context.beam[1])
-        return [shift_column("distance_offset", "m", Channel.TRACKER, along, -_MOST_OFFSET, _MOST_OFFSET)]
+        return [shift_column("distance_offset", "m", ActsOn.TRACKER, along, -_MOST_OFFSET, _MOST_OFFSET)]
 
 
 class TrackerAngleError(Effect):
@@ -151,7 +151,7 @@ class TrackerAngleError(Effect):
             shift_column(
                 f"{name}_{letter}{n}",
                 "rad",
-                Channel.TRACKER,
+                ActsOn.TRACKER,
                 context.moved(wave(n * angle)[:, None] * across),
                 -_MOST_ANGLE,
                 _MOST_ANGLE,
@@ -201,14 +201,14 @@ class TargetSlip(OnsetEffect):
         """Three columns, six of a probe; after the onset where the time is unknown."""
         moved = context.frames[0][-1] * after_onset(context, law)[:, None, None]
         slips = [
-            shift_column(f"slip_{letter}", "m", Channel.TOOL, context.moved(moved[:, :, k]), -_MOST_SLIP, _MOST_SLIP)
+            shift_column(f"slip_{letter}", "m", ActsOn.TOOL, context.moved(moved[:, :, k]), -_MOST_SLIP, _MOST_SLIP)
             for k, letter in enumerate("xyz")
         ]
         if context.angular is None if names is None else "turn_x" not in names:
             return slips
         rotations = [context.moved(None, moved[:, :, k]) for k in range(3)]
         return slips + [
-            shift_column(f"turn_{letter}", "rad", Channel.TOOL, angle_M, -_MOST_ROTATION, _MOST_ROTATION)
+            shift_column(f"turn_{letter}", "rad", ActsOn.TOOL, angle_M, -_MOST_ROTATION, _MOST_ROTATION)
             for letter, angle_M in zip("xyz", rotations, strict=True)
         ]
 
@@ -260,7 +260,7 @@ class TargetIncidence(Effect):
         if law.form == LATERAL:
             shifts["incidence_lateral"] = lateral
         return [
-            shift_column(name, "m", Channel.TRACKER, context.moved(shift_M), -_MOST_INCIDENCE, _MOST_INCIDENCE)
+            shift_column(name, "m", ActsOn.TRACKER, context.moved(shift_M), -_MOST_INCIDENCE, _MOST_INCIDENCE)
             for name, shift_M in shifts.items()
         ]
 

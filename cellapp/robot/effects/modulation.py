@@ -117,7 +117,7 @@ class Modulation:
         return np.asarray(np.nan_to_num(np.cos(self.order * np.pi * u)), dtype=np.float64)
 
     def column(self, base: EffectColumn, context: EffectContext) -> EffectColumn:
-        """Its column, in the channel and block of the base column and without bounds; the prior keeps it small."""
+        """Its column, in the place and block of the base column and without bounds; the prior keeps it small."""
         along = self.values(base, context)
         return replace(
             base,

@@ -22,13 +22,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, joint_column, shift_column, varies
+from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, joint_column, shift_column, varies
 from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, Tuning
 from cellapp.robot.effects.time_functions import with_default
 from cellapp.robot.kinematics.transforms import Array
 
-ActsOn = Literal["joints", "base", "tool", "tracker"]
+LawActsOn = Literal["joints", "base", "tool", "tracker"]
 LawFunction = Callable[..., Array]
 """Readings and parameters by name -> (n, N) [rad] or (n, 3) [m]."""
 
@@ -125,7 +125,7 @@ _IN_MOTION = frozenset({"q", "qd", "qdd", "tau", "approach"})
 def own_law(
     title: str,
     *,
-    acts_on: ActsOn = "joints",
+    acts_on: LawActsOn = "joints",
     look_alikes: tuple[str, ...] = (),
     check: tuple[str, ...] = (),
     size: str = "not stated",
@@ -205,7 +205,7 @@ class _Declared:
     """A user's function with its parameters."""
 
     function: LawFunction
-    acts_on: ActsOn
+    acts_on: LawActsOn
     parameters: Mapping[str, Linear | Tuned]
 
     @property
@@ -366,9 +366,9 @@ class _OwnEffect(Effect):
             if joint is not None:
                 columns.append(joint_column(f"{name}{joint + 1}", kind.unit, joint, moved[:, joint], *kind.bounds))
             else:
-                channel = Channel(own.acts_on)
+                acts_on = ActsOn(own.acts_on)
                 columns.append(
-                    shift_column(name, kind.unit, channel, _in_tracker(context, channel, moved), *kind.bounds)
+                    shift_column(name, kind.unit, acts_on, _in_tracker(context, acts_on, moved), *kind.bounds)
                 )
         return columns
 
@@ -386,8 +386,8 @@ def _mean_over_run(name: str, law: Law, joints: int) -> float | Array:
     return law.constants[typical]
 
 
-def _in_tracker(context: EffectContext, channel: Channel, shift: Array) -> Array:
+def _in_tracker(context: EffectContext, acts_on: ActsOn, shift: Array) -> Array:
     """A shift (n, 3) [m] in the axes of base, tool or tracker, in the tracker's axes."""
-    if channel is Channel.TRACKER:
+    if acts_on is ActsOn.TRACKER:
         return context.moved(shift)
-    return context.twist_shift(0 if channel is Channel.BASE else context.joints, shift, None)
+    return context.twist_shift(0 if acts_on is ActsOn.BASE else context.joints, shift, None)

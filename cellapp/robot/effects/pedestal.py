@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, shift_column, varies
+from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, shift_column, varies
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
 from cellapp.robot.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
@@ -110,7 +110,7 @@ def _unsymmetric(context: EffectContext, moments: Array, axes: Array) -> list[Ef
 
     def column(name: str, unit: str, load: Array, shift_M: Array, block: str) -> EffectColumn:
         along = load[:, None] * shift_M
-        return shift_column(f"pedestal_{name}", unit, Channel.BASE, along, -_LARGEST, _LARGEST, block, refines=True)
+        return shift_column(f"pedestal_{name}", unit, ActsOn.BASE, along, -_LARGEST, _LARGEST, block, refines=True)
 
     return [
         *(
@@ -193,12 +193,12 @@ class PedestalCoupling(Effect):
 
 def _own_column(name: str, unit: str, shift_M: Array) -> EffectColumn:
     """The arm's own moment tilts its base in the direction of the moment only."""
-    return shift_column(name, unit, Channel.BASE, shift_M, 0.0, _LARGEST)
+    return shift_column(name, unit, ActsOn.BASE, shift_M, 0.0, _LARGEST)
 
 
 def _other_column(name: str, unit: str, shift_M: Array) -> EffectColumn:
     """The common foundation may tilt this base either way."""
-    return shift_column(name, unit, Channel.BASE, shift_M, -_LARGEST, _LARGEST)
+    return shift_column(name, unit, ActsOn.BASE, shift_M, -_LARGEST, _LARGEST)
 
 
 def horizontal_axes(context: EffectContext) -> Array:

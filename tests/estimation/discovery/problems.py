@@ -16,7 +16,7 @@ from cellapp.estimation.discovery.discover import discover_cell
 from cellapp.estimation.discovery.joint_fit import ProjectedResidual
 from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.search.scan import LawScan
-from cellapp.robot.effects import Channel, EffectColumn, LawForm
+from cellapp.robot.effects import ActsOn, EffectColumn, LawForm
 from cellapp.robot.model import CellModel
 
 N = 300
@@ -62,7 +62,7 @@ def problem(seed: int) -> Problem:
 
 
 def column(name: str, block: str, *, refines: bool = False) -> EffectColumn:
-    return EffectColumn(name, "rad", block, -1.0, 1.0, Channel.BASE, refines=refines)
+    return EffectColumn(name, "rad", block, -1.0, 1.0, ActsOn.BASE, refines=refines)
 
 
 def refining_law(rng: np.random.Generator, main: np.ndarray) -> CandidateLaw:

@@ -32,7 +32,7 @@ from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import Review, possible_score
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import Channel, EffectColumn
+from cellapp.robot.effects import ActsOn, EffectColumn
 from drivers.no_driver import NoDriver
 from tests.estimation.discovery.problems import PLAIN, calibrated_and_searched, problem, proposed
 from tests.program import app
@@ -319,7 +319,7 @@ def test_posteriors_are_calibrated_where_effects_are_as_frequent_as_the_prior_sa
 
 
 def bounded(name, block):
-    return EffectColumn(name, "rad", block, 0.0, 1.0e3, Channel.BASE)
+    return EffectColumn(name, "rad", block, 0.0, 1.0e3, ActsOn.BASE)
 
 
 def test_impossible_values_are_no_evidence():

@@ -44,7 +44,7 @@ from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.verdict import CHANCE, has_structure, pearson3_tail, structure_left
 from cellapp.estimation.readings import Readings
 from cellapp.ground.progress import CancelToken
-from cellapp.robot.effects import Channel, EffectColumn, LawForm
+from cellapp.robot.effects import ActsOn, EffectColumn, LawForm
 from cellapp.robot.effects.context import Wave
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model import ArmModel
@@ -336,7 +336,7 @@ FORM = LawForm("smooth", "smooth")
 
 
 def columns(cycles):
-    return tuple(EffectColumn(f"c{k}", "rad", "", -1.0, 1.0, Channel.BASE, wave=Wave(int(k), False)) for k in cycles)
+    return tuple(EffectColumn(f"c{k}", "rad", "", -1.0, 1.0, ActsOn.BASE, wave=Wave(int(k), False)) for k in cycles)
 
 
 def curve(rng):

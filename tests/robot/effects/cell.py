@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.robot.effects import EffectColumn, EffectContext, Law, MeasurementConditions, TemperatureRecord
-from cellapp.robot.effects.data_driven import DataChannel, Variable, channels
+from cellapp.robot.effects.data_driven import ActedOn, Variable, acted_on
 from cellapp.robot.effects.unknown import PAIR_ORDER, curve_families, pair_families
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, rotation_z, transform
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
@@ -145,9 +145,9 @@ def offsets(column: EffectColumn) -> Array:
 def curve_laws(context: EffectContext) -> list[Law]:
     """Laws of all functions of one variable, in every channel."""
     families = curve_families(context)
-    return [family.law(channel) for channel in channels(context.joints) for family in families]
+    return [family.law(acts_on) for acts_on in acted_on(context.joints) for family in families]
 
 
-def pair_laws(context: EffectContext, channel: DataChannel, among: Collection[Variable] | None = None) -> list[Law]:
+def pair_laws(context: EffectContext, acts_on: ActedOn, among: Collection[Variable] | None = None) -> list[Law]:
     """Laws of all functions of two variables, of those ``among`` them if given, in one channel."""
-    return [family.law(channel) for family in pair_families(context, among, (PAIR_ORDER,))]
+    return [family.law(acts_on) for family in pair_families(context, among, (PAIR_ORDER,))]

@@ -25,7 +25,7 @@ from cellapp.estimation.discovery.search.stepwise import addition, refinement, s
 from cellapp.estimation.readings import Readings
 from cellapp.ground.progress import CancelToken
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.effects.data_driven import FIELD, channels
+from cellapp.robot.effects.data_driven import FIELD, acted_on
 from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.effects.unknown import curve_families, pair_families
 from cellapp.robot.kinematics.chain import smr_positions
@@ -184,10 +184,10 @@ def test_one_cause_is_one_unknown(cycles, joints, beside, named):
     terms: tuple[ModelTerm, ...] = (lines(cycles, joints),)
     if beside is not None:
         family = next(
-            family.law(channel)
+            family.law(acts_on)
             for family in (*curve_families(data.context), *pair_families(data.context))
-            for channel in channels(6)
-            if family.law(channel).name == beside
+            for acts_on in acted_on(6)
+            if family.law(acts_on).name == beside
         )
         columns = tuple(column.name for column in data.columns(UNKNOWN, family))
         terms = (*terms, ModelTerm(UNKNOWN, family, columns))
