@@ -44,7 +44,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Progress, ignore
-from cellapp.robot.effects import EFFECTS, DriverVariable
+from cellapp.robot.effects import EFFECTS, InputVariable
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 from drivers.arms.protocol import ArmState
@@ -332,7 +332,7 @@ class TargetVisit:
 def last_motion_matters(arm: ArmModel) -> bool:
     """Return whether an effect of the model depends on the last motion of the joints."""
     variables = {variable for term in arm.effects for variable in EFFECTS[term.slug].variables}
-    return not variables.isdisjoint({DriverVariable.APPROACH, DriverVariable.STEP})
+    return not variables.isdisjoint({InputVariable.APPROACH, InputVariable.STEP})
 
 
 # -- Correct a command by measurement: compute the next command from the measured error, and decide when to stop ------

@@ -24,7 +24,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
-from cellapp.robot.effects.law import DriverVariable
+from cellapp.robot.effects.law import InputVariable
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
 from cellapp.robot.kinematics.inverse import closed_form_solutions, solve_pose, turned_into
 from cellapp.robot.kinematics.transforms import Array, invert, rotation_from_vector, rotation_vectors, transform
@@ -512,11 +512,11 @@ def gate_findings(profile: Profile, model: CellModel, name: str, targets: Sequen
 
 
 _UNKNOWN = {
-    DriverVariable.TIME: "as at the end of the run",
-    DriverVariable.AIR_TEMPERATURE: "at the temperature to which the model refers",
-    DriverVariable.JOINT_TEMPERATURE: "at the temperature to which the model refers",
-    DriverVariable.OTHER_ARM: "without the other arm's load",
-    DriverVariable.DWELL: "after a long rest",
+    InputVariable.TIME: "as at the end of the run",
+    InputVariable.AIR_TEMPERATURE: "at the temperature to which the model refers",
+    InputVariable.JOINT_TEMPERATURE: "at the temperature to which the model refers",
+    InputVariable.OTHER_ARM: "without the other arm's load",
+    InputVariable.DWELL: "after a long rest",
 }
 
 _ONLY = {"readings": "the only one within the ranges of the readings", "reach": "the only one that reaches it"}
@@ -616,7 +616,7 @@ def _unknown_conditions(place: Workplace, q: np.ndarray) -> Iterator[str]:
     """Yield the conditions that effects of the model depend on and that a program does not state."""
     arm = moved_by(place.arm)
     variables = {variable for term in arm.effects for variable in EFFECTS[term.slug].variables}
-    if DriverVariable.APPROACH in variables and len(q):
+    if InputVariable.APPROACH in variables and len(q):
         sides = [
             true_flange(arm, q, MeasurementConditions(approach=np.full(q.shape, side)))[:, :3, 3]
             for side in (-1.0, 1.0)

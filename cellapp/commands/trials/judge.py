@@ -49,7 +49,7 @@ from cellapp.ground.results import CALIBRATE, Record
 from cellapp.ground.version import __version__
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.effects.data_driven import form_named
-from cellapp.robot.effects.law import DriverVariable
+from cellapp.robot.effects.law import InputVariable
 from cellapp.robot.model import CellModel
 
 _POSITIONS: tuple[frozenset[str], ...] = (
@@ -63,11 +63,11 @@ _OF_SPACE = ("tracker", "base", "workspace", "field", "position")
 _CONVENTION = re.compile(r"opposite|wrong sign|reversed|flipped|convention", re.IGNORECASE)
 """Words which say that approach signs follow the other convention."""
 
-_ALIKE: tuple[frozenset[DriverVariable], ...] = (
-    frozenset({DriverVariable.APPROACH, DriverVariable.STEP, DriverVariable.DWELL}),
-    frozenset({DriverVariable.TIME, DriverVariable.AIR_TEMPERATURE, DriverVariable.JOINT_TEMPERATURE}),
-    frozenset({DriverVariable.TORQUE, DriverVariable.PAYLOAD}),
-    frozenset({DriverVariable.BEAM, DriverVariable.INCIDENCE}),
+_ALIKE: tuple[frozenset[InputVariable], ...] = (
+    frozenset({InputVariable.APPROACH, InputVariable.STEP, InputVariable.DWELL}),
+    frozenset({InputVariable.TIME, InputVariable.AIR_TEMPERATURE, InputVariable.JOINT_TEMPERATURE}),
+    frozenset({InputVariable.TORQUE, InputVariable.PAYLOAD}),
+    frozenset({InputVariable.BEAM, InputVariable.INCIDENCE}),
 )
 """Quantities that can stand for one another: the last motion, the course of the run, the load, the line of sight."""
 
@@ -156,44 +156,44 @@ def _second_names(
     """
     wanted = Counter([UNKNOWN] if expected is not None else called)
     terms = iter(found.described)
-    beyond: list[tuple[str, frozenset[DriverVariable]]] = []
+    beyond: list[tuple[str, frozenset[InputVariable]]] = []
     for slug in found.accepted:
         term = next(terms, None) if slug == UNKNOWN else None
         if wanted[slug] > 0:
             wanted[slug] -= 1
         elif slug == UNKNOWN:
-            beyond.append((_term_name(term), _term_drivers(term)))
+            beyond.append((_term_name(term), _term_inputs(term)))
         else:
             beyond.append((slug, EFFECTS[slug].variables if slug in EFFECTS else frozenset()))
     missing = sum(wanted.values())
-    causes = _drivers(hidden, expected)
+    causes = _inputs(hidden, expected)
     alike = {name for effect in hidden if effect.effect in EFFECTS for name in EFFECTS[effect.effect].look_alikes}
     return tuple(
-        SecondName(name=name, same_cause=name in alike or bool(_widened(drivers) & causes))
-        for name, drivers in beyond[missing:]
+        SecondName(name=name, same_cause=name in alike or bool(_widened(inputs) & causes))
+        for name, inputs in beyond[missing:]
     )
 
 
-def _widened(drivers: frozenset[DriverVariable]) -> frozenset[DriverVariable]:
+def _widened(inputs: frozenset[InputVariable]) -> frozenset[InputVariable]:
     """Add to quantities those that can stand for them."""
-    return drivers.union(*(group for group in _ALIKE if group & drivers))
+    return inputs.union(*(group for group in _ALIKE if group & inputs))
 
 
 def _term_name(term: DescribedTerm | None) -> str:
     return UNKNOWN if term is None else f"{term.channel}: {', '.join(term.variables)}"
 
 
-def _term_drivers(term: DescribedTerm | None) -> frozenset[DriverVariable]:
+def _term_inputs(term: DescribedTerm | None) -> frozenset[InputVariable]:
     form = None if term is None else form_named("|".join([term.channel, *term.variables]))
     return frozenset() if form is None else form.variables
 
 
-def _drivers(hidden: Sequence[HiddenEffect], expected: DescribedTerm | None) -> frozenset[DriverVariable]:
+def _inputs(hidden: Sequence[HiddenEffect], expected: DescribedTerm | None) -> frozenset[InputVariable]:
     """Return the quantities on which the hidden effects depend."""
     if expected is not None and expected.variables == (POSITION,):
-        return frozenset({DriverVariable.BEAM, DriverVariable.JOINT_ANGLE})
+        return frozenset({InputVariable.BEAM, InputVariable.JOINT_ANGLE})
     if expected is not None:
-        return _term_drivers(expected)
+        return _term_inputs(expected)
     each = [EFFECTS[effect.effect].variables for effect in hidden if effect.effect in EFFECTS]
     return frozenset().union(*each)
 

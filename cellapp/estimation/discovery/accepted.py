@@ -35,9 +35,9 @@ from cellapp.ground.results import Estimate
 from cellapp.robot.effects import (
     EFFECTS,
     ActsOn,
-    DriverVariable,
     EffectColumn,
     EffectTerm,
+    InputVariable,
     LawForm,
     place_in_words,
     term_to_json,
@@ -233,15 +233,15 @@ def describe(data: ArmData, fit: JointFit, number: int) -> TermDescription:
         said = term.note
     else:
         form = data_driven_form(term.law)
-        channel, names = form.acts_on.name, tuple(variable.name for variable in form.drivers)
+        channel, names = form.acts_on.name, tuple(variable.name for variable in form.inputs)
         if form.is_field:
             length = term.law.constants[FIELD_LENGTH.name]
             said = (
                 f"{channel} depends on the position, a field over the workspace that changes within some {length:.1g} m"
             )
         else:
-            values = [variable.values(data.context) for variable in form.drivers]
-            formula, gain = _formula(data, fit, number, form.acts_on, form.drivers, values)
+            values = [variable.values(data.context) for variable in form.inputs]
+            formula, gain = _formula(data, fit, number, form.acts_on, form.inputs, values)
             if len(names) == 1 and fit.term_columns(number)[0].joint is not None:
                 curve = _curve(fit, number, values[0])
             said = f"{channel} depends on {' and '.join(names)}{f', about {formula}' if formula else ''}"
@@ -687,7 +687,7 @@ def axes_of(data: ArmData, term: ModelTerm, joint: int | None, beside: int | Non
     """
     if term.slug != UNKNOWN or is_borrowed(term.law):
         return [_axis_of_effect(data, term, joint, beside)]
-    axes = (_axis(data, variable) for variable in data_driven_form(term.law).drivers)
+    axes = (_axis(data, variable) for variable in data_driven_form(term.law).inputs)
     return [(label, values) for label, values in axes if np.isfinite(values).any()]
 
 
@@ -700,29 +700,29 @@ def _axis_of_effect(data: ArmData, term: ModelTerm, joint: int | None, beside: i
     """Return the axis of a library effect: the first that applies of motion, time, temperature, field, load, angle."""
     variables = term.law.form.variables or EFFECTS[term.slug].variables
     context, now = data.context, data.conditions
-    torque = DriverVariable.TORQUE in variables
-    if joint is not None and (torque or variables & {DriverVariable.STEP, DriverVariable.APPROACH}):
-        approach = context.approach[:, joint] if DriverVariable.APPROACH in variables else None
-        if DriverVariable.STEP in variables and now.step is not None:
+    torque = InputVariable.TORQUE in variables
+    if joint is not None and (torque or variables & {InputVariable.STEP, InputVariable.APPROACH}):
+        approach = context.approach[:, joint] if InputVariable.APPROACH in variables else None
+        if InputVariable.STEP in variables and now.step is not None:
             return _axis(data, Variable(Quantity.STEP, joint))
         if torque:
             label, load = _axis(data, Variable(Quantity.TORQUE, joint))
             return (label, load) if approach is None else (f"{label}, signed by the approach", load * approach)
         if approach is not None:
             return f"approach direction of joint {joint + 1}", approach
-    if DriverVariable.TIME in variables and now.time_s is not None and np.isfinite(now.time_s).any():
+    if InputVariable.TIME in variables and now.time_s is not None and np.isfinite(now.time_s).any():
         return _axis(data, Variable(Quantity.TIME))
-    if DriverVariable.AIR_TEMPERATURE in variables and now.air_c is not None:
+    if InputVariable.AIR_TEMPERATURE in variables and now.air_c is not None:
         return _axis(data, Variable(Quantity.TEMPERATURE))
-    if DriverVariable.JOINT_TEMPERATURE in variables and now.joints_c is not None:
+    if InputVariable.JOINT_TEMPERATURE in variables and now.joints_c is not None:
         if joint is None:
             return "mean temperature of the joints [degC]", now.joints_c.mean(axis=1)
         return f"temperature of joint {joint + 1} [degC]", now.joints_c[:, joint]
-    if DriverVariable.OTHER_ARM in variables and now.other_moment_M is not None:
+    if InputVariable.OTHER_ARM in variables and now.other_moment_M is not None:
         return "moment of the other arm [Nm]", np.linalg.norm(now.other_moment_M, axis=1)
-    if DriverVariable.BEAM in variables:
+    if InputVariable.BEAM in variables:
         return _axis(data, Variable(Quantity.RANGE))
-    if DriverVariable.INCIDENCE in variables and context.smr_normal is not None:
+    if InputVariable.INCIDENCE in variables and context.smr_normal is not None:
         return _axis(data, Variable(Quantity.INCIDENCE))
     if joint is None and torque:
         return _axis(data, Variable(Quantity.TORQUE, min(_LOADED_JOINT, context.joints - 1)))

@@ -20,10 +20,10 @@ from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import (
     EFFECTS,
-    DriverVariable,
     Effect,
     EffectColumn,
     EffectContext,
+    InputVariable,
     Law,
     MeasurementConditions,
 )
@@ -495,7 +495,7 @@ class ArmData:
 
 def _depends_on_angles_only(slug: str, columns: Sequence[EffectColumn]) -> bool:
     """Return whether columns are the same at every geometry: joint offsets by measured joint angles only."""
-    return EFFECTS[slug].variables == {DriverVariable.JOINT_ANGLE} and all(one.joint is not None for one in columns)
+    return EFFECTS[slug].variables == {InputVariable.JOINT_ANGLE} and all(one.joint is not None for one in columns)
 
 
 def whitening(sigma: Array) -> Array:

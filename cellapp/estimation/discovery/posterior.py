@@ -88,7 +88,7 @@ from cellapp.estimation.discovery.search.state import (
     scatter,
 )
 from cellapp.ground.grouping import grouped
-from cellapp.robot.effects import EFFECTS, ActsOn, DriverVariable, EffectColumn
+from cellapp.robot.effects import EFFECTS, ActsOn, EffectColumn, InputVariable
 from cellapp.robot.effects.data_driven import ActedOn, acted_on, form_of
 from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.effects.unknown import (
@@ -153,10 +153,10 @@ def _of_same_cause(
     for row, acts_on in enumerate(every):
         moves_alike = (acts_on.acts_on, acts_on.joint) in moved
         for place, family in enumerate(families):
-            form = form_of(acts_on, family.drivers)
+            form = form_of(acts_on, family.inputs)
             if form.variables <= own:
-                of_angles = form.variables <= {DriverVariable.JOINT_ANGLE}
-                of_its_joint = all(one.joint in (None, acts_on.joint) for one in family.drivers)
+                of_angles = form.variables <= {InputVariable.JOINT_ANGLE}
+                of_its_joint = all(one.joint in (None, acts_on.joint) for one in family.inputs)
                 found[row, place] = not of_angles or (moves_alike and of_its_joint)
     return found
 
@@ -318,7 +318,7 @@ class Families:
         found: dict[bytes, tuple[int, Array]] = {}
         places = [
             np.array([found.setdefault(f.tobytes(), (len(found), f))[0] for f in of_one.values()], dtype=np.intp)
-            for of_one in (table.functions(one.drivers, one.constants) for one in members)
+            for of_one in (table.functions(one.inputs, one.constants) for one in members)
         ]
         return cls(np.array([f for _, f in found.values()]), tuple(places))
 
@@ -505,7 +505,7 @@ def _share_of_a_larger(fit: JointFit, number: int) -> float:
     for other, term in enumerate(fit.terms):
         if other == number or not term.is_library_effect:
             continue
-        common = (EFFECTS[own.slug].variables & EFFECTS[term.slug].variables) - {DriverVariable.JOINT_ANGLE}
+        common = (EFFECTS[own.slug].variables & EFFECTS[term.slug].variables) - {InputVariable.JOINT_ANGLE}
         larger = fit.removed_square(other)
         if common and larger > removed:
             least = min(least, removed / larger)

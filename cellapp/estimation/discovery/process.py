@@ -42,7 +42,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 # -- Components of the structured process: an effect's smooth law on the data at hand, and its hyperparameters --------
 #
-# A component is a place (what moves) with a driver (what it depends on), as a smooth form of a named effect. A turn
+# A component is a place (what moves) with an input (what it depends on), as a smooth form of a named effect. A turn
 # about the axis that depends on its own angle is a transmission error, one across the axis a wobble, one that depends
 # on gravity's torque a compliance, and so on. The columns are weighted by a spectrum that depends on an amplitude and,
 # for functions of an angle, on a length scale.

@@ -19,7 +19,7 @@ from cellapp.estimation.prior.calibrate import calibration_posterior
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import EFFECTS, DriverVariable, EffectTerm, MeasurementConditions
+from cellapp.robot.effects import EFFECTS, EffectTerm, InputVariable, MeasurementConditions
 from cellapp.robot.kinematics.chain import all_names
 from cellapp.robot.kinematics.transforms import Array, apply
 from cellapp.robot.model import ArmModel, CellModel
@@ -49,7 +49,7 @@ TRACKER = "tracker"
 ChangeKind = Literal["tracker", "base", "smr", "parameter", "effect"]
 
 
-_OF_DAY = {DriverVariable.TIME, DriverVariable.AIR_TEMPERATURE, DriverVariable.JOINT_TEMPERATURE}
+_OF_DAY = {InputVariable.TIME, InputVariable.AIR_TEMPERATURE, InputVariable.JOINT_TEMPERATURE}
 UNREPEATED = 3e-5
 """What of an arm's errors may be new at each visit, as a standard deviation [m, rad]: arms of this class state a
 repeatability of 0.1 mm by ISO 9283."""

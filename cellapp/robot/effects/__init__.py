@@ -24,7 +24,7 @@ from cellapp.robot.effects.effect import (
     term_from_json,
     term_to_json,
 )
-from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, NeighbouringPauses, Scaled
+from cellapp.robot.effects.law import FIXED, SCALED, Constant, InputVariable, Law, LawForm, NeighbouringPauses, Scaled
 from cellapp.robot.effects.own_law import Linear, MotionLaw, Tuned, motion_laws, own_law
 from cellapp.robot.effects.registry import EFFECTS, registered
 
@@ -35,11 +35,11 @@ __all__ = [
     "ActsOn",
     "Constant",
     "Displacement",
-    "DriverVariable",
     "Effect",
     "EffectColumn",
     "EffectContext",
     "EffectTerm",
+    "InputVariable",
     "Law",
     "LawForm",
     "Linear",

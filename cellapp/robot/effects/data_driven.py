@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.robot.effects.context import ActsOn, EffectContext, place_name, varies
-from cellapp.robot.effects.law import AMPLITUDE, FIXED, Constant, DriverVariable, Law, LawForm
+from cellapp.robot.effects.law import AMPLITUDE, FIXED, Constant, InputVariable, Law, LawForm
 from cellapp.robot.effects.time_functions import times_known
 from cellapp.robot.kinematics.transforms import Array
 
@@ -194,22 +194,22 @@ class Quantity(Enum):
 
 PER_JOINT = frozenset({Quantity.JOINT_ANGLE, Quantity.OTHER_JOINT_ANGLE, Quantity.TORQUE, Quantity.STEP})
 """Quantities of which there is one per joint."""
-_DRIVERS = {
-    Quantity.JOINT_ANGLE: DriverVariable.JOINT_ANGLE,
-    Quantity.OTHER_JOINT_ANGLE: DriverVariable.OTHER_ARM,
-    Quantity.TIME: DriverVariable.TIME,
-    Quantity.TORQUE: DriverVariable.TORQUE,
-    Quantity.STEP: DriverVariable.STEP,
-    Quantity.DWELL: DriverVariable.DWELL,
-    Quantity.PAYLOAD: DriverVariable.PAYLOAD,
-    Quantity.TEMPERATURE: DriverVariable.AIR_TEMPERATURE,
-    Quantity.RANGE: DriverVariable.BEAM,
-    Quantity.AZIMUTH: DriverVariable.BEAM,
-    Quantity.ELEVATION: DriverVariable.BEAM,
-    Quantity.INCIDENCE: DriverVariable.INCIDENCE,
-    Quantity.X: DriverVariable.BEAM,  # where the SMR is, seen from the base or from the tracker
-    Quantity.Y: DriverVariable.BEAM,
-    Quantity.Z: DriverVariable.BEAM,
+_INPUTS = {
+    Quantity.JOINT_ANGLE: InputVariable.JOINT_ANGLE,
+    Quantity.OTHER_JOINT_ANGLE: InputVariable.OTHER_ARM,
+    Quantity.TIME: InputVariable.TIME,
+    Quantity.TORQUE: InputVariable.TORQUE,
+    Quantity.STEP: InputVariable.STEP,
+    Quantity.DWELL: InputVariable.DWELL,
+    Quantity.PAYLOAD: InputVariable.PAYLOAD,
+    Quantity.TEMPERATURE: InputVariable.AIR_TEMPERATURE,
+    Quantity.RANGE: InputVariable.BEAM,
+    Quantity.AZIMUTH: InputVariable.BEAM,
+    Quantity.ELEVATION: InputVariable.BEAM,
+    Quantity.INCIDENCE: InputVariable.INCIDENCE,
+    Quantity.X: InputVariable.BEAM,  # where the SMR is, seen from the base or from the tracker
+    Quantity.Y: InputVariable.BEAM,
+    Quantity.Z: InputVariable.BEAM,
 }
 
 
@@ -226,9 +226,9 @@ class Variable:
         return self.quantity.value if self.joint is None else f"{self.quantity.value}{self.joint + 1}"
 
     @property
-    def driver(self) -> DriverVariable:
+    def input(self) -> InputVariable:
         """What effects that depend on it share."""
-        return _DRIVERS[self.quantity]
+        return _INPUTS[self.quantity]
 
     @property
     def is_joint_angle(self) -> bool:
@@ -339,31 +339,31 @@ class DataDrivenForm(LawForm):
     """The form of a data-driven law: what it acts on and one or two inputs, or the three of the position."""
 
     acts_on: ActedOn = field(kw_only=True)
-    drivers: tuple[Variable, ...] = field(kw_only=True)
+    inputs: tuple[Variable, ...] = field(kw_only=True)
 
     @property
     def is_field(self) -> bool:
         """Whether it is a field over the workspace."""
-        return self.drivers == POSITION
+        return self.inputs == POSITION
 
     @property
     def subject(self) -> tuple[ActedOn, tuple[Variable, ...]]:
         """What it acts on, regardless of a shift's direction, and variables."""
-        return self.acts_on.subject, self.drivers
+        return self.acts_on.subject, self.inputs
 
 
 @lru_cache(maxsize=16384)
-def form_of(acts_on: ActedOn, drivers: tuple[Variable, ...]) -> DataDrivenForm:
+def form_of(acts_on: ActedOn, inputs: tuple[Variable, ...]) -> DataDrivenForm:
     """The form of inputs and what it acts on; cached, as a search makes the same thousands repeatedly."""
-    names = [one.name for one in drivers]
-    of = "the position, a field over the workspace" if drivers == POSITION else " and ".join(names)
+    names = [one.name for one in inputs]
+    of = "the position, a field over the workspace" if inputs == POSITION else " and ".join(names)
     return DataDrivenForm(
         name="|".join([acts_on.name, *names]),
         words=f"{acts_on.name} as a function of {of}",
-        constants=FIELD_CONSTANTS if drivers == POSITION else FIRST_CONSTANTS + SECOND_CONSTANTS,
-        variables=frozenset(_DRIVERS[one.quantity] for one in drivers),
+        constants=FIELD_CONSTANTS if inputs == POSITION else FIRST_CONSTANTS + SECOND_CONSTANTS,
+        variables=frozenset(_INPUTS[one.quantity] for one in inputs),
         acts_on=acts_on,
-        drivers=drivers,
+        inputs=inputs,
     )
 
 
@@ -385,14 +385,14 @@ def form_named(name: str) -> DataDrivenForm | None:
     first, *rest = name.split("|")
     acts_on = _acted_on_named(first)
     found = [variable_named(one) for one in rest]
-    drivers = tuple(one for one in found if one is not None)
-    if acts_on is None or len(drivers) < len(rest):
+    inputs = tuple(one for one in found if one is not None)
+    if acts_on is None or len(inputs) < len(rest):
         return None
-    if drivers == FIELD.drivers:
+    if inputs == FIELD.inputs:
         return FIELD if acts_on == FIELD.acts_on else None
-    if not 1 <= len(rest) <= 2 or set(drivers) & set(POSITION):
+    if not 1 <= len(rest) <= 2 or set(inputs) & set(POSITION):
         return None
-    return form_of(acts_on, drivers)
+    return form_of(acts_on, inputs)
 
 
 def _acted_on_named(name: str) -> ActedOn | None:

@@ -17,10 +17,10 @@ from typing import Any, ClassVar, Literal, TypeVar, get_args
 import numpy as np
 
 from cellapp.robot.effects.context import INDEXED, EffectColumn, EffectContext, place_name
-from cellapp.robot.effects.law import DriverVariable, Law, LawForm, SmoothLaw
+from cellapp.robot.effects.law import InputVariable, Law, LawForm, SmoothLaw
 from cellapp.robot.effects.modulation import (
-    FreeDriver,
     Modulation,
+    TermInput,
     modulation_from_json,
     modulation_to_json,
     with_modulations,
@@ -140,11 +140,11 @@ class Effect(ABC):
     """Cause, usual size, what to check and what would settle it."""
     look_alikes: ClassVar[tuple[str, ...]] = ()
     """Slugs of effects that data may not distinguish from it."""
-    variables: ClassVar[frozenset[DriverVariable]]
+    variables: ClassVar[frozenset[InputVariable]]
     """What it depends on."""
     forms: ClassVar[tuple[LawForm, ...]]
     """All forms of its law, the simplest first."""
-    free_drivers: ClassVar[tuple[FreeDriver, ...]] = ()
+    discrepancy_inputs: ClassVar[tuple[TermInput, ...]] = ()
     """Drivers on which it may depend in ways that the law does not describe; if empty, the law is taken as exact."""
 
     arm_bound: ClassVar[bool] = False

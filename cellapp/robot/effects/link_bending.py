@@ -10,8 +10,8 @@ import numpy as np
 from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, shift_column
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
-from cellapp.robot.effects.law import DriverVariable, Law, LawForm
-from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.law import InputVariable, Law, LawForm
+from cellapp.robot.effects.modulation import TermInput
 from cellapp.robot.kinematics.transforms import Array
 
 _LONG = 0.3
@@ -80,9 +80,9 @@ class LinkBending(Effect):
         sign_check="check masses, direction of gravity and mounting",
         size_check="check masses, direction of gravity and mounting",
     )
-    variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
+    variables = frozenset({InputVariable.JOINT_ANGLE, InputVariable.TORQUE, InputVariable.PAYLOAD})
     forms = (BENDING, TORSION, OWN_WEIGHT, TORSION_OWN_WEIGHT, FREE_WEIGHT)
-    free_drivers = (FreeDriver(Quantity.TORQUE), FreeDriver(Quantity.JOINT_ANGLE), FreeDriver(Quantity.PAYLOAD))
+    discrepancy_inputs = (TermInput(Quantity.TORQUE), TermInput(Quantity.JOINT_ANGLE), TermInput(Quantity.PAYLOAD))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""

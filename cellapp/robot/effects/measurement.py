@@ -10,8 +10,8 @@ from cellapp.robot.effects.base_motion import OnsetEffect
 from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, joint_column, shift_column, varies
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, Meaning
-from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
-from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.law import FIXED, SCALED, Constant, InputVariable, Law, LawForm
+from cellapp.robot.effects.modulation import TermInput
 from cellapp.robot.effects.thermal import MEAN_AIR, above_mean_air
 from cellapp.robot.effects.time_functions import after_onset, with_default
 from cellapp.robot.kinematics.transforms import Array
@@ -31,7 +31,7 @@ _MOST_ANGLE = 5e-4
 """Bound of each amplitude [rad]: ten times the permissible error at 3 m."""
 
 
-PLAIN_SCALE = LawForm("", "in proportion to the distance", variables=frozenset({DriverVariable.BEAM}))
+PLAIN_SCALE = LawForm("", "in proportion to the distance", variables=frozenset({InputVariable.BEAM}))
 AIR_SCALE = LawForm("air", "in proportion to the distance and to the air temperature", (MEAN_AIR,))
 
 
@@ -64,9 +64,9 @@ class TrackerScale(Effect):
         settle: Measure a calibrated scale bar or two nests of known distance: the arm alone cannot show a scale."""
     )
     look_alikes = ("thermal_growth", "tracker_distance_offset")
-    variables = frozenset({DriverVariable.BEAM, DriverVariable.AIR_TEMPERATURE})
+    variables = frozenset({InputVariable.BEAM, InputVariable.AIR_TEMPERATURE})
     forms = (PLAIN_SCALE, AIR_SCALE)
-    free_drivers = (FreeDriver(Quantity.RANGE), FreeDriver(Quantity.TEMPERATURE))
+    discrepancy_inputs = (TermInput(Quantity.RANGE), TermInput(Quantity.TEMPERATURE))
 
     def laws(self, context: EffectContext) -> list[Law]:
         """The same throughout; with the air temperature where it is known."""
@@ -103,9 +103,9 @@ class TrackerDistanceOffset(Effect):
         settle: Measure a target between two stations of the tracker, or stops near and far."""
     )
     look_alikes = ("tracker_angle_error", "pedestal_compliance", "target_incidence")
-    variables = frozenset({DriverVariable.BEAM})
+    variables = frozenset({InputVariable.BEAM})
     forms = (LawForm("", "the same at any distance"),)
-    free_drivers = (FreeDriver(Quantity.RANGE),)
+    discrepancy_inputs = (TermInput(Quantity.RANGE),)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column."""
@@ -135,9 +135,9 @@ class TrackerAngleError(Effect):
         settle: Measure the same stops from a second station."""
     )
     look_alikes = ("tracker_distance_offset", "pedestal_compliance", "joint_compliance")
-    variables = frozenset({DriverVariable.BEAM})
+    variables = frozenset({InputVariable.BEAM})
     forms = (LawForm("orders", "one and two cycles per revolution of either angle"),)
-    free_drivers = (FreeDriver(Quantity.AZIMUTH), FreeDriver(Quantity.ELEVATION))
+    discrepancy_inputs = (TermInput(Quantity.AZIMUTH), TermInput(Quantity.ELEVATION))
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Cosine and sine of each order of each angle, a block per order."""
@@ -240,9 +240,9 @@ class TargetIncidence(Effect):
         settle: Measure one point at six rolls of the wrist, and with the SMR rotated by 90 degrees in its mount."""
     )
     look_alikes = ("tracker_distance_offset",)
-    variables = frozenset({DriverVariable.INCIDENCE})
+    variables = frozenset({InputVariable.INCIDENCE})
     forms = (RADIAL, LATERAL)
-    free_drivers = (FreeDriver(Quantity.INCIDENCE),)
+    discrepancy_inputs = (TermInput(Quantity.INCIDENCE),)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs the SMR viewing direction."""
@@ -315,12 +315,12 @@ class UnsettledMeasurement(Effect):
         settle: Read the same stop again 5 s later."""
     )
     look_alikes = ("backlash", "friction_windup")
-    variables = frozenset({DriverVariable.STEP, DriverVariable.DWELL})
+    variables = frozenset({InputVariable.STEP, InputVariable.DWELL})
     forms = (STEP, CREEP)
-    free_drivers = (
-        FreeDriver(Quantity.STEP, absolute=True),
-        FreeDriver(Quantity.DWELL),
-        FreeDriver(Quantity.JOINT_ANGLE),
+    discrepancy_inputs = (
+        TermInput(Quantity.STEP, absolute=True),
+        TermInput(Quantity.DWELL),
+        TermInput(Quantity.JOINT_ANGLE),
     )
 
     def missing_data(self, context: EffectContext) -> str:

@@ -24,7 +24,7 @@ import numpy as np
 
 from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, joint_column, shift_column, varies
 from cellapp.robot.effects.effect import Effect, Meaning
-from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, Tuning
+from cellapp.robot.effects.law import FIXED, SCALED, Constant, InputVariable, Law, LawForm, Tuning
 from cellapp.robot.effects.time_functions import with_default
 from cellapp.robot.kinematics.transforms import Array
 
@@ -91,25 +91,25 @@ class _Quantity:
     Where readings ``may_lack`` it, ``of`` gives None or NaN, for which its mean over the run stands.
     """
 
-    variable: DriverVariable
+    variable: InputVariable
     of: Callable[[EffectContext], Array | None]
     per_joint: bool = False
     may_lack: bool = False
 
 
 QUANTITIES: Mapping[str, _Quantity] = {
-    "q": _Quantity(DriverVariable.JOINT_ANGLE, lambda context: context.q, per_joint=True),
-    "qd": _Quantity(DriverVariable.SPEED, lambda context: None, per_joint=True),
-    "qdd": _Quantity(DriverVariable.SPEED, lambda context: None, per_joint=True),
-    "tau": _Quantity(DriverVariable.TORQUE, lambda context: context.torques, per_joint=True),
-    "payload_kg": _Quantity(DriverVariable.PAYLOAD, lambda context: context.payload_kg),
-    "approach": _Quantity(DriverVariable.APPROACH, lambda context: context.approach, per_joint=True),
-    "step": _Quantity(DriverVariable.STEP, lambda context: context.step, per_joint=True),
-    "dwell_s": _Quantity(DriverVariable.DWELL, lambda context: context.conditions.dwell_s, may_lack=True),
-    "time_s": _Quantity(DriverVariable.TIME, lambda context: context.conditions.time_s, may_lack=True),
-    "air_c": _Quantity(DriverVariable.AIR_TEMPERATURE, lambda context: context.conditions.air_c, may_lack=True),
+    "q": _Quantity(InputVariable.JOINT_ANGLE, lambda context: context.q, per_joint=True),
+    "qd": _Quantity(InputVariable.SPEED, lambda context: None, per_joint=True),
+    "qdd": _Quantity(InputVariable.SPEED, lambda context: None, per_joint=True),
+    "tau": _Quantity(InputVariable.TORQUE, lambda context: context.torques, per_joint=True),
+    "payload_kg": _Quantity(InputVariable.PAYLOAD, lambda context: context.payload_kg),
+    "approach": _Quantity(InputVariable.APPROACH, lambda context: context.approach, per_joint=True),
+    "step": _Quantity(InputVariable.STEP, lambda context: context.step, per_joint=True),
+    "dwell_s": _Quantity(InputVariable.DWELL, lambda context: context.conditions.dwell_s, may_lack=True),
+    "time_s": _Quantity(InputVariable.TIME, lambda context: context.conditions.time_s, may_lack=True),
+    "air_c": _Quantity(InputVariable.AIR_TEMPERATURE, lambda context: context.conditions.air_c, may_lack=True),
     "joints_c": _Quantity(
-        DriverVariable.JOINT_TEMPERATURE, lambda context: context.conditions.joints_c, per_joint=True, may_lack=True
+        InputVariable.JOINT_TEMPERATURE, lambda context: context.conditions.joints_c, per_joint=True, may_lack=True
     ),
 }
 """Names of arguments that a law may take: joint positions q (n, N) [rad], speeds qd [rad/s] and accelerations qdd

@@ -9,8 +9,8 @@ import numpy as np
 from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, shift_column, varies
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
-from cellapp.robot.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
-from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.law import FIXED, Constant, InputVariable, Law, LawForm
+from cellapp.robot.effects.modulation import TermInput
 from cellapp.robot.effects.time_functions import with_default
 from cellapp.robot.kinematics.transforms import Array
 
@@ -70,9 +70,9 @@ class PedestalCompliance(Effect):
         sign_check="check masses, direction of gravity and mounting",
         size_check="check masses, direction of gravity and mounting",
     )
-    variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
+    variables = frozenset({InputVariable.JOINT_ANGLE, InputVariable.TORQUE, InputVariable.PAYLOAD})
     forms = (OWN_ISOTROPIC, OWN_TILT, OWN_PIVOT, OWN_GENERAL)
-    free_drivers = (FreeDriver(Quantity.TORQUE), FreeDriver(Quantity.JOINT_ANGLE))
+    discrepancy_inputs = (TermInput(Quantity.TORQUE), TermInput(Quantity.JOINT_ANGLE))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
@@ -150,9 +150,9 @@ class PedestalCoupling(Effect):
         settle: Move the other arm at random between stops, and log its joints."""
     )
     look_alikes = ("base_step", "base_drift")
-    variables = frozenset({DriverVariable.OTHER_ARM})
+    variables = frozenset({InputVariable.OTHER_ARM})
     forms = (OTHER_ISOTROPIC, OTHER_TILT, OTHER_GENERAL)
-    free_drivers = (FreeDriver(Quantity.OTHER_JOINT_ANGLE),)
+    discrepancy_inputs = (TermInput(Quantity.OTHER_JOINT_ANGLE),)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs another arm that moves."""

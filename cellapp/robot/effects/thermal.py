@@ -14,13 +14,13 @@ from cellapp.robot.effects.law import (
     FIXED,
     SCALED,
     Constant,
-    DriverVariable,
+    InputVariable,
     Law,
     LawForm,
     SmoothLaw,
     with_prior_sd,
 )
-from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.modulation import TermInput
 from cellapp.robot.effects.time_functions import (
     FIRST,
     LAST,
@@ -62,9 +62,9 @@ MEAN_JOINT = Constant("mean_c", "degC", FIXED, per_joint=True)
 """Mean temperature of each joint in the run."""
 LAG = Constant("lag_s", "s", SCALED, "lag {} min", factor=1.0 / 60.0)
 
-_OF_AIR = frozenset({DriverVariable.AIR_TEMPERATURE})
-_OF_JOINTS = frozenset({DriverVariable.JOINT_TEMPERATURE})
-_OF_TIME = frozenset({DriverVariable.TIME})
+_OF_AIR = frozenset({InputVariable.AIR_TEMPERATURE})
+_OF_JOINTS = frozenset({InputVariable.JOINT_TEMPERATURE})
+_OF_TIME = frozenset({InputVariable.TIME})
 _LAGGED = (LAG, MEAN_AIR, MEAN_JOINT)
 _WARM_UP = (FIRST, LAST, WARM_UP_TIME)
 AIR = LawForm("air", "with the air temperature, all links alike", (MEAN_AIR,), _OF_AIR)
@@ -125,9 +125,9 @@ class ThermalGrowth(Effect):
         limit_size=_ALUMINIUM,
         size_check="check the unit of the temperatures and where they were taken",
     )
-    variables = _OF_AIR | _OF_JOINTS | _OF_TIME | {DriverVariable.JOINT_ANGLE}
+    variables = _OF_AIR | _OF_JOINTS | _OF_TIME | {InputVariable.JOINT_ANGLE}
     forms = (AIR, AIR_LINKS, JOINTS, JOINTS_LINKS, CONDUCTION, CONDUCTION_LINKS, WARM_UP, WARM_UP_LINKS)
-    free_drivers = (FreeDriver(Quantity.TIME), FreeDriver(Quantity.TEMPERATURE))
+    discrepancy_inputs = (TermInput(Quantity.TIME), TermInput(Quantity.TEMPERATURE))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs temperatures or times."""
@@ -260,7 +260,7 @@ class JointDrift(Effect):
     look_alikes = ("base_drift", "thermal_growth", "base_step")
     variables = _OF_TIME | _OF_AIR | _OF_JOINTS
     forms = (LINEAR_FORM, WARM_UP_FORM, ZERO_BY_TEMPERATURE, WANDERING)
-    free_drivers = (FreeDriver(Quantity.TIME), FreeDriver(Quantity.TEMPERATURE))
+    discrepancy_inputs = (TermInput(Quantity.TIME), TermInput(Quantity.TEMPERATURE))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs times or temperatures of the joints."""

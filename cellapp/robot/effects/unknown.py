@@ -46,7 +46,7 @@ from cellapp.robot.effects.effect import (
     lent_law,
     unnamed,
 )
-from cellapp.robot.effects.law import AMPLITUDE, Constant, DriverVariable, Law, LawForm, SmoothLaw, with_prior_sd
+from cellapp.robot.effects.law import AMPLITUDE, Constant, InputVariable, Law, LawForm, SmoothLaw, with_prior_sd
 from cellapp.robot.effects.time_functions import run_span, with_default
 from cellapp.robot.kinematics.transforms import Array
 
@@ -108,10 +108,10 @@ _SETTLE: Mapping[Quantity, str] = {
 }
 
 
-def data_driven_meaning(acts_on: ActedOn, drivers: Sequence[Variable]) -> Meaning:
+def data_driven_meaning(acts_on: ActedOn, inputs: Sequence[Variable]) -> Meaning:
     """Meaning of a term that moves ``acts_on`` with one or two variables."""
-    settle = dict.fromkeys(_to_settle(one) for one in drivers)
-    depends = enumeration([_variable_in_words(one) for one in drivers])
+    settle = dict.fromkeys(_to_settle(one) for one in inputs)
+    depends = enumeration([_variable_in_words(one) for one in inputs])
     return Meaning(
         cause=f"Something moves {{place}} with {depends}, by a law that the library does not have.",
         size=UNKNOWN_MEANING.size,
@@ -193,7 +193,7 @@ class Unknown(Effect):
     slug = "unknown"
     title = "unknown effect"
     meaning = UNKNOWN_MEANING
-    variables: ClassVar[frozenset[DriverVariable]] = frozenset()
+    variables: ClassVar[frozenset[InputVariable]] = frozenset()
     forms: ClassVar[tuple[LawForm, ...]] = (PAIRS,)
 
     def __init__(self, library: Mapping[str, Effect] | None = None) -> None:
@@ -220,7 +220,7 @@ class Unknown(Effect):
             return imitation_meaning(law.form.effect.title, law.form.effect.meaning)
         if not isinstance(law.form, DataDrivenForm):
             return self.meaning
-        return data_driven_meaning(law.form.acts_on, law.form.drivers)
+        return data_driven_meaning(law.form.acts_on, law.form.inputs)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per function and direction, all in one block; those of the effect for a law of the library."""
@@ -261,12 +261,12 @@ class Unknown(Effect):
 class FunctionFamily:
     """Functions of one or two variables that any place may depend on: the variables, and the constants of the law."""
 
-    drivers: tuple[Variable, ...]
+    inputs: tuple[Variable, ...]
     constants: Mapping[str, float]
 
     def law(self, acts_on: ActedOn) -> Law:
         """The data-driven law of a place."""
-        return form_of(acts_on, self.drivers).law(self.constants)
+        return form_of(acts_on, self.inputs).law(self.constants)
 
 
 def curve_families(context: EffectContext) -> list[FunctionFamily]:
@@ -418,7 +418,7 @@ def _about(azimuth: Array, center: float) -> Array:
 
 def functions(context: EffectContext, law: Law) -> dict[str, Array]:
     """Evaluate the functions (n,) of a law's variables, by name."""
-    return FunctionTable(context).functions(data_driven_form(law).drivers, law.constants)
+    return FunctionTable(context).functions(data_driven_form(law).inputs, law.constants)
 
 
 @dataclass(frozen=True, eq=False)
@@ -432,23 +432,23 @@ class FunctionTable:
     families: dict[tuple[Variable, float], list[tuple[int, str, Array]]] = field(default_factory=dict)
     waves: dict[Variable, NDArray[np.complex128]] = field(default_factory=dict)
 
-    def functions(self, drivers: tuple[Variable, ...], constants: Mapping[str, float]) -> dict[str, Array]:
+    def functions(self, inputs: tuple[Variable, ...], constants: Mapping[str, float]) -> dict[str, Array]:
         """Evaluate the functions (n,) of some variables, by name."""
-        if drivers == POSITION:
+        if inputs == POSITION:
             return field_functions(position_in_base(self.context), constants)
         first = _own(constants, FIRST_CONSTANTS, "")
-        if len(drivers) == 1:
-            if drivers[0].quantity is Quantity.TIME:
-                return _of_time(self.context, drivers[0], first)
-            return {name: values for _, name, values in self._family(drivers[0], first)}
-        if all(one.is_joint_angle for one in drivers):
-            return self._of_two_angles(drivers, round(constants["order"]))
+        if len(inputs) == 1:
+            if inputs[0].quantity is Quantity.TIME:
+                return _of_time(self.context, inputs[0], first)
+            return {name: values for _, name, values in self._family(inputs[0], first)}
+        if all(one.is_joint_angle for one in inputs):
+            return self._of_two_angles(inputs, round(constants["order"]))
         second = _own(constants, SECOND_CONSTANTS, "2")
         most = round(max(first["order"], second["order"]))
         ones = [(0, "", np.ones(len(self.context)))]
         products = {}
-        for m, left, f in ones + self._family(drivers[0], first):
-            for k, right, g in ones + self._family(drivers[1], second):
+        for m, left, f in ones + self._family(inputs[0], first):
+            for k, right, g in ones + self._family(inputs[1], second):
                 if 1 <= m + k <= most:
                     products["*".join(filter(None, (left, right)))] = f * g
         return products
@@ -459,10 +459,10 @@ class FunctionTable:
             self.families[key] = _family(self.context, variable, constants)
         return self.families[key]
 
-    def _of_two_angles(self, drivers: tuple[Variable, ...], order: int) -> dict[str, Array]:
+    def _of_two_angles(self, inputs: tuple[Variable, ...], order: int) -> dict[str, Array]:
         """Evaluate cosine and sine of m v + k w, 1 <= |m| + |k| <= ``order``, each at most 3, opposite signs once."""
-        v, w = (self._waves(one) for one in drivers)
-        labels = tuple(one.name.replace(" ", "_") for one in drivers)
+        v, w = (self._waves(one) for one in inputs)
+        labels = tuple(one.name.replace(" ", "_") for one in inputs)
         found = {}
         for m, k, text in _phases(labels, order):
             wave = v[m] * (w[k] if k >= 0 else w[-k].conj())

@@ -19,10 +19,10 @@ from cellapp.ground.results import plain_data
 from cellapp.robot.effects import (
     EFFECTS,
     Displacement,
-    DriverVariable,
     EffectColumn,
     EffectContext,
     EffectTerm,
+    InputVariable,
     MeasurementConditions,
     displacement,
     term_from_json,
@@ -249,7 +249,7 @@ class ArmModel:
         actual = replace(context, q_actual=q + moved.joints)
         again = [
             one
-            if EFFECTS[term.slug].variables == {DriverVariable.JOINT_ANGLE} and not one.shift_M.any()
+            if EFFECTS[term.slug].variables == {InputVariable.JOINT_ANGLE} and not one.shift_M.any()
             else displacement([term], EFFECTS, actual)
             for term, one in zip(self.effects, each, strict=True)
         ]

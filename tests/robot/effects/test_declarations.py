@@ -1,4 +1,4 @@
-"""What every effect declares: words for people, tunable constants, drivers; and the JSON form of its terms."""
+"""What every effect declares: words for people, tunable constants, inputs; and the JSON form of its terms."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from cellapp.robot.effects import (
     FIXED,
     ActsOn,
     Constant,
-    DriverVariable,
     Effect,
     EffectColumn,
     EffectContext,
     EffectTerm,
+    InputVariable,
     Law,
     LawForm,
     Linear,
@@ -99,7 +99,7 @@ class Silent(Effect):
 
     slug = "silent"
     title = "silent"
-    variables = frozenset({DriverVariable.TIME})
+    variables = frozenset({InputVariable.TIME})
     forms = (LawForm("quiet", ""),)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:

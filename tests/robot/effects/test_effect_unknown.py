@@ -31,7 +31,7 @@ from cellapp.robot.effects.data_driven import (
     variables,
 )
 from cellapp.robot.effects.law import AMPLITUDE
-from cellapp.robot.effects.modulation import OWN_SIZE, FreeDriver, modulations, with_modulations
+from cellapp.robot.effects.modulation import OWN_SIZE, TermInput, modulations, with_modulations
 from cellapp.robot.kinematics.transforms import rotation_z
 from tests.robot.effects.cell import EYE, NOTHING, by_name, chain, context_of, curve_laws, offsets, shifts, slope, under
 
@@ -72,11 +72,11 @@ def test_a_form_is_read_back_from_its_name(acts_on):
     for name in EVERY:
         form = form_named(f"{acts_on}|{name}")
         assert isinstance(form, DataDrivenForm)
-        assert (form.acts_on.name, names_of(form.drivers)) == (acts_on, (name,))
+        assert (form.acts_on.name, names_of(form.inputs)) == (acts_on, (name,))
         assert form.words == f"{acts_on} as a function of {name}"
     pair = form_named(f"{acts_on}|q2|time")
     assert pair is not None
-    assert names_of(pair.drivers) == ("q2", "time")
+    assert names_of(pair.inputs) == ("q2", "time")
     assert (pair.acts_on.acts_on is ActsOn.JOINT) == (pair.acts_on.joint is not None)
 
 
@@ -169,7 +169,7 @@ STIFF = [column for column in COMPLIANCE.columns(CONTEXT_OF_MODULATION, COMPLIAN
 
 def term() -> EffectTerm:
     own, load = (
-        modulations(driver, STIFF[:1], CONTEXT_OF_MODULATION)[0] for driver in (OWN_SIZE, FreeDriver(Quantity.PAYLOAD))
+        modulations(driver, STIFF[:1], CONTEXT_OF_MODULATION)[0] for driver in (OWN_SIZE, TermInput(Quantity.PAYLOAD))
     )
     return EffectTerm(
         slug="joint_compliance",

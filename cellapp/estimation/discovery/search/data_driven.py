@@ -39,7 +39,7 @@ from cellapp.estimation.discovery.search.state import (
     floor_reached,
     scatter,
 )
-from cellapp.robot.effects import EFFECTS, DriverVariable
+from cellapp.robot.effects import EFFECTS, InputVariable
 from cellapp.robot.effects.data_driven import ActedOn, acted_on, data_driven_form
 from cellapp.robot.effects.effect import imitation, is_borrowed, place_in_words
 from cellapp.robot.effects.law import AMPLITUDE
@@ -105,7 +105,7 @@ def _has_free_form(state: SearchState, number: int, score: LawScore) -> bool:
         return False
     joint = form.acts_on.joint
     moves = {(column.acts_on, column.index) for column in state.fit.term_columns(number)}
-    own = all(one.joint in (None, joint) for one in form.drivers)
+    own = all(one.joint in (None, joint) for one in form.inputs)
     return own and moves == {(form.acts_on.acts_on, joint)} and EFFECTS[term.slug].variables == form.variables
 
 
@@ -121,11 +121,11 @@ def without_imitations(problem: SearchProblem, state: SearchState) -> SearchStat
     unknown = {
         column.joint
         for number, term in enumerate(terms)
-        if term.slug == UNKNOWN and not is_borrowed(term.law) and DriverVariable.JOINT_ANGLE in term.law.form.variables
+        if term.slug == UNKNOWN and not is_borrowed(term.law) and InputVariable.JOINT_ANGLE in term.law.form.variables
         for column in fit.term_columns(number)
     } - {None}
     for number, term in enumerate(terms):
-        if term.slug == UNKNOWN or EFFECTS[term.slug].variables != {DriverVariable.JOINT_ANGLE}:
+        if term.slug == UNKNOWN or EFFECTS[term.slug].variables != {InputVariable.JOINT_ANGLE}:
             continue
         moved = [column.joint for column in fit.term_columns(number)]
         if not (
@@ -190,8 +190,8 @@ def _best_scores(problem: SearchProblem, state: SearchState) -> list[LawScore]:
     of_angles = pair_families(context, own_angles(context))
     tried = _Tried.of(state, scan, of_angles, every)
     if one is not None:
-        known = {family.drivers for family in of_angles}
-        others = [family for family in pair_families(context) if family.drivers not in known]
+        known = {family.inputs for family in of_angles}
+        others = [family for family in pair_families(context) if family.inputs not in known]
         acts_on = data_driven_form(one.candidate.law).acts_on
         tried = tried.with_others(_Tried.of(state, scan, others, (acts_on,)))
     two = _best_law(state, tried)
@@ -221,7 +221,7 @@ class _Tried:
         }
         evaluated = Families.of(data, families)
         possible = np.array(
-            [[(acts_on.subject, family.drivers) not in taken for family in families] for acts_on in chosen], dtype=bool
+            [[(acts_on.subject, family.inputs) not in taken for family in families] for acts_on in chosen], dtype=bool
         ).reshape(len(chosen), len(families))
         columns = np.array([max(len(acts_on.parts), 1) for acts_on in chosen])[:, None] * evaluated.sizes
         few = COORDINATES_EACH * (columns + fitted_parameters(fit)) <= 3 * len(data)

@@ -74,7 +74,7 @@ def possible_free_parts(data: ArmData, fit: JointFit, number: int) -> list[FreeP
     sizes = _sizes(fit, number)
     columns = [column for column in columns if sizes[column.name] > 0.0]
     found = []
-    for driver in effect.free_drivers:
+    for driver in effect.discrepancy_inputs:
         ones = _lowest_orders(modulations(driver, columns, data.context))
         if ones:
             found.append(_free_part(data, fit, columns, ones, sizes))

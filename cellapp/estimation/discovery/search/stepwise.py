@@ -72,7 +72,7 @@ from cellapp.estimation.discovery.search.state import (
 from cellapp.estimation.discovery.search.unnamed import smooth_numbers, with_unnamed, without_names
 from cellapp.ground.counting import counted
 from cellapp.ground.progress import CancelToken, Report, ignore_report
-from cellapp.robot.effects import EFFECTS, ActsOn, DriverVariable
+from cellapp.robot.effects import EFFECTS, ActsOn, InputVariable
 from cellapp.robot.effects.base_motion import BaseDrift
 from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.effects.thermal import JointDrift
@@ -516,7 +516,7 @@ def with_one_drift(problem: SearchProblem, state: SearchState) -> SearchState | 
     A wandering drift looks like a sequence of steps and warm-ups.
     """
     of_time = [
-        term.is_library_effect and DriverVariable.TIME in EFFECTS[term.slug].variables for term in state.fit.terms
+        term.is_library_effect and InputVariable.TIME in EFFECTS[term.slug].variables for term in state.fit.terms
     ]
     if sum(of_time) < 2 or has_smooth_terms(state.fit.terms):
         return None
