@@ -62,7 +62,7 @@ def at_station(rows: Array, tool: Array, T_M_B: Array = STATION) -> Geometry:
     return nominal_geometry(rows, tool, T_M_B)
 
 
-def measured_turns(model: ArmModel, q: Array, sigma_rad: float, rng: np.random.Generator) -> Array:
+def measured_rotations(model: ArmModel, q: Array, sigma_rad: float, rng: np.random.Generator) -> Array:
     """Quaternions (n, 4) that a tracker measures of an arm's probe."""
     noise = Rotation.from_rotvec(sigma_rad * rng.standard_normal((len(q), 3)))
     return np.asarray((noise * Rotation.from_matrix(model.orientation(q))).as_quat(scalar_first=True))

@@ -57,8 +57,8 @@ def series(
     plant = build_plant(profile.model_copy(update={"plant": profile.plant.model_copy(update={"seed": seed})}))
     rows = rng.permutation(_POOL)[:count]
     if short_ways:
-        turns = np.array_split(rows, 4)
-        rows = np.concatenate([turn[np.argsort(_pool()["left"][turn, 0])] for turn in turns])
+        rotations = np.array_split(rows, 4)
+        rows = np.concatenate([rotation[np.argsort(_pool()["left"][rotation, 0])] for rotation in rotations])
     q = {name: stops[rows] for name, stops in _pool().items()}
     found = {}
     for name in q:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.records import IsoLine
-from cellapp.estimation.uncertainty.records import Characteristic, Judgement, TurnContribution, UncertaintyContribution
+from cellapp.estimation.uncertainty.records import AngleContribution, Characteristic, Judgement, UncertaintyContribution
 from cellapp.ground.results import ErrorSummary, Record, Result
 
 Range = tuple[float, float]
@@ -191,7 +191,7 @@ class CertificateResult(Result, schema="cellapp-certificate"):
     out_of_date: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     rests_on: Mapping[str, str] = {}
-    orientation_contributions: tuple[TurnContribution, ...] | None = None
+    orientation_contributions: tuple[AngleContribution, ...] | None = None
     omitted_when_none = frozenset({"iso9283", "orientation_contributions"})
 
     @property

@@ -89,8 +89,8 @@ def test_the_format_of_a_plugin(finished_run: Path, tmp_path: Path) -> None:
     p_M[:3] = [float(one) for one in tool.split(", ")]
     for (d, a, alpha, offset), angle in reversed([*zip(np.array(rows, float), export.q[0], strict=True)]):
         rotation = Rotation.from_euler("ZX", [angle + offset, alpha]).as_matrix()
-        turned = np.array([a * np.cos(angle + offset), a * np.sin(angle + offset), d])
-        p_M[:3] = rotation @ p_M[:3] + turned
+        rotated = np.array([a * np.cos(angle + offset), a * np.sin(angle + offset), d])
+        p_M[:3] = rotation @ p_M[:3] + rotated
     T_M_B = np.array([[float(one) for one in row.split()] for row in base.split("; ")])
     found = (T_M_B @ p_M)[:3]
     np.testing.assert_allclose(found, smr_positions(export.geometry, export.q[:1])[0], atol=1e-6)

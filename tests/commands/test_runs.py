@@ -435,8 +435,8 @@ def test_an_angle_near_half_a_turn_may_have_either_sign(worn: Path) -> None:
     first = calibrated(worn / "m0")
     names, vector = first.model.geometry.names, first.model.geometry.vector()
     vector[names.index("theta3")] += 2.0 * np.pi
-    turned = replace(first, model=replace(first.model, geometry=first.model.geometry.with_vector(vector)))
-    assert all(abs(one.difference) < 1e-12 for one in differences(first, turned))
+    rotated = replace(first, model=replace(first.model, geometry=first.model.geometry.with_vector(vector)))
+    assert all(abs(one.difference) < 1e-12 for one in differences(first, rotated))
 
 
 def test_a_change_of_a_parameter_that_others_take_over_is_found_in_these(worn: Path) -> None:

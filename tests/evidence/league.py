@@ -83,7 +83,7 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
                 "held_out": len(some),
                 "mm": [1e3 * float(np.linalg.norm(off[some], axis=1).mean()) for off in left],
                 "within": float(np.mean(np.abs(left[1][some]) <= NORMAL_95 * sd[some, np.newaxis])),
-                "turned": _turned(readings.take(some), conditions.take(some), geometry, found.model),
+                "turned": _rotated(readings.take(some), conditions.take(some), geometry, found.model),
             }
             for group, some in drawn.held_out.items()
         },
@@ -101,14 +101,14 @@ def _network(
     return learn(profile.network, q, residual_B, time_s, seed=profile.seed).network
 
 
-def _turned(
+def _rotated(
     readings: Readings, conditions: MeasurementConditions, geometry: ArmModel, discovery: ArmModel
 ) -> list[float] | None:
     """Mean errors of orientations [mrad] by geometry and discovery, and the share within the stated 95 %."""
     its = measured_quantities(readings, conditions)
-    if its.turned is None:
+    if its.angular is None:
         return None
-    rows = np.flatnonzero(its.turned)
+    rows = np.flatnonzero(its.angular)
     q, then = its.readings.q[rows], its.conditions.take(rows)
     off: list[Array] = [model.predict(q, conditions=then) for model in (geometry, discovery)]
     within = float(np.mean(np.abs(off[1]) <= NORMAL_95 * discovery.measured_uncertainty(q, then)[:, np.newaxis]))
@@ -149,11 +149,11 @@ def summary(results: list[dict[str, Any]], asked: argparse.Namespace) -> Evidenc
                 if len(own) > 1:
                     limits.append(Limit(f"{series}, worst draw over mean", float(worst), MOST_ABOVE_MEAN))
             if own[0]["turned"] is not None:
-                turned = np.mean([its["turned"] for its in own], axis=0)
-                errors[-1][4] += f", {turned[0]:.3f} mrad"
-                errors[-1][7] += f", {turned[1]:.3f} mrad"
+                rotated = np.mean([its["turned"] for its in own], axis=0)
+                errors[-1][4] += f", {rotated[0]:.3f} mrad"
+                errors[-1][7] += f", {rotated[1]:.3f} mrad"
                 if rows == 300:
-                    limits.append(Limit(f"{series}, orientation error [mrad]", float(turned[1]), MOST_MRAD))
+                    limits.append(Limit(f"{series}, orientation error [mrad]", float(rotated[1]), MOST_MRAD))
         counts = Counter(name for its in draws for name in dict.fromkeys(its["names"]))
         seconds = [its["seconds"] for its in draws]
         found_names = ", ".join(f"{name} {count}" for name, count in counts.most_common()) or "none"

@@ -11,7 +11,7 @@ import numpy as np
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import home_positions
-from cellapp.cell.targets.prediction import Predicted, predicted_relative, predicted_turns, predictions
+from cellapp.cell.targets.prediction import Predicted, predicted_relative, predicted_rotations, predictions
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.estimation.calibration.calibrate import calibrate_readings
 from cellapp.estimation.calibration.quantities import conditions_of_arms
@@ -46,17 +46,17 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
         variances.append(np.mean(its.sigma_rad**2))
         ranges = ConditionRanges.of(readings[name], arm)
         positions = predictions(arm, its.q, here, none, home, ranges)
-        turns = predicted_turns(arm, its.q, its.q, here, np.full((100, 3, 3), np.nan), none, home, ranges)
-        sides.append(Predicted(arm, its.q, here, home, positions, turns))
+        rotations = predicted_rotations(arm, its.q, its.q, here, np.full((100, 3, 3), np.nan), none, home, ranges)
+        sides.append(Predicted(arm, its.q, here, home, positions, rotations))
         computed = arm.predict(its.q, conditions=here), arm.orientation(its.q, here)
         poses.append(((its.p_M, rotations_of(its.quaternion_M)), computed))
-    (seen, turned), (wanted, computed) = (
+    (seen, rotated), (wanted, computed) = (
         (np.einsum("nji,nj->ni", R_1, p_2 - p_1), R_1.swapaxes(1, 2) @ R_2)
         for (p_1, R_1), (p_2, R_2) in zip(*poses, strict=True)
     )
     bounds: Any = predicted_relative(sides[0], sides[1], none, none)
     mm = 1e3 * np.linalg.norm(seen - wanted, axis=1)
-    mrad = 1e3 * np.linalg.norm(rotation_vectors(turned @ computed.swapaxes(1, 2)), axis=1)
+    mrad = 1e3 * np.linalg.norm(rotation_vectors(rotated @ computed.swapaxes(1, 2)), axis=1)
     return {
         "floor_mrad": 1e3 * float(np.sqrt(3.0 * sum(variances))),
         "rms_mrad": float(np.sqrt(np.mean(mrad**2))),

@@ -56,7 +56,7 @@ _STATION_SEED = 0x57A7
 """Mixed with the trial's seed."""
 _OTHER_TARGETS = 1000
 """Added to the trial's seed for the targets after the tracker has moved."""
-_TURNED = (math.radians(8.0), math.radians(25.0))
+_ROTATION = (math.radians(8.0), math.radians(25.0))
 """Range of the angle about the cell's z axis from the old station to the new one: some steps to one side."""
 _PACED_M, _PACED_RAD = 0.02, math.radians(0.4)
 """Standard deviation of each coordinate and angle of a station measured by pacing."""
@@ -132,8 +132,8 @@ def _locate(run: RunFile, bench: _Bench) -> LocateVerdict:
     """Move the tracker and locate it again; the new station is known as well as one measured by pacing."""
     pose, rng = bench.profile.tracker.pose, np.random.default_rng([bench.seed, _STATION_SEED])
     assert pose is not None
-    turned = transform(rotation_z(rng.choice([-1.0, 1.0]) * rng.uniform(*_TURNED)), np.zeros(3))
-    T_C_M = turned @ pose_matrix(pose)
+    rotated = transform(rotation_z(rng.choice([-1.0, 1.0]) * rng.uniform(*_ROTATION)), np.zeros(3))
+    T_C_M = rotated @ pose_matrix(pose)
     bench.plant.move_tracker(T_C_M)
     paced = T_C_M[:3, 3] + _PACED_M * rng.standard_normal(3)
     yaw, pitch, roll = np.array(zyx_angles(T_C_M[:3, :3])) + _PACED_RAD * rng.standard_normal(3)

@@ -385,7 +385,7 @@ class Suspicions:
         """Return the suspicion, with its text, for an explanation."""
         since = f"since stop {self._stops[min(best.stops, len(self._stops)) - 1] + 1}"
         size = f"{float(np.linalg.norm(best.value[:3])) * 1e3:.2f} mm"
-        turn = f"{float(np.linalg.norm(best.value[3:])) * 1e3:.2f} mrad"
+        angle = f"{float(np.linalg.norm(best.value[3:])) * 1e3:.2f} mrad"
         if best.kind == "slip" and best.arm is not None:
             return _of_slip(best.arm, since, best.value, self._normals_F[best.arm])
         if best.kind == "play" and best.arm is not None:
@@ -395,12 +395,12 @@ class Suspicions:
             text = f"{since} the readings of all arms scatter more than before: check that the tracker stands firmly"
             return Suspicion("tracker moved", text)
         if best.kind == "drift":
-            text = f"{since} the readings of all arms drift together, by {size} and {turn}: check warm-up and air"
+            text = f"{since} the readings of all arms drift together, by {size} and {angle}: check warm-up and air"
             return Suspicion("drift", text)
         if best.arm is not None:
-            text = f"arm {best.arm}: {since} its readings are off by one motion, {size} and {turn}: is its base firm?"
+            text = f"arm {best.arm}: {since} its readings are off by one motion, {size} and {angle}: is its base firm?"
             return Suspicion("tracker moved", text, best.arm)
-        text = f"{since} the readings of all arms are off by one motion, {size} and {turn}: was the tracker touched?"
+        text = f"{since} the readings of all arms are off by one motion, {size} and {angle}: was the tracker touched?"
         return Suspicion("tracker moved", text)
 
     def _clear_quiet(self, explanations: list[_Explanation], wrong: list[Suspicion]) -> None:

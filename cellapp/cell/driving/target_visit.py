@@ -26,7 +26,7 @@ from cellapp.cell.driving.verification import (
     by_arm,
     distance_error_m,
     mean_of,
-    measured_turn,
+    measured_rotation,
     predict_at_rest,
     rms_error_m,
     summary_of,
@@ -44,7 +44,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Listener, Progress, ignore
-from cellapp.robot.effects import EFFECTS, DriverVariable
+from cellapp.robot.effects import EFFECTS, InputVariable
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
 from drivers.arms.protocol import ArmState
@@ -265,7 +265,7 @@ class TargetVisit:
                 predicted_M=predict_at_rest(self.model, mover, name, states[name], point),
                 point=point,
                 repeatability_m=self.repeatability_m.get(name, 0.0),
-                turn_M=measured_turn(
+                angle_M=measured_rotation(
                     self.model.arms[name], point, command.nominal_rotation_M if nominal else command.rotation_M
                 ),
             )
@@ -332,7 +332,7 @@ class TargetVisit:
 def last_motion_matters(arm: ArmModel) -> bool:
     """Return whether an effect of the model depends on the last motion of the joints."""
     variables = {variable for term in arm.effects for variable in EFFECTS[term.slug].variables}
-    return not variables.isdisjoint({DriverVariable.APPROACH, DriverVariable.STEP})
+    return not variables.isdisjoint({InputVariable.APPROACH, InputVariable.STEP})
 
 
 # -- Correct a command by measurement: compute the next command from the measured error, and decide when to stop ------

@@ -12,10 +12,16 @@ import numpy as np
 
 from cellapp.cell.driving.motion import Mover, PointAtRest
 from cellapp.cell.targets.prediction import Command
-from cellapp.cell.targets.records import ArmVerification, MeasuredPair, MeasuredRelative, MeasuredTarget, MeasuredTurn
+from cellapp.cell.targets.records import (
+    ArmVerification,
+    MeasuredPair,
+    MeasuredRelative,
+    MeasuredRotation,
+    MeasuredTarget,
+)
 from cellapp.cell.targets.targets import target_record
 from cellapp.estimation.calibration.quantities import summarise
-from cellapp.estimation.uncertainty.budget import Judge, expanded_mrad, turn_budget
+from cellapp.estimation.uncertainty.budget import Judge, angle_budget, expanded_mrad
 from cellapp.ground.profile import SAME_PAYLOAD_KG
 from cellapp.ground.results import ErrorSummary
 from cellapp.robot.kinematics.statics import base_moment
@@ -54,7 +60,7 @@ class Measured:
     point : Point
     repeatability_m : float
         Standard deviation of an SMR coordinate over repeated motions [m]; zero if unknown.
-    turn_M : array, shape (3,), or None
+    angle_M : array, shape (3,), or None
         Rotation vector [rad] from the wanted to the measured rotation of the flange; None if not measured.
     """
 
@@ -65,7 +71,7 @@ class Measured:
     predicted_M: Array
     point: Point
     repeatability_m: float
-    turn_M: Array | None = None
+    angle_M: Array | None = None
 
     @property
     def error_M(self) -> Array:
@@ -102,10 +108,10 @@ def mean_of(measured: Sequence[Measured]) -> Measured:
         p_M=np.mean([one.point.p_M for one in measured], axis=0),
         covariance_M=np.mean([one.point.covariance_M for one in measured], axis=0) / n,
     )
-    turns = [one.turn_M for one in measured if one.turn_M is not None]
+    rotations = [one.angle_M for one in measured if one.angle_M is not None]
     return replace(
         first,
-        turn_M=np.mean(turns, axis=0) if len(turns) == n else None,
+        angle_M=np.mean(rotations, axis=0) if len(rotations) == n else None,
         q=np.mean([one.q for one in measured], axis=0),
         predicted_M=np.mean([one.predicted_M for one in measured], axis=0),
         point=point,
@@ -218,12 +224,12 @@ class Findings:
         if len(off) < 3 or off[1] is None or off[2] is None:
             return None
         (nominal_mm, nominal_mrad), (mm, mrad) = off[0] or (None, None), off[2]
-        stated, target, predicted = (first.turn, second.turn), first.target, second.relative
+        stated, target, predicted = (first.rotation, second.rotation), first.target, second.relative
         expanded = None
         if stated[0] is not None and stated[1] is not None:
             budgets = [
-                turn_budget(judge.profile, command.arm, turn.model_mrad, turn.noise_mrad)
-                for command, turn in ((first, stated[0]), (second, stated[1]))
+                angle_budget(judge.profile, command.arm, rotation.model_mrad, rotation.noise_mrad)
+                for command, rotation in ((first, stated[0]), (second, stated[1]))
             ]
             expanded, lever = expanded_mrad([*budgets[0], *budgets[1]]), expanded_mrad(budgets[0])
             apart_m = float(np.linalg.norm(kept[second.arm].point.p_M - kept[first.arm].point.p_M))
@@ -274,22 +280,22 @@ class Findings:
             q_corrected=None if corrected is None else tuple(corrected.sent.tolist()),
             q_driven=None if sent is None else tuple(sent.tolist()),
             approach=None if came is None else tuple(int(sign) for sign in came),
-            orientation=_turn(command, nominal, alone, kept, judge),
+            orientation=_rotation(command, nominal, alone, kept, judge),
         )
 
 
-def _turn(
+def _rotation(
     command: Command, nominal: Measured | None, alone: Measured | None, kept: Measured | None, judge: Judge
-) -> MeasuredTurn | None:
+) -> MeasuredRotation | None:
     """Return the rotation errors of the flange; None if none was measured."""
-    angles = [_turn_mrad(one) for one in (nominal, alone, kept)]
+    angles = [_rotation_mrad(one) for one in (nominal, alone, kept)]
     if all(angle is None for angle in angles):
         return None
-    stated = command.turn
+    stated = command.rotation
     expanded = None
     if stated is not None:
-        expanded = expanded_mrad(turn_budget(judge.profile, command.arm, stated.model_mrad, stated.noise_mrad))
-    return MeasuredTurn(
+        expanded = expanded_mrad(angle_budget(judge.profile, command.arm, stated.model_mrad, stated.noise_mrad))
+    return MeasuredRotation(
         nominal_mrad=angles[0],
         compensated_mrad=angles[1],
         final_mrad=angles[2],
@@ -299,8 +305,8 @@ def _turn(
     )
 
 
-def _turn_mrad(measured: Measured | None) -> float | None:
-    return None if measured is None or measured.turn_M is None else float(np.linalg.norm(measured.turn_M)) * 1e3
+def _rotation_mrad(measured: Measured | None) -> float | None:
+    return None if measured is None or measured.angle_M is None else float(np.linalg.norm(measured.angle_M)) * 1e3
 
 
 def _relative_error(rest: Rest, first: str, second: str) -> tuple[float, float | None] | None:
@@ -308,9 +314,9 @@ def _relative_error(rest: Rest, first: str, second: str) -> tuple[float, float |
 
     None without both measurements or the first flange's rotation; no angle without the second one's.
     """
-    if len(rest) != 2 or (turn_M := rest[first].turn_M) is None:
+    if len(rest) != 2 or (angle_M := rest[first].angle_M) is None:
         return None
-    back, other_M = rotation_from_vector(-turn_M), rest[second].turn_M
+    back, other_M = rotation_from_vector(-angle_M), rest[second].angle_M
     seen = rest[second].point.p_M - rest[first].point.p_M
     off_mm = float(np.linalg.norm(back @ seen - (rest[second].wanted_M - rest[first].wanted_M))) * 1e3
     if other_M is None:
@@ -318,7 +324,7 @@ def _relative_error(rest: Rest, first: str, second: str) -> tuple[float, float |
     return off_mm, float(np.linalg.norm(rotation_vectors((back @ rotation_from_vector(other_M))[None]))) * 1e3
 
 
-def measured_turn(arm: ArmModel, point: Point, wanted_M: Array | None) -> Array | None:
+def measured_rotation(arm: ArmModel, point: Point, wanted_M: Array | None) -> Array | None:
     """Return the rotation vector (3,) [rad] in the tracker frame from the wanted to the measured flange rotation.
 
     None if no orientation was measured, if ``wanted_M`` (3, 3) is None or NaN (any rotation will do), or if the probe's
@@ -441,15 +447,15 @@ def summary_of(measured: Sequence[MeasuredTarget | MeasuredPair]) -> ArmVerifica
         nominal_mm=summarise(of(lambda one: one.nominal_mm)),
         compensated_mm=summarise(of(lambda one: one.compensated_mm)),
         corrected_mm=summarise(of(lambda one: one.final_mm)) if corrected else None,
-        **_turn_summaries([one.orientation for one in both]),
+        **_angle_summaries([one.orientation for one in both]),
     )
 
 
-def _turn_summaries(turns: Sequence[MeasuredTurn | None]) -> dict[str, ErrorSummary]:
+def _angle_summaries(rotations: Sequence[MeasuredRotation | None]) -> dict[str, ErrorSummary]:
     """Return statistics of the rotations that were measured with both commands; empty without any."""
     pairs = [
         (one.nominal_mrad, one.compensated_mrad)
-        for one in turns
+        for one in rotations
         if one is not None and None not in (one.nominal_mrad, one.compensated_mrad)
     ]
     if not pairs:

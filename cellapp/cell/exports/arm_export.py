@@ -94,8 +94,8 @@ def lost_by(geometry: Geometry, model: ArmModel, space: Workspace) -> PositionLo
     shift = model.predict(space.q, conditions=space.conditions) - smr_positions(geometry, space.q)
     errors = {"mm": np.linalg.norm(shift, axis=1) * 1e3}
     if geometry.probe is not None:
-        turned = flange_poses(geometry, space.q)[0].swapaxes(1, 2) @ model.flange(space.q, space.conditions)[0]
-        errors["mrad"] = np.linalg.norm(rotation_vectors(turned), axis=1) * 1e3
+        rotated = flange_poses(geometry, space.q)[0].swapaxes(1, 2) @ model.flange(space.q, space.conditions)[0]
+        errors["mrad"] = np.linalg.norm(rotation_vectors(rotated), axis=1) * 1e3
     found = {f"rms_{unit}": float(np.sqrt(np.mean(error**2))) for unit, error in errors.items()}
     return PositionLoss(**found, **{f"max_{unit}": float(error.max()) for unit, error in errors.items()})
 
@@ -131,10 +131,10 @@ class PositionLoss(Record):
     @property
     def words(self) -> str:
         """As ``0.112 mm rms, 0.310 mm at most``."""
-        turned = ""
+        rotated = ""
         if self.rms_mrad is not None and self.max_mrad is not None:
-            turned = f"; {self.rms_mrad:.3f} mrad rms, {self.max_mrad:.3f} mrad at most"
-        return f"{self.rms_mm:.3f} mm rms, {self.max_mm:.3f} mm at most{turned}"
+            rotated = f"; {self.rms_mrad:.3f} mrad rms, {self.max_mrad:.3f} mrad at most"
+        return f"{self.rms_mm:.3f} mm rms, {self.max_mm:.3f} mm at most{rotated}"
 
 
 class ArmFile(Record):

@@ -33,7 +33,7 @@ _NOTES = (
     "extrapolation, noise, and conditions that nobody stated. A refused target has no positions.",
     CORRECTED,
 )
-_TURNED_NOTES = (
+_ROTATION_NOTES = (
     "nominal_mrad is by what angle nominal_q1..N has the flange off the target's rotation, by the calibrated model;",
     "orientation_... say of the rotation at q1..qN what uncertainty_mm to verdict say of the position.",
 )
@@ -41,16 +41,16 @@ _TURNED_NOTES = (
 
 def command_table(commands: ArmCommands, sentences: Sequence[str]) -> str:
     """Return the CSV text: comment lines, a header row, a row per target; floats in the shortest exact form."""
-    turned = any(command.record.orientation is not None for command in commands.commands)
-    rows = [_row(command.record, len(commands.home), turned=turned) for command in commands.commands]
+    rotated = any(command.record.orientation is not None for command in commands.commands)
+    rows = [_row(command.record, len(commands.home), rotated=rotated) for command in commands.commands]
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerows([rows[0], *(row.values() for row in rows)])
-    return hashed([*sentences, *_NOTES, *(_TURNED_NOTES if turned else ())]) + text.getvalue()
+    return hashed([*sentences, *_NOTES, *(_ROTATION_NOTES if rotated else ())]) + text.getvalue()
 
 
-def _row(one: TargetCommand, joints: int, *, turned: bool) -> dict[str, str]:
-    """Return the cells of a target by the names of their columns; with those of its rotation if ``turned``."""
+def _row(one: TargetCommand, joints: int, *, rotated: bool) -> dict[str, str]:
+    """Return the cells of a target by the names of their columns; with those of its rotation if ``rotated``."""
     cells = {
         "name": quoted_text(one.name),
         "arm": one.arm,
@@ -64,15 +64,15 @@ def _row(one: TargetCommand, joints: int, *, turned: bool) -> dict[str, str]:
         "verdict": one.verdict,
         "refusal": quoted_text(one.refusal),
     }
-    if not turned:
+    if not rotated:
         return cells
-    turn = one.orientation
+    rotation = one.orientation
     return cells | {
-        "nominal_mrad": _number(None if turn is None else turn.nominal_mrad),
-        "orientation_uncertainty_mrad": _number(None if turn is None else turn.uncertainty_mrad),
-        "orientation_within_mrad": _number(None if turn is None else turn.within_mrad),
+        "nominal_mrad": _number(None if rotation is None else rotation.nominal_mrad),
+        "orientation_uncertainty_mrad": _number(None if rotation is None else rotation.uncertainty_mrad),
+        "orientation_within_mrad": _number(None if rotation is None else rotation.within_mrad),
         "orientation_tolerance_mrad": _number(one.orientation_tolerance_mrad),
-        "orientation_verdict": "" if turn is None else turn.verdict,
+        "orientation_verdict": "" if rotation is None else rotation.verdict,
     }
 
 

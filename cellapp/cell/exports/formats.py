@@ -92,10 +92,10 @@ def lost_sentences(
     """Return sentences about what a file cannot represent."""
     if together is None:
         return ["The model of this arm is geometry alone: this file holds all of it."]
-    turned = "" if together.rms_mrad is None else " and the flange's rotation"
+    rotated = "" if together.rms_mrad is None else " and the flange's rotation"
     lines = [
         f"{'The chain computes without' if listed else 'This file does not hold'} these parts of the model. How"
-        f" far the SMR{turned} is off without them,",
+        f" far the SMR{rotated} is off without them,",
         f"at {POSES} random configurations within the joint ranges of the readings:",
     ]
     rows = [*lost.items()] if len(lost) == 1 else [*lost.items(), (_TOGETHER, together)]

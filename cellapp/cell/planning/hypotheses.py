@@ -28,7 +28,7 @@ from cellapp.estimation.discovery.arm_data import (
 from cellapp.estimation.discovery.joint_fit import JointFit, LinearModel, ProjectedResidual, fit_terms, refit
 from cellapp.estimation.discovery.outcome import Discovery
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price
-from cellapp.robot.effects import EFFECTS, DriverVariable, EffectColumn, EffectContext, Law, MeasurementConditions
+from cellapp.robot.effects import EFFECTS, EffectColumn, EffectContext, InputVariable, Law, MeasurementConditions
 from cellapp.robot.effects.effect import is_unnamed, lent_effect, lent_law
 from cellapp.robot.kinematics.transforms import Array
 
@@ -81,7 +81,7 @@ class Hypothesis:
         return (self.effect, self.against) if self.against else (self.effect,)
 
     @property
-    def variables(self) -> frozenset[DriverVariable]:
+    def variables(self) -> frozenset[InputVariable]:
         """All variables that either model depends on."""
         slugs = [*self.effects, *(term.slug for term in self.fit.terms)]
         return frozenset().union(*(EFFECTS[slug].variables for slug in slugs))
@@ -241,7 +241,7 @@ _MOST_LAWS = 4
 _MOST_FAINT = 3
 """Number of effects whose visibility is to be raised where nothing is ambiguous; with more, none would gain much."""
 _VARIABLE_CONDITIONS = frozenset(
-    {DriverVariable.APPROACH, DriverVariable.STEP, DriverVariable.DWELL, DriverVariable.OTHER_ARM}
+    {InputVariable.APPROACH, InputVariable.STEP, InputVariable.DWELL, InputVariable.OTHER_ARM}
 )
 """Variables that the conditions of further stops can vary where those of a run did not."""
 _MOVES_NOTHING = 1e-12

@@ -42,7 +42,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
-from cellapp.robot.effects import EFFECTS, DriverVariable, MeasurementConditions, place_in_words, varies
+from cellapp.robot.effects import EFFECTS, InputVariable, MeasurementConditions, place_in_words, varies
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
@@ -74,12 +74,12 @@ class Approaches:
         """Return the approaches to the first ``poses`` poses."""
         return Approaches(self.steps[:poses], self.dwells)
 
-    def needed_for(self, variables: Collection[DriverVariable]) -> Approaches:
+    def needed_for(self, variables: Collection[InputVariable]) -> Approaches:
         """Leave out detours and dwells that no variable depends on."""
         steps, dwells = self.steps, self.dwells
-        if DriverVariable.DWELL not in variables:
+        if InputVariable.DWELL not in variables:
             steps, dwells = steps[:, :: len(DWELLS_S)], np.zeros(len(dwells) // len(DWELLS_S))
-        if not {DriverVariable.APPROACH, DriverVariable.STEP} & set(variables):
+        if not {InputVariable.APPROACH, InputVariable.STEP} & set(variables):
             dwells = np.unique(dwells)
             steps = np.zeros((len(steps), len(dwells), steps.shape[2]))
         return Approaches(steps, dwells)
@@ -227,16 +227,16 @@ class ArmHypotheses:
         approaches = all_approaches(len(poses), readings.joints, rng)
         joined = joined_context(data, *run.all_candidates(poses, approaches))
         hypotheses = tuple(open_hypotheses(data, fit, discovery, joined))
-        approaches = approaches.needed_for(frozenset[DriverVariable]().union(*(one.variables for one in hypotheses)))
+        approaches = approaches.needed_for(frozenset[InputVariable]().union(*(one.variables for one in hypotheses)))
         columns = sum(one.columns_a_candidate for one in hypotheses)
         most = min(int(_MEMORY_BYTES / max(columns * _BYTES_A_COLUMN, 1)), effort.candidates) // len(approaches)
         limits = np.array(arm.joint_limits)
         return cls(run, hypotheses, approaches, limits, max(_LEAST_POSES, most))
 
     @property
-    def variables(self) -> frozenset[DriverVariable]:
+    def variables(self) -> frozenset[InputVariable]:
         """All variables that the hypotheses' models depend on."""
-        return frozenset[DriverVariable]().union(*(one.variables for one in self.hypotheses))
+        return frozenset[InputVariable]().union(*(one.variables for one in self.hypotheses))
 
 
 @dataclass(eq=False)
@@ -485,7 +485,7 @@ def _load_advice(
 ) -> list[str]:
     """Advise another payload at every second stop, if the stops do not decide and the run had one payload."""
     conditions = arm.run.conditions
-    depends = any(DriverVariable.PAYLOAD in EFFECTS[slug].variables for slug in hypothesis.effects)
+    depends = any(InputVariable.PAYLOAD in EFFECTS[slug].variables for slug in hypothesis.effects)
     decided = bool(hypothesis.against) and prediction.proposed >= prediction.needed
     if not depends or decided or varies(conditions.payload_kg):
         return []
@@ -579,7 +579,7 @@ def propose_stops(
         raise InputError("propose: no effect is ambiguous or hidden, so further stops have nothing to decide")
     poses = poses.first(min(arm.affordable_poses for arm in hypotheses))
     arms = [ArmCandidates.of(arm, poses) for arm in hypotheses]
-    coupled = any(DriverVariable.OTHER_ARM in arm.variables for arm in hypotheses)
+    coupled = any(InputVariable.OTHER_ARM in arm.variables for arm in hypotheses)
     selection = StopSelection(arms, poses, coupled or poses.gate is None, rng)
     chosen = selection.select(count, listener, cancel)
     if not chosen:

@@ -94,16 +94,16 @@ def _reached(
     profile: Profile, cell: CellBodies, name: str, q: Array, finder: TransitPlanner, given_up: list[str]
 ) -> Array:
     """Select the configurations (m, N) that the arm alone can reach, in the turns in which they are planned."""
-    turned = nearest_turns(profile, cell, name, q)
-    reached = finder.roadmaps[name].reaches(turned)
+    rotated = nearest_turns(profile, cell, name, q)
+    reached = finder.roadmaps[name].reaches(rotated)
     if not reached.all():
-        alone, lost = replace(cell, arms={name: cell.arms[name]}), turned[np.argmin(reached)]
+        alone, lost = replace(cell, arms={name: cell.arms[name]}), rotated[np.argmin(reached)]
         reason = refuse_motion(alone, {name: finder.roadmaps[name].rest}, {name: lost})
         given_up.append(
             f"arm {name}: {np.sum(~reached)} of {len(q)} chosen configurations cannot be reached from home, the first:"
             f" {reason or 'within the allowance for sampled paths'}"
         )
-    return turned[reached]
+    return rotated[reached]
 
 
 def nearest_turns(profile: Profile, cell: CellBodies, name: str, q: Array) -> Array:

@@ -282,8 +282,8 @@ def _out_of_sight(condition: str, field: TrackerField, sight: Sight, acceptance:
         low, high = field.distance
         return f"its SMR is {sight.distance[0]:.2f} m from the tracker, allowed are {low:.4g} to {high:.4g} m"
     if condition == FACING:
-        turned, allowed = np.degrees([sight.incidence[0], usable_acceptance(acceptance)])
-        return f"its SMR looks {turned:.1f} deg past the tracker, allowed are {allowed:.1f} deg"
+        rotated, allowed = np.degrees([sight.incidence[0], usable_acceptance(acceptance)])
+        return f"its SMR looks {rotated:.1f} deg past the tracker, allowed are {allowed:.1f} deg"
     seen, limits = {
         AZIMUTH: (sight.azimuth[0], field.azimuth),
         ELEVATION: (math.asin(min(max(sight.sine_of_elevation[0], -1.0), 1.0)), field.elevation),

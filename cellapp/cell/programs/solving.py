@@ -24,7 +24,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
-from cellapp.robot.effects.law import DriverVariable
+from cellapp.robot.effects.law import InputVariable
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
 from cellapp.robot.kinematics.inverse import closed_form_solutions, solve_pose, turned_into
 from cellapp.robot.kinematics.transforms import Array, invert, rotation_from_vector, rotation_vectors, transform
@@ -32,7 +32,7 @@ from cellapp.robot.model import ArmModel, CellModel
 
 _RESIDUAL = 1e-6
 """Largest residual of the model [m, rad] at a corrected target."""
-_LARGEST_TURN = 0.2
+_LARGEST_ROTATION = 0.2
 """Correction of a joint [rad] above which a posture counts as singular. Away from singularities the deviations of an
 arm, millimetres and milliradians, rotate its joints by some milliradians, a fortieth of this."""
 _SAME = 1e-9
@@ -146,8 +146,8 @@ def _corrections(place: Workplace, point: Array, q: Array, conditions: Measureme
     """Return by how much a plain controller at ``q`` (n, N) is told other than where the arm is: shift and rotation."""
     told = place.arm.nominal.T_M_B() @ flange_of(controller_chain(place.arm), q)
     true = true_flange(moved_by(place.arm), q, conditions)
-    turns = rotation_vectors(told[:, :3, :3] @ true[:, :3, :3].transpose(0, 2, 1))
-    return told[:, :3, 3] - true[:, :3, 3] + (told[:, :3, :3] - true[:, :3, :3]) @ point, turns
+    rotations = rotation_vectors(told[:, :3, :3] @ true[:, :3, :3].transpose(0, 2, 1))
+    return told[:, :3, 3] - true[:, :3, 3] + (told[:, :3, :3] - true[:, :3, :3]) @ point, rotations
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -197,13 +197,13 @@ def _first_posture(place: Workplace, solutions: Array, middle: Array) -> tuple[A
     The controller takes the one nearest to where the arm stands: at home, where the profile has it. Else it must be the
     only one within the ranges of the readings, or the only one. Return it and why, or None and why not.
     """
-    turned = [q for one in solutions if (q := nearest(one[None], place.limits, middle)) is not None]
-    within = [q for q in turned if not outside(q, place.measured)]
+    rotated = [q for one in solutions if (q := nearest(one[None], place.limits, middle)) is not None]
+    within = [q for q in rotated if not outside(q, place.measured)]
     if place.home is not None:
         at_home = nearest(solutions, place.limits, place.home)
         if at_home is not None and (len(within) != 1 or not outside(at_home, place.measured)):
             return at_home, "home"
-    possible = within or turned
+    possible = within or rotated
     if len(possible) == 1:
         return possible[0], "readings" if within else "reach"
     where = "" if within else ", each outside the calibrated range"
@@ -228,10 +228,10 @@ def _why_not(place: Workplace, q_old: Array, q_new: Array, residual: float) -> s
                 f"{name} position of joint {joint + 1}, {np.degrees(q[joint]):.3f} deg, is beyond its limits"
                 f" {np.degrees(low[joint]):.1f} to {np.degrees(high[joint]):.1f} deg"
             )
-    turn = np.abs(q_new - q_old)
-    joint = int(turn.argmax())
-    if turn[joint] > _LARGEST_TURN:
-        return f"singular posture: its correction would turn joint {joint + 1} by {np.degrees(turn[joint]):.1f} deg"
+    rotation = np.abs(q_new - q_old)
+    joint = int(rotation.argmax())
+    if rotation[joint] > _LARGEST_ROTATION:
+        return f"singular posture: its correction would turn joint {joint + 1} by {np.degrees(rotation[joint]):.1f} deg"
     if not residual < _RESIDUAL:
         return f"singular posture or edge of the reach: the calibrated arm stays {residual * 1e3:.3f} mm or mrad away"
     if not place.extrapolate and (joints := outside(q_new, place.measured)):
@@ -252,13 +252,13 @@ def _refused(target: ProgramTarget, reason: str) -> CorrectedTarget:
 
 def _corrected(target: ProgramTarget, *, q_new: Array, meant: Array, told: Array, nearest_to: str) -> CorrectedTarget:
     shift = float(np.linalg.norm(told[:3, 3] - meant[:3, 3]))
-    turn = float(np.linalg.norm(rotation_vectors((meant[:3, :3].T @ told[:3, :3])[None])[0]))
+    angle = float(np.linalg.norm(rotation_vectors((meant[:3, :3].T @ told[:3, :3])[None])[0]))
     new = six(q_new.tolist())
     if target.kind == "pose":
         pose = pose_numbers(told)
         rotation = target.numbers[3:] if target.position_only else nearest_vector(pose[3:], target.numbers[3:]).tolist()
         new = six([*pose[:3], *rotation])
-    if shift < _SAME and turn < _SAME:
+    if shift < _SAME and angle < _SAME:
         new = target.numbers
     return CorrectedTarget(
         line=target.line,
@@ -267,7 +267,7 @@ def _corrected(target: ProgramTarget, *, q_new: Array, meant: Array, told: Array
         old=target.numbers,
         new=new,
         correction_mm=shift * 1e3,
-        correction_mrad=turn * 1e3,
+        correction_mrad=angle * 1e3,
         q_new=six(q_new.tolist()),
         nearest_to=nearest_to,
     )
@@ -338,25 +338,25 @@ def true_flange(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> A
     rotations = np.stack([at[k + 1] - at[0] for k in range(3)], axis=2)
     u, _, vt = np.linalg.svd(rotations)
     rotations = u @ vt  # the nearest ones
-    turned = np.array([rotation_from_vector(one) for one in arm.turning_M(q)]).reshape(-1, 3, 3) @ rotations
-    return _poses(turned, at[0] + (rotations - turned) @ arm.geometry.tool)
+    rotated = np.array([rotation_from_vector(one) for one in arm.angles_M(q)]).reshape(-1, 3, 3) @ rotations
+    return _poses(rotated, at[0] + (rotations - rotated) @ arm.geometry.tool)
 
 
 def aim(arm: ArmModel, wanted_M: Array, start: Array, conditions: MeasurementConditions) -> Inverted:
     """Find joint positions near ``start`` (n, N) at which the model puts the flange at ``wanted_M`` (n, 4, 4)."""
     chain = replace(arm.geometry, tool=np.zeros(3))
     aimed, q = wanted_M.copy(), start
-    shift = turn = np.full(len(start), np.inf)
+    shift = angle = np.full(len(start), np.inf)
     for _ in range(_ROUNDS):
         q = solve_pose(chain, aimed[:, :3, 3], aimed[:, :3, :3], q).q
         reached = true_flange(arm, q, conditions)
         off = wanted_M[:, :3, 3] - reached[:, :3, 3]
         rotation = wanted_M[:, :3, :3] @ reached[:, :3, :3].transpose(0, 2, 1)
-        shift, turn = np.linalg.norm(off, axis=1), np.linalg.norm(rotation_vectors(rotation), axis=1)
-        if max(shift.max(initial=0.0), turn.max(initial=0.0)) < _SAME_ROTATION:
+        shift, angle = np.linalg.norm(off, axis=1), np.linalg.norm(rotation_vectors(rotation), axis=1)
+        if max(shift.max(initial=0.0), angle.max(initial=0.0)) < _SAME_ROTATION:
             break
         aimed = _poses(rotation @ aimed[:, :3, :3], aimed[:, :3, 3] + off)
-    return Inverted(q, shift, turn)
+    return Inverted(q, shift, angle)
 
 
 def branches(chain: Geometry, poses: Array, limits: Array, near: Array, seed: int) -> list[Array]:
@@ -386,18 +386,18 @@ def nearest(solutions: Array, limits: Array, to: Array) -> Array | None:
     """
     if len(solutions) == 0:
         return None
-    turned, beyond = turned_into(solutions, limits, to)
-    turned = turned[np.all(beyond == 0.0, axis=1)]
-    if len(turned) == 0:
+    rotated, beyond = turned_into(solutions, limits, to)
+    rotated = rotated[np.all(beyond == 0.0, axis=1)]
+    if len(rotated) == 0:
         return None
-    return np.asarray(turned[np.argmin(np.sum((turned - to) ** 2, axis=1))])
+    return np.asarray(rotated[np.argmin(np.sum((rotated - to) ** 2, axis=1))])
 
 
 def outside(q: Array, measured: Array) -> list[int]:
     """Return the indices of joints whose position in ``q`` (N,) is outside the readings (n, N), modulo whole turns."""
     low, high = measured.min(axis=0) - _MARGIN, measured.max(axis=0) + _MARGIN
-    turned = q + 2.0 * np.pi * np.ceil((low - q) / (2.0 * np.pi))
-    return np.flatnonzero(turned > high).tolist()
+    rotated = q + 2.0 * np.pi * np.ceil((low - q) / (2.0 * np.pi))
+    return np.flatnonzero(rotated > high).tolist()
 
 
 def nearest_vector(vector: Sequence[float], to: Sequence[float]) -> Array:
@@ -407,8 +407,8 @@ def nearest_vector(vector: Sequence[float], to: Sequence[float]) -> Array:
     if angle < 1e-9:
         return here
     axis = here / angle
-    turns = round((float(axis @ there) - angle) / (2.0 * np.pi))
-    return np.asarray(axis * (angle + 2.0 * np.pi * turns))
+    rotations = round((float(axis @ there) - angle) / (2.0 * np.pi))
+    return np.asarray(axis * (angle + 2.0 * np.pi * rotations))
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -512,11 +512,11 @@ def gate_findings(profile: Profile, model: CellModel, name: str, targets: Sequen
 
 
 _UNKNOWN = {
-    DriverVariable.TIME: "as at the end of the run",
-    DriverVariable.AIR_TEMPERATURE: "at the temperature to which the model refers",
-    DriverVariable.JOINT_TEMPERATURE: "at the temperature to which the model refers",
-    DriverVariable.OTHER_ARM: "without the other arm's load",
-    DriverVariable.DWELL: "after a long rest",
+    InputVariable.TIME: "as at the end of the run",
+    InputVariable.AIR_TEMPERATURE: "at the temperature to which the model refers",
+    InputVariable.JOINT_TEMPERATURE: "at the temperature to which the model refers",
+    InputVariable.OTHER_ARM: "without the other arm's load",
+    InputVariable.DWELL: "after a long rest",
 }
 
 _ONLY = {"readings": "the only one within the ranges of the readings", "reach": "the only one that reaches it"}
@@ -534,13 +534,13 @@ def assumptions(
     """Yield the conditions under which the corrected program is valid, as sentences."""
     arm = place.arm
     apart = invert(arm.nominal.T_M_B()) @ arm.geometry.T_M_B()
-    turn = float(np.linalg.norm(rotation_vectors(apart[None, :3, :3])[0]))
+    rotation = float(np.linalg.norm(rotation_vectors(apart[None, :3, :3])[0]))
     published = f"the published table of the {settings.type.model}, without a calibration of its own"
     own = f"its own calibration, checksum {settings.factory.checksum or 'unknown'}" if settings.factory else published
     yield f"controller: computes by {own}"
     yield (
         "base: poses are in the base frame of the controller's chain, as it was registered to the readings; the"
-        f" calibrated arm's base is {np.linalg.norm(apart[:3, 3]) * 1e3:.3f} mm and {turn * 1e3:.3f} mrad from it"
+        f" calibrated arm's base is {np.linalg.norm(apart[:3, 3]) * 1e3:.3f} mm and {rotation * 1e3:.3f} mrad from it"
     )
     tcps = dict.fromkeys(target.tcp for target in read.targets if target.tcp is not None)
     for tcp in tcps:
@@ -616,7 +616,7 @@ def _unknown_conditions(place: Workplace, q: np.ndarray) -> Iterator[str]:
     """Yield the conditions that effects of the model depend on and that a program does not state."""
     arm = moved_by(place.arm)
     variables = {variable for term in arm.effects for variable in EFFECTS[term.slug].variables}
-    if DriverVariable.APPROACH in variables and len(q):
+    if InputVariable.APPROACH in variables and len(q):
         sides = [
             true_flange(arm, q, MeasurementConditions(approach=np.full(q.shape, side)))[:, :3, 3]
             for side in (-1.0, 1.0)

@@ -123,8 +123,8 @@ class Written:
             blank |= (values == 0.0).all(axis=1)  # programs write zeros where nothing was measured
         given = np.flatnonzero(~blank)
         if (fault := self._fault(values, given)) is None and len(given):
-            turns = self.form.rotations(values[given] * self.factor)
-            found[given] = turns.as_quat(canonical=True, scalar_first=True)
+            rotations = self.form.rotations(values[given] * self.factor)
+            found[given] = rotations.as_quat(canonical=True, scalar_first=True)
         return found, fault
 
     def _fault(self, values: Array, given: NDArray[np.intp]) -> Fault | None:

@@ -161,11 +161,11 @@ def _read_file(
     file, quantities = read_header(path, what, EXAMPLES[kind]), stems(kind, max(joints), max(joints))
     numbers = {name for its in quantities.values() for name in its}
     written, notes = written_orientation(file.names) if kind == "points" else (None, [])
-    turned = () if written is None else written.columns
+    rotated = () if written is None else written.columns
     row = next((cells for _, cells in file.rows()), [])
     known = understood(file.names, kind, (*numbers, *TEXTS), written, taken, row)
     _check_columns(file, kind, known, quantities)
-    numbers |= {*turned, *known.others}
+    numbers |= {*rotated, *known.others}
     required = {"time_s", *(name for name in quantities.get("q", ())[: min(joints)] if name in known.names)}
     table = read_stream_table(file, known.names, numbers=numbers, required=required, texts=TEXTS)
     if written is not None:

@@ -121,22 +121,22 @@ def in_one_frame(readings: Readings, poses: Poses) -> Readings:
     if readings.station is None or not poses:
         return readings
     T = np.array([poses.get(name, np.eye(4)) for name in map(str, readings.station)])
-    turn, shift = T[:, :3, :3], T[:, :3, 3]
+    rotation, shift = T[:, :3, :3], T[:, :3, 3]
     quaternion = readings.quaternion_M
     if quaternion is not None:
-        quaternion = quaternions_of(turn @ rotations_of(quaternion))
+        quaternion = quaternions_of(rotation @ rotations_of(quaternion))
     return replace(
         readings,
-        p_M=np.einsum("nab,nb->na", turn, readings.p_M) + shift,
-        covariance_M=_turned(readings.covariance_M, turn),
-        turning_covariance_M=_turned(readings.turning_covariance_M, turn),
+        p_M=np.einsum("nab,nb->na", rotation, readings.p_M) + shift,
+        covariance_M=_rotated(readings.covariance_M, rotation),
+        rotation_covariance_M=_rotated(readings.rotation_covariance_M, rotation),
         quaternion_M=quaternion,
         station=None,
     )
 
 
-def _turned(covariance: Array | None, turn: Array) -> Array | None:
-    return None if covariance is None else np.asarray(turn @ covariance @ turn.swapaxes(1, 2))
+def _rotated(covariance: Array | None, rotation: Array) -> Array | None:
+    return None if covariance is None else np.asarray(rotation @ covariance @ rotation.swapaxes(1, 2))
 
 
 def tie_sentences(first: str, ties: Mapping[str, StationTie], readings: Mapping[str, Readings]) -> list[str]:

@@ -36,7 +36,7 @@ from cellapp.cell.targets.prediction import (
     command_record,
     outside_notes,
     predicted_relative,
-    predicted_turns,
+    predicted_rotations,
     predictions,
     refused,
 )
@@ -186,16 +186,16 @@ class _Group:
         at, q = rows[picked], nominal[first][picked]
         here = from_home(self.conditions(first, rows, nominal).take(picked), q, self.homes[first])
         rotation_M, _ = self.model.arms[first].flange(q, here)
-        turn = rotation_M @ own.rotation_M[at].swapaxes(1, 2)
+        rotation = rotation_M @ own.rotation_M[at].swapaxes(1, 2)
         p_M = self.model.arms[first].predict(q, conditions=here)
-        apart = np.einsum("nij,nj->ni", turn, other.position_M[at] - own.position_M[at])
+        apart = np.einsum("nij,nj->ni", rotation, other.position_M[at] - own.position_M[at])
 
         def moved(goal: ArmGoals, position_M: Array, rotation_M: Array) -> ArmGoals:
             positions, rotations = goal.position_M.copy(), goal.rotation_M.copy()
             positions[at], rotations[at] = position_M, rotation_M
             return replace(goal, position_M=positions, rotation_M=rotations)
 
-        goals = {first: moved(own, p_M, rotation_M), second: moved(other, p_M + apart, turn @ other.rotation_M[at])}
+        goals = {first: moved(own, p_M, rotation_M), second: moved(other, p_M + apart, rotation @ other.rotation_M[at])}
         return replace(self, goals=goals)
 
     def conditions(self, name: str, rows: NDArray[np.intp], at: Positions) -> MeasurementConditions:
@@ -247,12 +247,12 @@ def _of_arm(
     found, conditions, q_nominal = sided.found, sided.conditions, chosen.nominal[name]
     tolerances = [group.targets[k].tolerance_mm for k in rows.tolist()]
     predicted = predictions(arm, found.q, conditions, tolerances, home, ranges, sided.others)
-    tolerances, turn_M = [group.targets[k].orientation_tolerance_mrad for k in rows.tolist()], goal.nominal_rotation_M
-    turns = predicted_turns(arm, found.q, q_nominal[rows], conditions, turn_M[rows], tolerances, home, ranges)
+    tolerances, wanted = [group.targets[k].orientation_tolerance_mrad for k in rows.tolist()], goal.nominal_rotation_M
+    rotations = predicted_rotations(arm, found.q, q_nominal[rows], conditions, wanted[rows], tolerances, home, ranges)
     notes = outside_notes(found.q, conditions, ranges, predicted, arm.bodies.payload_mass)
     seen, payloads = _seen(group, name, at), conditions_payload(conditions, arm.bodies.payload_mass, len(rows))
     for place, k in enumerate(rows.tolist()):
-        turned = float(found.residual_rad[place])
+        rotated = float(found.residual_rad[place])
         commands[k] = replace(
             commands[k],
             q_nominal=q_nominal[k],
@@ -262,17 +262,17 @@ def _of_arm(
             refusal="",
             visible=bool(seen[place]),
             residual_um=float(found.residual_m[place]) * 1e6,
-            residual_urad=None if np.isnan(turned) else turned * 1e6,
+            residual_urad=None if np.isnan(rotated) else rotated * 1e6,
             conditions=conditions.take(np.array([place])),
             side=sided.approach(place),
             payload_kg=float(payloads[place]),
             note=notes[place],
             prediction=predicted[place],
-            turn=turns[place],
+            rotation=rotations[place],
             rotation_M=goal.rotation_M[k],
             nominal_rotation_M=goal.nominal_rotation_M[k],
         )
-    return commands, Predicted(arm, found.q, conditions, home, predicted, turns)
+    return commands, Predicted(arm, found.q, conditions, home, predicted, rotations)
 
 
 def _seen(group: _Group, name: str, at: Positions) -> NDArray[np.bool_]:

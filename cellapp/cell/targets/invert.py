@@ -110,8 +110,8 @@ def invert(
         if not (left and len(active)):
             break
         q[active] += _step(J, errors, free[active])
-    turned = np.where(free, np.nan, np.linalg.norm(error[:, 3:], axis=1))
-    return Inverted(best, np.linalg.norm(error[:, :3], axis=1), turned)
+    rotated = np.where(free, np.nan, np.linalg.norm(error[:, 3:], axis=1))
+    return Inverted(best, np.linalg.norm(error[:, :3], axis=1), rotated)
 
 
 def invert_model(arm: ArmModel, position_M: Array, rotation_M: Array, start: Array) -> tuple[Array, NDArray[np.bool_]]:
@@ -167,8 +167,8 @@ def _errors(
     if arm.effects:
         moved = arm.effect_displacement(q, conditions=conditions)
         aim, true = aim - moved.shift_M, q + moved.joints
-    if arm.turns_flange and arm.geometry.probe is not None:
-        rotation_M = arm.turns(q, conditions).swapaxes(1, 2) @ rotation_M
+    if arm.rotates_flange and arm.geometry.probe is not None:
+        rotation_M = arm.rotations(q, conditions).swapaxes(1, 2) @ rotation_M
     if arm.network is not None:
         aim = aim - arm.network.correct(q) @ arm.geometry.T_M_B()[:3, :3].T
     return errors_and_jacobian(arm.geometry, aim, rotation_M, true)

@@ -22,7 +22,7 @@ from cellapp.cell.targets.ranges import (
     unknown_conditions,
     unknown_records,
 )
-from cellapp.cell.targets.records import PredictedRelative, PredictedTurn, TargetCommand, UnknownCondition
+from cellapp.cell.targets.records import PredictedRelative, PredictedRotation, TargetCommand, UnknownCondition
 from cellapp.cell.targets.targets import Target, target_record
 from cellapp.estimation.uncertainty.budget import TARGET_WORDS, decided
 from cellapp.estimation.uncertainty.records import ToleranceVerdict, UncertaintyParts
@@ -263,7 +263,7 @@ def predicted_verdict(low_mm: float, high_mm: float, tolerance_mm: float | None)
 # -- Uncertainty of the flange's orientation at a command, if readings of the arm had orientations --------------------
 
 
-def predicted_turns(
+def predicted_rotations(
     arm: ArmModel,
     q: Array,
     q_nominal: Array,
@@ -272,7 +272,7 @@ def predicted_turns(
     tolerances_mrad: Sequence[float | None],
     home: Array,
     ranges: ConditionRanges,
-) -> list[PredictedTurn | None]:
+) -> list[PredictedRotation | None]:
     """Return predictions for n commands ``q`` (n, N) [rad]; None for all if the model has no orientation noise.
 
     ``q_nominal`` (n, N) are the commands of the published geometry, ``nominal_M`` (n, 3, 3) the flange rotations of the
@@ -281,18 +281,18 @@ def predicted_turns(
     """
     if arm.posterior is None or arm.posterior.noise_rad is None:
         return [None] * len(q)
-    found: list[PredictedTurn | None] = []
+    found: list[PredictedRotation | None] = []
     for begin in range(0, len(q), AT_ONCE):
         rows = np.arange(begin, min(begin + AT_ONCE, len(q)))
         here, stated = q[rows], conditions.take(rows)
         came = from_home(stated, here, home)
-        turned = arm.orientation(here, came)
-        model = _covariance(arm, here, replace(came, R_M_S=turned), ranges)
-        unknown = unknown_conditions(arm, here, replace(stated, R_M_S=turned), ranges)
+        rotated = arm.orientation(here, came)
+        model = _covariance(arm, here, replace(came, R_M_S=rotated), ranges)
+        unknown = unknown_conditions(arm, here, replace(stated, R_M_S=rotated), ranges)
         true = model + sum((one.covariance for one in unknown), np.zeros_like(model))
         off = _off_mrad(arm, q_nominal[rows], stated, nominal_M[rows])
         measured = _with_noise(true, arm.posterior)
-        found += _turn_judged(
+        found += _rotation_judged(
             model, true, measured, arm.posterior.noise_rad, off, tolerances_mrad[begin : begin + AT_ONCE]
         )
     return found
@@ -304,9 +304,9 @@ def _covariance(arm: ArmModel, q: Array, conditions: MeasurementConditions, rang
     near = ranges.nearest_loaded(arm, q, conditions)
     moved = arm.posterior.displacements(arm.geometry, arm.effects, arm.context(q, conditions=near))
     covariance = np.einsum("sna,snb->nab", moved, moved, optimize=True) / len(moved)
-    if arm.network is not None and arm.network.turning is not None:
+    if arm.network is not None and arm.network.rotation is not None:
         R = arm.geometry.T_M_B()[:3, :3]
-        covariance += (R * arm.network.turning.spread(q)[:, None] ** 2) @ R.T
+        covariance += (R * arm.network.rotation.spread(q)[:, None] ** 2) @ R.T
     return np.asarray(covariance + payload_covariance(arm, q, conditions, near, ranges.elasticity))
 
 
@@ -331,18 +331,18 @@ def _with_noise(true: Array, posterior: PosteriorDraws) -> Array:
     return np.asarray(np.einsum("nab,nb,ncb->nac", vectors, values + posterior.noise_axes_rad**2, vectors))
 
 
-def _turn_judged(
+def _rotation_judged(
     model: Array,
     true: Array,
     measured: Array,
     noise_rad: float,
     off_mrad: Sequence[float | None],
     tolerances: Sequence[float | None],
-) -> list[PredictedTurn | None]:
+) -> list[PredictedRotation | None]:
     """Return predictions from covariances (n, 3, 3) [rad^2]: of the model, with unknown conditions, and measured."""
     low, high = length_bounds(true)[0] * 1e3, length_bounds(measured)[1] * 1e3
     return [
-        PredictedTurn(
+        PredictedRotation(
             nominal_mrad=off,
             uncertainty_mrad=_component_mrad(measured[k]),
             model_mrad=_component_mrad(model[k]),
@@ -371,26 +371,26 @@ class Predicted:
     conditions: MeasurementConditions
     home: Array
     positions: Sequence[Prediction | None]
-    turns: Sequence[PredictedTurn | None]
+    rotations: Sequence[PredictedRotation | None]
 
     def draws(self) -> tuple[Array, Array, Array]:
         """Return SMR positions (n, 3) [m], and draws (S, n, 3) of their errors [m] and of the orientations' [rad]."""
         assert self.arm.posterior is not None
         came = from_home(self.conditions, self.q, self.home)
-        turned = replace(came, R_M_S=self.arm.orientation(self.q, came))
+        rotated = replace(came, R_M_S=self.arm.orientation(self.q, came))
         moved = [
             self.arm.posterior.displacements(
                 self.arm.geometry, self.arm.effects, self.arm.context(self.q, conditions=its)
             )
-            for its in (came, turned)
+            for its in (came, rotated)
         ]
         return self.arm.predict(self.q, conditions=came), moved[0], moved[1]
 
     def others(self, *draws: Array) -> Array:
         """Return the variances (2, n) of a coordinate [m^2] and of a component of rotation [rad^2] beside the draws."""
-        known = zip(self.positions, self.turns, strict=True)
+        known = zip(self.positions, self.rotations, strict=True)
         whole = [
-            (one.uncertainty_mm, turn.uncertainty_mrad) for one, turn in known if one is not None and turn is not None
+            (one.uncertainty_mm, its.uncertainty_mrad) for one, its in known if one is not None and its is not None
         ]
         drawn = np.array([np.mean(one**2, axis=(0, 2)) for one in draws])
         return np.asarray(np.maximum((1e-3 * np.array(whole).T) ** 2 - drawn, 0.0))
@@ -400,7 +400,7 @@ def predicted_relative(
     first: Predicted, second: Predicted, tolerances_mm: Sequence[float | None], tolerances_mrad: Sequence[float | None]
 ) -> list[PredictedRelative | None]:
     """Return predictions of the second flange's pose in the first one's frame; None for all without two probes."""
-    if not len(first.q) or None in (*first.turns, *second.turns, *first.positions, *second.positions):
+    if not len(first.q) or None in (*first.rotations, *second.rotations, *first.positions, *second.positions):
         return [None] * len(first.q)
     model, measured = relative_covariances(first, second)
     low, high = ([length_bounds(one)[side] * 1e3 for one in its] for side, its in ((0, model), (1, measured)))
@@ -420,15 +420,15 @@ def relative_covariances(first: Predicted, second: Predicted) -> tuple[tuple[Arr
 
     Seen from the first flange, its rotation by w moves the other SMR, at the vector d from its own, by ``-w x d``.
     """
-    (p_1, moved_1, turned_1), (p_2, moved_2, turned_2) = first.draws(), second.draws()
+    (p_1, moved_1, rotated_1), (p_2, moved_2, rotated_2) = first.draws(), second.draws()
     d = p_2 - p_1
-    own, other = first.others(moved_1, turned_1), second.others(moved_2, turned_2)
-    moved_1 = moved_1 + np.cross(turned_1, d)
+    own, other = first.others(moved_1, rotated_1), second.others(moved_2, rotated_2)
+    moved_1 = moved_1 + np.cross(rotated_1, d)
 
     def of(*draws: Array) -> Array:
         return np.asarray(sum(np.einsum("sna,snb->nab", one, one, optimize=True) / len(one) for one in draws))
 
-    model = of(moved_1, moved_2), of(turned_1, turned_2)
+    model = of(moved_1, moved_2), of(rotated_1, rotated_2)
     noise_m2, noise_rad2 = own + other
     lever = np.einsum("na,na->n", d, d)[:, None, None] * np.eye(3) - d[:, :, None] * d[:, None]
     added = noise_m2[:, None, None] * np.eye(3) + own[1, :, None, None] * lever, noise_rad2[:, None, None] * np.eye(3)
@@ -491,7 +491,7 @@ class Command:
         Payload that the command was computed for, stated or the profile's.
     prediction : Prediction or None
         None if the model states no uncertainty.
-    turn : PredictedTurn or None
+    rotation : PredictedRotation or None
         None if no orientation of the arm was measured.
     relative : PredictedRelative or None
         Of the partner of a cooperative target, where orientations of both arms were measured.
@@ -515,7 +515,7 @@ class Command:
     side: tuple[int, ...] | None = None
     payload_kg: float | None = None
     prediction: Prediction | None = None
-    turn: PredictedTurn | None = None
+    rotation: PredictedRotation | None = None
     relative: PredictedRelative | None = None
     rotation_M: Array | None = None
     nominal_rotation_M: Array | None = None
@@ -555,7 +555,7 @@ def command_record(command: Command) -> TargetCommand:
         approach=command.side,
         holds_for="" if command.q_compensated is None else _holds_for(command),
         verdict=judged if found is None else found.verdict,
-        orientation=command.turn,
+        orientation=command.rotation,
     )
 
 

@@ -52,9 +52,9 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Arm, Profile
 from cellapp.robot.effects import (
     EFFECTS,
-    DriverVariable,
     EffectContext,
     EffectTerm,
+    InputVariable,
     MeasurementConditions,
     TemperatureRecord,
     displacement,
@@ -519,11 +519,11 @@ _Change = Callable[[MeasurementConditions, float, int], MeasurementConditions]
 """Function that returns the conditions of n commands with one of them at a relative position (0 to 1) in its range."""
 
 _DEPENDENT_ON_CONDITIONS = {
-    "approach": frozenset({DriverVariable.APPROACH, DriverVariable.STEP}),
-    "payload": frozenset({DriverVariable.PAYLOAD, DriverVariable.TORQUE}),
-    "temperature": frozenset({DriverVariable.AIR_TEMPERATURE, DriverVariable.JOINT_TEMPERATURE}),
-    "time": frozenset({DriverVariable.TIME}),
-    "dwell": frozenset({DriverVariable.DWELL}),
+    "approach": frozenset({InputVariable.APPROACH, InputVariable.STEP}),
+    "payload": frozenset({InputVariable.PAYLOAD, InputVariable.TORQUE}),
+    "temperature": frozenset({InputVariable.AIR_TEMPERATURE, InputVariable.JOINT_TEMPERATURE}),
+    "time": frozenset({InputVariable.TIME}),
+    "dwell": frozenset({InputVariable.DWELL}),
 }
 _STATED = {"payload": "payload_kg", "temperature": "air_c", "time": "time_s", "dwell": "dwell_s"}
 
@@ -533,9 +533,9 @@ def _dependent(arm: ArmModel, condition: str) -> tuple[EffectTerm, ...]:
     return tuple(term for term in arm.effects if _variables(term) & _DEPENDENT_ON_CONDITIONS[condition])
 
 
-def _variables(term: EffectTerm) -> frozenset[DriverVariable]:
+def _variables(term: EffectTerm) -> frozenset[InputVariable]:
     own = term.law.form.variables or EFFECTS[term.slug].variables
-    return own | {one.driver.driver for one in term.modulations if one.driver is not None}
+    return own | {one.driver.input for one in term.modulations if one.driver is not None}
 
 
 def _unstated(conditions: MeasurementConditions, condition: str, n: int) -> NDArray[np.bool_]:

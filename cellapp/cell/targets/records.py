@@ -39,7 +39,7 @@ class UnknownCondition(Record):
     mm: float
 
 
-class PredictedTurn(Record):
+class PredictedRotation(Record):
     """The rotation of the flange at one command, where readings had orientations [mrad].
 
     Attributes
@@ -77,7 +77,7 @@ class PredictedRelative(Record):
     turn_verdict: ToleranceVerdict = ""
 
 
-class MeasuredTurn(Record):
+class MeasuredRotation(Record):
     """Angle between the measured and the wanted rotation of the flange at one target [mrad].
 
     ``nominal_mrad``, ``compensated_mrad``, ``final_mrad``, ``within_mrad``, ``expanded_mrad`` and ``verdict`` are as
@@ -127,7 +127,7 @@ class TargetCommand(TargetRecord):
         What the row holds for, in words: sides of approach, payload, and the conditions that the target states.
     verdict : str
         By the one decision rule, of an error of zero with ``within_mm`` as its uncertainty.
-    orientation : PredictedTurn, optional
+    orientation : PredictedRotation, optional
         Where orientations of this arm were measured.
     relative : PredictedRelative, optional
         Of the partner's command, where orientations of both arms were measured.
@@ -149,7 +149,7 @@ class TargetCommand(TargetRecord):
     payload_kg: float | None = None
     holds_for: str = ""
     verdict: ToleranceVerdict = ""
-    orientation: PredictedTurn | None = None
+    orientation: PredictedRotation | None = None
     relative: PredictedRelative | None = None
     omitted_when_none = TargetRecord.omitted_when_none | {"relative"}
 
@@ -197,7 +197,7 @@ class MeasuredTarget(TargetRecord):
         Expanded uncertainty (k = 2) of ``final_mm``; None where a contribution was not given.
     verdict : str
         Of ``final_mm`` against the tolerance, by the decision rule.
-    orientation : MeasuredTurn, optional
+    orientation : MeasuredRotation, optional
         Where a probe on the flange measured it, and the target has a rotation.
     """
 
@@ -216,7 +216,7 @@ class MeasuredTarget(TargetRecord):
     q_corrected: tuple[float, ...] | None = None
     q_driven: tuple[float, ...] | None = None
     approach: tuple[int, ...] | None = None
-    orientation: MeasuredTurn | None = None
+    orientation: MeasuredRotation | None = None
 
     @property
     def final_mm(self) -> float | None:
@@ -224,7 +224,7 @@ class MeasuredTarget(TargetRecord):
         return self.compensated_mm if self.corrected_mm is None else self.corrected_mm
 
 
-class MeasuredRelative(MeasuredTurn):
+class MeasuredRelative(MeasuredRotation):
     """The measured pose of the partner's flange in the first one's frame against the wanted one.
 
     ``..._mm`` are of the vector to the partner's SMR, ``..._mrad`` of the angle between both flanges, None where the
@@ -323,9 +323,9 @@ class VerifyResult(Result, schema="cellapp-verify"):
         return [
             *found,
             *_out_of_tolerance("targets", self.targets),
-            *_turned_out_of_tolerance("targets", self.targets),
+            *_rotated_out_of_tolerance("targets", self.targets),
             *_out_of_tolerance("pairs", self.pairs),
-            *_turned_out_of_tolerance("pairs", self.pairs),
+            *_rotated_out_of_tolerance("pairs", self.pairs),
             *_named_out("pairs with a tolerance, one SMR seen from the other flange,", *self._off_seen()),
         ]
 
@@ -360,17 +360,17 @@ def _out_of_tolerance(what: str, measured: Sequence[MeasuredTarget | MeasuredPai
     return _named_out(f"{what} with a tolerance", out, [one.verdict for one in measured])
 
 
-def _turned_out_of_tolerance(what: str, measured: Sequence[MeasuredTarget | MeasuredPair]) -> list[str]:
+def _rotated_out_of_tolerance(what: str, measured: Sequence[MeasuredTarget | MeasuredPair]) -> list[str]:
     """Return the same for the flange's rotation, or that of one flange in the other's frame."""
-    turned = [(one, one.orientation) for one in measured if one.orientation is not None]
+    rotated = [(one, one.orientation) for one in measured if one.orientation is not None]
     out = [
-        (f"{one.name} ({angle:.3f} mrad, tolerance {limit:g} mrad)", turn.verdict)
-        for one, turn in turned
-        if (angle := turn.final_mrad) is not None
+        (f"{one.name} ({angle:.3f} mrad, tolerance {limit:g} mrad)", rotation.verdict)
+        for one, rotation in rotated
+        if (angle := rotation.final_mrad) is not None
         and (limit := one.orientation_tolerance_mrad) is not None
-        and (turn.verdict == "out" or angle > limit)
+        and (rotation.verdict == "out" or angle > limit)
     ]
-    return _named_out(f"{what} with a tolerance of orientation", out, [turn.verdict for _, turn in turned])
+    return _named_out(f"{what} with a tolerance of orientation", out, [rotation.verdict for _, rotation in rotated])
 
 
 def _named_out(what: str, out: Sequence[tuple[str, ToleranceVerdict]], judged: Sequence[ToleranceVerdict]) -> list[str]:

@@ -77,7 +77,7 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
         condition=found.condition if math.isfinite(found.condition) else None,
         scatter=Scatter(value=found.scale, meaning=_SCATTER),
         excess_mm=arm.excess_m * 1e3,
-        excess_mrad=None if found.turned is None else found.excess_rad * 1e3,
+        excess_mrad=None if found.angular is None else found.excess_rad * 1e3,
         splits=arm.counts,
         tracker_mm=arm.tracker_mm,
         probe_mrad=arm.probe_mrad,
@@ -126,13 +126,13 @@ def _method(method: PairMethod, pair: PairCalibration) -> PairMethodResult:
     by_tracker = [*tracker[:3, 3].tolist(), *zyx_angles(tracker[:3, :3])]
     estimates = zip(PAIR_NAMES, found.values.tolist(), found.standard_errors.tolist(), by_tracker, strict=True)
     summaries = {key: summarise(errors) for key, errors in method.errors.items()}
-    turned = {key: summarise(angles) for key, angles in method.turned.items()}
+    rotated = {key: summarise(angles) for key, angles in method.rotated.items()}
     return PairMethodResult(
         cooperative_mm=summaries[pair.chosen],
-        cooperative_mrad=turned.get(pair.chosen),
+        cooperative_mrad=rotated.get(pair.chosen),
         transform=pair.chosen,
         by_transform_mm=summaries,
-        by_transform_mrad=turned or None,
+        by_transform_mrad=rotated or None,
         identified={
             name: PairEstimate(
                 value=value, standard_error=error, unit="m" if name in "xyz" else "rad", by_tracker=other

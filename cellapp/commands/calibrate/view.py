@@ -37,7 +37,7 @@ ERROR_COLUMNS = (*((title, MM) for title in ("mean", "rms", "std", "max")), ("n"
 _DETAILED = ("mean", "95 % of mean", "rms", "std", "p50", "p95", "max")
 _DETAILED_COLUMNS = (*((title, MM) for title in _DETAILED), ("n", "d"))
 _PAIRS = "between arms"
-_TURNED = "orientation [mrad]"
+_ROTATION = "orientation [mrad]"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
 
@@ -101,12 +101,12 @@ def transform_tables(result: CalibrateResult) -> list[Table]:
     for method in METHODS:
         if (own := result.pair.get(method)) is None:
             continue
-        turned = own.by_transform_mrad or {}
+        rotated = own.by_transform_mrad or {}
         for transform, summary in own.by_transform_mm.items():
             label = f"{METHOD_WORDS[method]}, by {transform_words(transform, own)}"
             rows.append((label, *_detailed_cells(summary)))
-            if transform in turned:
-                rows.append((f"{label}, {_TURNED}", *_detailed_cells(turned[transform])))
+            if transform in rotated:
+                rows.append((f"{label}, {_ROTATION}", *_detailed_cells(rotated[transform])))
     if not rows:
         return []
     columns = columns_of("method, transform", *_DETAILED_COLUMNS)
@@ -211,7 +211,7 @@ def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSum
             errors = arm.validate_[stage]
             found.append((f"{stage}, position", "position", errors.position_mm))
             if errors.orientation_mrad is not None:
-                found.append((f"{stage}, {_TURNED}", "orientation", errors.orientation_mrad))
+                found.append((f"{stage}, {_ROTATION}", "orientation", errors.orientation_mrad))
             if errors.distance_mm is not None:
                 found.append((f"{stage}, distance", "distance", errors.distance_mm))
     return found
@@ -224,7 +224,7 @@ def _pair_summaries(result: CalibrateResult) -> list[tuple[str, str, ErrorSummar
         if (own := result.pair.get(method)) is not None:
             found.append((METHOD_WORDS[method], "distance", own.cooperative_mm))
             if own.cooperative_mrad is not None:
-                found.append((f"{METHOD_WORDS[method]}, {_TURNED}", "orientation", own.cooperative_mrad))
+                found.append((f"{METHOD_WORDS[method]}, {_ROTATION}", "orientation", own.cooperative_mrad))
     return found
 
 

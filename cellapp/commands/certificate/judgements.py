@@ -34,15 +34,15 @@ from cellapp.estimation.iso9283.norm import (
 from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoValue, PairIso9283
 from cellapp.estimation.uncertainty.budget import (
     MeasuredConditions,
+    angle_budget,
     conformity,
     distance_budget,
     expanded_mm,
     expanded_mrad,
     not_given,
     position_budget,
-    turn_budget,
 )
-from cellapp.estimation.uncertainty.records import Characteristic, Judgement, TurnContribution, UncertaintyContribution
+from cellapp.estimation.uncertainty.records import AngleContribution, Characteristic, Judgement, UncertaintyContribution
 from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
@@ -152,14 +152,14 @@ def _orientations(profile: Profile, results: RunResults) -> Iterator[Judgement]:
     probed = [name for name, arm in profile.arms.items() if arm.smr.probe is not None]
     for arm in probed or profile.arms:
         targets = [] if verify is None else [one for one in verify.targets if one.arm == arm]
-        yield from _turned(profile, results, "orientation", (arm,), targets, arm in probed)
+        yield from _rotated(profile, results, "orientation", (arm,), targets, arm in probed)
     if len(profile.arms) == 2:
         pairs = () if verify is None else verify.pairs
         names = tuple(profile.arms)
-        yield from _turned(profile, results, "cooperative_orientation", names, pairs, len(probed) == 2)
+        yield from _rotated(profile, results, "cooperative_orientation", names, pairs, len(probed) == 2)
 
 
-def _turned(
+def _rotated(
     profile: Profile,
     results: RunResults,
     characteristic: Literal["orientation", "cooperative_orientation"],
@@ -171,13 +171,13 @@ def _turned(
     limit, rule = getattr(profile.tolerances, characteristic), profile.tolerances.decision
     if limit is None:
         return
-    angles = [turn.final_mrad for one in measured if (turn := one.orientation) and turn.final_mrad is not None]
+    angles = [its.final_mrad for one in measured if (its := one.orientation) and its.final_mrad is not None]
     verify, value = held_verification(results), max(angles, default=None)
     if verify is not None and angles:
         what = "targets" if len(arms) == 1 else "pairs of targets"
         source = _verified(verify, len(angles), len(measured), what)
     elif probed:
-        source = _unverified(results, characteristic, _held_out_turns(results, arms), "mrad")
+        source = _unverified(results, characteristic, _held_out_rotations(results, arms), "mrad")
     else:
         source = f"not measured: {'the' if len(arms) == 1 else 'a'} flange has no 6-D probe (smr.probe)"
     budgets = [orientation_budget(profile, results, arm) for arm in arms]
@@ -198,17 +198,17 @@ def _turned(
     )
 
 
-def orientation_budget(profile: Profile, results: RunResults, arm: str) -> tuple[TurnContribution, ...]:
+def orientation_budget(profile: Profile, results: RunResults, arm: str) -> tuple[AngleContribution, ...]:
     """Return the contributions to an arm's uncertainty of orientation, at the command with the model's largest one;
     empty if no orientation was predicted."""
     compensate = results.held.compensate
     commands = () if compensate is None else compensate.targets
-    turns = [one.orientation for one in commands if one.arm == arm and one.orientation is not None]
-    if not turns:
+    rotations = [one.orientation for one in commands if one.arm == arm and one.orientation is not None]
+    if not rotations:
         return ()
-    worst = max(turns, key=lambda one: one.model_mrad)
-    basis = f"largest of {counted(len(turns), 'command')}"
-    return turn_budget(profile, arm, worst.model_mrad, worst.noise_mrad, basis)
+    worst = max(rotations, key=lambda one: one.model_mrad)
+    basis = f"largest of {counted(len(rotations), 'command')}"
+    return angle_budget(profile, arm, worst.model_mrad, worst.noise_mrad, basis)
 
 
 def _iso(profile: Profile, results: RunResults) -> list[Judgement | None]:
@@ -318,7 +318,7 @@ def _held_out(
     return summary
 
 
-def _held_out_turns(results: RunResults, arms: Sequence[str]) -> ErrorSummary | None:
+def _held_out_rotations(results: RunResults, arms: Sequence[str]) -> ErrorSummary | None:
     """Return the held-out errors of orientation [mrad] of an arm, or of one flange in the other's frame."""
     if len(arms) == 1:
         return _held_out(results, arms[0], "orientation_mrad")

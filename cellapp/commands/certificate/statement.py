@@ -76,8 +76,8 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
     budgets = {
         arm: position_budget(profile, arm, evidence_of(results, arm, given.conditions.get(arm))) for arm in profile.arms
     }
-    turns = {arm: orientation_budget(profile, results, arm) for arm in profile.arms}
-    arms = {arm: _arm(given, arm, expanded_mm(budgets[arm]), expanded_mrad(turns[arm])) for arm in profile.arms}
+    rotations = {arm: orientation_budget(profile, results, arm) for arm in profile.arms}
+    arms = {arm: _arm(given, arm, expanded_mm(budgets[arm]), expanded_mrad(rotations[arm])) for arm in profile.arms}
     lines = [one.model_copy(update={"where": arm}) for arm, budget in budgets.items() for one in budget]
     return CertificateResult.like(
         given,
@@ -95,7 +95,7 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
         instruments=instruments,
         judgements=judge_run(profile, results, given.conditions),
         contributions=tuple(lines),
-        orientation_contributions=tuple(line for lines in turns.values() for line in lines) or None,
+        orientation_contributions=tuple(line for lines in rotations.values() for line in lines) or None,
         targets=_targets(held_verification(results)),
         iso9283=_tests(results),
         limits=tuple(_limits(results, held_verification(results))),
@@ -113,7 +113,7 @@ def certificate_of(given: CertificateInput) -> CertificateResult:
 
 
 def _arm(
-    given: CertificateInput, arm: str, expanded_position_mm: float | None, expanded_turn_mrad: float | None
+    given: CertificateInput, arm: str, expanded_position_mm: float | None, expanded_rotation_mrad: float | None
 ) -> CertifiedArm:
     stated = given.profile.traceability.arms.get(arm)
     controller = given.controllers.get(arm)
@@ -128,7 +128,7 @@ def _arm(
         controller_software="" if controller is None else controller.software,
         errors=_errors(given.results, arm),
         expanded_mm=expanded_position_mm,
-        expanded_mrad=expanded_turn_mrad,
+        expanded_mrad=expanded_rotation_mrad,
     )
 
 

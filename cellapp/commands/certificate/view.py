@@ -52,7 +52,7 @@ _ERROR_COLUMNS = columns_of(
     ("largest", ".3f"),
     ("n", "d"),
 )
-_TURNED: tuple[Field, ...] = (("rotation as found [mrad]", "found_mrad", ".3f"), ("as left [mrad]", "left_mrad", ".3f"))
+_ANGLES: tuple[Field, ...] = (("rotation as found [mrad]", "found_mrad", ".3f"), ("as left [mrad]", "left_mrad", ".3f"))
 _NOWHERE = (None, None, None)
 """Coordinates of a target whose position was not stored."""
 
@@ -75,11 +75,11 @@ def certificate_tables(result: CertificateResult) -> list[Table]:
     tested = [iso_table(result.iso9283)] if result.iso9283 is not None else []
     return [
         errors_table(result),
-        *turn_tables(result),
+        *angle_tables(result),
         *judged,
         *tested,
         budget_table(result),
-        *turn_budget_tables(result),
+        *angle_budget_tables(result),
         instruments_table(result),
     ]
 
@@ -119,13 +119,13 @@ def certificate_sections(result: CertificateResult) -> list[Section]:
     return [
         *([_of_table(judgement_table(result.judgements))] if result.judgements else []),
         _of_table(errors_table(result), _FOUND_AND_LEFT),
-        *(_of_table(table) for table in turn_tables(result)),
+        *(_of_table(table) for table in angle_tables(result)),
         *([_of_table(targets_table(result))] if result.targets else []),
         *([] if result.iso9283 is None else [_of_table(iso_table(result.iso9283), iso_sentence(result.iso9283))]),
         Section([objects, Facts(tuple(_facts(result)))], title="Object and conditions"),
         _of_table(instruments_table(result)),
         _of_table(budget_table(result), _UNCERTAINTY),
-        *(_of_table(table) for table in turn_budget_tables(result)),
+        *(_of_table(table) for table in angle_budget_tables(result)),
         Section(_statements(result), title="Statements"),
         *([Section([Facts(tuple(result.rests_on.items()))], title="Data (SHA-256)")] if result.rests_on else []),
     ]
@@ -162,7 +162,7 @@ def targets_table(result: CertificateResult) -> Table:
         ),
         ("as found", "found_mm", ".3f"),
         ("as left", "left_mm", ".3f"),
-        *(_TURNED if any(one.left_mrad is not None for one in result.targets) else ()),
+        *(_ANGLES if any(one.left_mrad is not None for one in result.targets) else ()),
     )
 
 
@@ -175,7 +175,7 @@ def errors_table(result: CertificateResult) -> Table:
     return Table("Errors as found (published geometry) and as left (compensated) [mm]", _ERROR_COLUMNS, tuple(rows))
 
 
-def turn_tables(result: CertificateResult) -> list[Table]:
+def angle_tables(result: CertificateResult) -> list[Table]:
     """Show the errors as found and as left of the flange's rotation [mrad], where a probe measured it."""
     rows: list[tuple[Cell, ...]] = []
     for name, arm in result.arms.items():
@@ -184,7 +184,7 @@ def turn_tables(result: CertificateResult) -> list[Table]:
     return [Table("Errors of orientation as found and as left [mrad]", _ERROR_COLUMNS, tuple(rows))] if rows else []
 
 
-def turn_budget_tables(result: CertificateResult) -> list[Table]:
+def angle_budget_tables(result: CertificateResult) -> list[Table]:
     """Show standard and expanded uncertainties of orientation by arm [mrad]; empty if none was measured."""
     lines = result.orientation_contributions or ()
     rows: list[tuple[Cell, ...]] = [

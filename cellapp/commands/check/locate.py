@@ -27,7 +27,7 @@ from cellapp.ground.progress import with_eta
 from cellapp.ground.results import LOCATE
 from cellapp.ground.shell import shell_word
 from cellapp.robot.effects import EFFECTS, EffectTerm
-from cellapp.robot.effects.law import DriverVariable
+from cellapp.robot.effects.law import InputVariable
 from cellapp.robot.kinematics.transforms import Array, invert, rotation_vectors, rows_of, rpy_of, twist_columns, xyz_of
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.model import relocated
@@ -210,7 +210,7 @@ def _model_notes(model: CellModel) -> list[str]:
 
 def _is_of_view(term: EffectTerm) -> bool:
     variables = term.law.form.variables or EFFECTS[term.slug].variables
-    return bool(variables & {DriverVariable.BEAM, DriverVariable.INCIDENCE})
+    return bool(variables & {InputVariable.BEAM, InputVariable.INCIDENCE})
 
 
 def _added_mm(found: LocatedStation) -> float:

@@ -13,7 +13,7 @@ from cellapp.cell.driving.check import CheckTask, DrivenCheck, MeasuredStop, che
 from cellapp.cell.driving.measuring import FoundPoint, points_of
 from cellapp.cell.driving.requests import running_job
 from cellapp.cell.driving.supervision import Opened
-from cellapp.cell.driving.verification import measured_turn
+from cellapp.cell.driving.verification import measured_rotation
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings
@@ -129,8 +129,8 @@ class _Checked:
         return "; ".join(filter(None, (self.stages.outdated_arms(), self.stages.outdated_station())))
 
 
-def _checked(run: RunFile, turned: Collection[str] = ()) -> _Checked:
-    """Read what is checked; arms ``turned`` with orientation. Raises ``InputError`` if the run is not calibrated."""
+def _checked(run: RunFile, rotated: Collection[str] = ()) -> _Checked:
+    """Read what is checked; arms ``rotated`` with orientation. Raises ``InputError`` if the run is not calibrated."""
     stages = read_stages(run)
     used, arms = stage_in_force(run, stages), arms_stage(run, stages, "check")
     readings = {name: known_readings(run, name) for name in run.profile.arms}
@@ -139,7 +139,7 @@ def _checked(run: RunFile, turned: Collection[str] = ()) -> _Checked:
         run.profile,
         model_of(run, arms),
         readings,
-        turned=turned,
+        angular=rotated,
         T_new_old=None if located is None else np.array(located.T_new_old),
         station=None if located is None else np.array(located.covariance),
     )
@@ -186,7 +186,7 @@ def _result(run: RunFile, checked: _Checked, driven: DrivenCheck, found: CheckRe
 def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:
     points = points_of(list(stop.found.values()))
     expected = predicted_points(model, points)
-    turned = {name: _turned_mrad(model.arms[name], one) for name, one in stop.found.items()}
+    rotated = {name: _rotation_mrad(model.arms[name], one) for name, one in stop.found.items()}
     return CheckedStop.like(
         stop.state,
         points={
@@ -194,7 +194,7 @@ def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:
                 q=tuple(own.q[0].tolist()),
                 measured_M=xyz_of(own.measured_M[0]),
                 error_mm=float(np.linalg.norm(own.measured_M[0] - expected[name][0])) * 1e3,
-                error_mrad=turned[name],
+                error_mrad=rotated[name],
             )
             for name, own in points.items()
         },
@@ -202,10 +202,10 @@ def _checked_stop(model: CellModel, stop: MeasuredStop) -> CheckedStop:
     )
 
 
-def _turned_mrad(arm: ArmModel, found: FoundPoint) -> float | None:
+def _rotation_mrad(arm: ArmModel, found: FoundPoint) -> float | None:
     """Return the angle [mrad] between measured and computed orientation; None if none was measured."""
-    turn = measured_turn(arm, found.point, arm.flange(found.q[None], found.conditions)[0][0])
-    return None if turn is None else float(np.linalg.norm(turn)) * 1e3
+    rotation = measured_rotation(arm, found.point, arm.flange(found.q[None], found.conditions)[0][0])
+    return None if rotation is None else float(np.linalg.norm(rotation)) * 1e3
 
 
 def _next_step(verdict: CheckVerdict, folder: Path) -> str:

@@ -124,9 +124,9 @@ def evidence_sentence(result: CheckResult) -> str:
 def change_sentence(change: FoundChange) -> str:
     """Say what changed, by how much, and how sure that is."""
     amount = "" if change.value is None else f" by {_amount(change)}"
-    turned = "" if change.turned_mrad is None else f", and turns its probe by {change.turned_mrad:.3f} mrad,"
+    rotated = "" if change.turned_mrad is None else f", and turns its probe by {change.turned_mrad:.3f} mrad,"
     return (
-        f"{change.words}{amount}: it moves the SMR by {change.moved_mm:.3f} mm{turned} rms over the calibration's"
+        f"{change.words}{amount}: it moves the SMR by {change.moved_mm:.3f} mm{rotated} rms over the calibration's"
         " readings"
         f" (p {_chance(change.p_value)})"
     )
@@ -164,7 +164,7 @@ def _station_sentences(result: CheckResult) -> list[str]:
 
 
 def _arm_table(result: CheckResult) -> Table:
-    turned = (
+    rotated = (
         ("expected [mrad]", lambda row: row[1].expected_mrad, ".3f"),
         ("measured [mrad]", lambda row: row[1].rms_mrad, ".3f"),
     )
@@ -176,7 +176,7 @@ def _arm_table(result: CheckResult) -> Table:
         ("expected", lambda row: row[1].expected_mm, ".3f"),
         ("measured", lambda row: row[1].rms_mm, ".3f"),
         ("of the model alone", lambda row: row[1].left_mm, ".3f"),
-        *(turned if any(one.rms_mrad is not None for one in result.arms.values()) else ()),
+        *(rotated if any(one.rms_mrad is not None for one in result.arms.values()) else ()),
     )
 
 

@@ -62,7 +62,7 @@ def _stands(chain: Geometry, q: Sequence[tuple[float, ...]], R: Array, p: Array)
         return np.zeros(len(p), dtype=np.bool_)
     exact = np.array(q)
     exact = np.concatenate([exact, np.radians(np.degrees(exact).round(2))])  # as a pendant shows joint positions
-    at, turned = smr_positions(chain, exact), flange_poses(chain, exact)[0]
+    at, rotated = smr_positions(chain, exact), flange_poses(chain, exact)[0]
     near = scipy.spatial.cKDTree(at).query_ball_point(p, _SAME_M)
-    off = [np.linalg.norm(turned[rows] - R[k], axis=(1, 2)) for k, rows in enumerate(near)]
+    off = [np.linalg.norm(rotated[rows] - R[k], axis=(1, 2)) for k, rows in enumerate(near)]
     return np.array([bool(np.any(~(one > np.sqrt(2.0) * _SAME_RAD))) for one in off])

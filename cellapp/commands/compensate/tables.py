@@ -30,7 +30,7 @@ _YES_NO = {True: "yes", False: "no", None: ""}
 _TARGET: tuple[Field, ...] = (("target", "name"), ("arm", "arm"))
 _BOUND: Field = ("95 % bound", "within_mm", MM)
 _TOLERANCE: Field = ("tolerance", lambda one: shown_tolerance(one.tolerance_mm), "g")
-_TURN_TOLERANCE: Field = ("tolerance", lambda one: shown_tolerance(one.orientation_tolerance_mrad), "g")
+_ROTATION_TOLERANCE: Field = ("tolerance", lambda one: shown_tolerance(one.orientation_tolerance_mrad), "g")
 _NUMBERED: tuple[Field, ...] = (("number", lambda row: str(row[0])), ("target", lambda row: row[1].name))
 """First columns of rows (number, measurement)."""
 _ERRORS: tuple[Field, ...] = (
@@ -80,7 +80,7 @@ def predicted_tables(result: CompensateResult) -> list[Table]:
         ("tolerance met", lambda target: target.refusal or target.verdict),
         count=len(judged),
     )
-    return [*([table] if judged else []), *turn_tables(result), *_relative_tables(result)]
+    return [*([table] if judged else []), *angle_tables(result), *_relative_tables(result)]
 
 
 def _relative_tables(result: CompensateResult) -> list[Table]:
@@ -102,7 +102,7 @@ def _relative_tables(result: CompensateResult) -> list[Table]:
     return [without_empty(table)] if known else []
 
 
-def turn_tables(result: CompensateResult) -> list[Table]:
+def angle_tables(result: CompensateResult) -> list[Table]:
     """Show the flange's rotation: by the published geometry, uncertainty with the compensated command, tolerance.
 
     Empty if no orientation was measured.
@@ -110,12 +110,12 @@ def turn_tables(result: CompensateResult) -> list[Table]:
     known = [target for target in result.targets if target.orientation is not None]
     table = table_of(
         "Predicted: rotation of the flange [mrad]",
-        most_urgent(known, _turn_urgency),
+        most_urgent(known, _rotation_urgency),
         *_TARGET,
         ("before", "orientation.nominal_mrad", MM),
         ("standard uncertainty", "orientation.uncertainty_mrad", MM),
         ("95 % bound", "orientation.within_mrad", MM),
-        _TURN_TOLERANCE,
+        _ROTATION_TOLERANCE,
         ("tolerance met", "orientation.verdict"),
         count=len(known),
     )
@@ -151,10 +151,10 @@ def measured_targets(verify: VerifyResult, arm: str) -> list[MeasuredTarget]:
 
 def measured_tables(verify: VerifyResult) -> list[Table]:
     """Show each target with its errors, one table for each arm; cooperative targets; targets without measurement."""
-    return [*_arm_tables(verify), *measured_turn_tables(verify), *pair_tables(verify), *not_measured_tables(verify)]
+    return [*_arm_tables(verify), *measured_angle_tables(verify), *pair_tables(verify), *not_measured_tables(verify)]
 
 
-def measured_turn_tables(verify: VerifyResult) -> list[Table]:
+def measured_angle_tables(verify: VerifyResult) -> list[Table]:
     """Show targets at which a probe measured the flange's rotation; empty if there are none."""
     measured = [target for target in verify.targets if target.orientation is not None]
     table = table_of(
@@ -164,7 +164,7 @@ def measured_turn_tables(verify: VerifyResult) -> list[Table]:
         ("before", "orientation.nominal_mrad", MM),
         ("after", "orientation.final_mrad", MM),
         ("95 % bound", "orientation.within_mrad", MM),
-        _TURN_TOLERANCE,
+        _ROTATION_TOLERANCE,
         ("U", lambda target: target.orientation.expanded_mrad if target.orientation.verdict else None, MM),
         ("met", "orientation.verdict"),
         count=len(measured),
@@ -244,7 +244,7 @@ def _prediction_urgency(target: TargetCommand) -> float:
     return (target.within_mm or target.uncertainty_mm or 0.0) / (target.tolerance_mm or math.inf)
 
 
-def _turn_urgency(target: TargetCommand) -> float:
+def _rotation_urgency(target: TargetCommand) -> float:
     """Return a sort key: the bound of the flange's rotation as a share of its tolerance."""
     within = 0.0 if target.orientation is None else target.orientation.within_mrad
     return within / (target.orientation_tolerance_mrad or math.inf)
@@ -264,7 +264,7 @@ def verification_tables(result: VerifyResult) -> list[Table]:
     if not rows:
         return []
     columns = columns_of("arm, command", *ERROR_COLUMNS)
-    turned = [
+    angles = [
         (f"{name}, {label}", *error_cells(summary))
         for name, arm in measured.items()
         for label, summary in (("uncompensated", arm.nominal_mrad), ("compensated", arm.compensated_mrad))
@@ -272,7 +272,7 @@ def verification_tables(result: VerifyResult) -> list[Table]:
     ]
     return [
         Table("Targets: measured distance from where they should be [mm]", columns, tuple(rows)),
-        *([Table("Targets: measured angle from the rotation wanted [mrad]", columns, tuple(turned))] if turned else []),
+        *([Table("Targets: measured angle from the rotation wanted [mrad]", columns, tuple(angles))] if angles else []),
         *_tolerance_tables(result),
     ]
 

@@ -70,9 +70,9 @@ class TargetState:
     def verdict(self) -> str:
         """The worst verdict on the measurements; without any, on the predictions."""
         judged: list[Measured] = [*self.measured, *([] if self.pair is None else [self.pair])]
-        turned = [one.orientation.verdict for one in judged if one.orientation is not None]
-        turned += [] if self.pair is None or self.pair.relative is None else [self.pair.relative.position_verdict]
-        words: list[str] = [word for word in (*(one.verdict for one in judged), *turned) if word]
+        rotated = [one.orientation.verdict for one in judged if one.orientation is not None]
+        rotated += [] if self.pair is None or self.pair.relative is None else [self.pair.relative.position_verdict]
+        words: list[str] = [word for word in (*(one.verdict for one in judged), *rotated) if word]
         if not words:
             predicted = [one.orientation.verdict for one in self.commands if one.orientation is not None]
             predicted += [
@@ -139,7 +139,7 @@ def target_states(targets: Sequence[Target], results: RunResults | None) -> list
                 one for one in measured.get(target.name, ()) if same_target(_with_tolerance(target, one), one)
             )
             if not state.measured and found:
-                found = tuple(_turn_judged(_judged(one, target.tolerance_mm, rule), target, rule) for one in found)
+                found = tuple(_rotation_judged(_judged(one, target.tolerance_mm, rule), target, rule) for one in found)
                 pair = pairs.get(target.name)
                 judged = None if pair is None else _pair_judged(pair, target, rule)
                 state = replace(state, measured=found, pair=judged)
@@ -188,8 +188,8 @@ def _state_words(target: Target, state: TargetState) -> str:
     if state.pair is not None and (mm := state.pair.final_mm) is not None:
         words.append(f"distance of both SMRs off by {mm:.4f} mm{_rounds_words(state.pair)}")
     if state.pair is not None and (seen := state.pair.relative) is not None:
-        turn = "" if seen.final_mrad is None else f" and {seen.final_mrad:.4f} mrad"
-        words.append(f"partner seen from the first flange off by {seen.final_mm:.4f} mm{turn}")
+        rotation = "" if seen.final_mrad is None else f" and {seen.final_mrad:.4f} mrad"
+        words.append(f"partner seen from the first flange off by {seen.final_mm:.4f} mm{rotation}")
     if state.is_measured and state.verdict:
         words.append(_MEASURED_WORDS[state.verdict])
     return "; ".join([*words, *(note for note in state.notes if not state.refusals)])
@@ -271,13 +271,13 @@ def _thousandth(value: float | None) -> float | None:
     return None if value is None else round(value * 1e-3, 12)
 
 
-def _turn_judged(one: MeasuredTarget, target: Target, rule: DecisionRule) -> MeasuredTarget:
+def _rotation_judged(one: MeasuredTarget, target: Target, rule: DecisionRule) -> MeasuredTarget:
     """Return a measurement with its rotation judged by the target's tolerance; unchanged if it was judged by that."""
-    limit, turn = target.orientation_tolerance_mrad, one.orientation
-    if turn is None or one.orientation_tolerance_mrad == limit:
+    limit, rotation = target.orientation_tolerance_mrad, one.orientation
+    if rotation is None or one.orientation_tolerance_mrad == limit:
         return one
-    verdict = target_verdict(turn.final_mrad, turn.expanded_mrad, limit, rule)
-    judged = turn.model_copy(update={"verdict": verdict})
+    verdict = target_verdict(rotation.final_mrad, rotation.expanded_mrad, limit, rule)
+    judged = rotation.model_copy(update={"verdict": verdict})
     return one.model_copy(update={"orientation_tolerance_mrad": limit, "orientation": judged})
 
 

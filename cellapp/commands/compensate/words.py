@@ -100,7 +100,7 @@ def compensate_summary(result: CompensateResult) -> list[str]:
         _count_words(result),
         *_prediction_words(result),
         *_bound_words(result),
-        *_turn_words(result),
+        *_rotation_bounds_words(result),
         *_unseen_words(result),
     ]
 
@@ -179,20 +179,20 @@ def common_words(result: CompensateResult | VerifyResult) -> list[str]:
     ]
 
 
-def _turn_words(result: CompensateResult) -> list[str]:
+def _rotation_bounds_words(result: CompensateResult) -> list[str]:
     """State flange rotations before, their bounds after, and their verdicts; empty if no orientation was measured."""
     known = [(one.orientation, one.name) for one in result.targets if one.orientation is not None]
     if not known:
         return []
-    bounds = [turn.within_mrad for turn, _ in known]
+    bounds = [rotation.within_mrad for rotation, _ in known]
     largest = max(known, key=lambda row: row[0].within_mrad)[1]
-    before = [turn.nominal_mrad for turn, _ in known if turn.nominal_mrad is not None]
+    before = [rotation.nominal_mrad for rotation, _ in known if rotation.nominal_mrad is not None]
     was = f"; {np.mean(before):.3f} mrad in the mean without compensation" if before else ""
     lines = [
         f"95 % bound of the measured rotation: median {float(np.median(bounds)):.3f} mrad, largest"
         f" {max(bounds):.3f} mrad at {largest}{was}"
     ]
-    judged = [turn.verdict for turn, _ in known if turn.verdict]
+    judged = [rotation.verdict for rotation, _ in known if rotation.verdict]
     counts = [f"{judged.count(word)} {word}" for word in ("in", "out", "not decided")]
     return [*lines, *([f"tolerances of orientation, predicted: {', '.join(counts)}"] if judged else [])]
 
@@ -220,18 +220,18 @@ def verify_message(verify: VerifyResult) -> str:
         last = np.mean([mm for pair in pairs if (mm := pair.final_mm) is not None])
         at = counted(len(pairs), "cooperative target")
         parts.append(f"distance of both SMRs {nominal:.2f} -> {last:.3f} mm at {at}")
-    parts += _turned_words("rotation of the flange", verify.targets)
-    parts += _turned_words("rotation of one flange in the other's frame", verify.pairs)
+    parts += _rotation_words("rotation of the flange", verify.targets)
+    parts += _rotation_words("rotation of one flange in the other's frame", verify.pairs)
     return "; ".join(parts)
 
 
-def _turned_words(what: str, measured: Sequence[Measured]) -> list[str]:
-    turned = [one.orientation for one in measured if one.orientation is not None]
-    was = [turn.nominal_mrad for turn in turned if turn.nominal_mrad is not None]
-    left = [turn.final_mrad for turn in turned if turn.final_mrad is not None]
+def _rotation_words(what: str, measured: Sequence[Measured]) -> list[str]:
+    rotated = [one.orientation for one in measured if one.orientation is not None]
+    was = [rotation.nominal_mrad for rotation in rotated if rotation.nominal_mrad is not None]
+    left = [rotation.final_mrad for rotation in rotated if rotation.final_mrad is not None]
     if not (was and left):
         return []
-    judged = [turn.verdict for turn in turned if turn.verdict]
+    judged = [rotation.verdict for rotation in rotated if rotation.verdict]
     met = f" ({judged.count('in')} of {len(judged)} within tolerance)" if judged else ""
     return [f"{what} {np.mean(was):.2f} -> {np.mean(left):.3f} mrad{met}"]
 

@@ -219,7 +219,7 @@ def description_sentences(arm: ArmDiscoveryResult) -> list[tuple[str, str]]:
     for term in descriptions:
         variables = " and ".join(term.variables)
         words = (
-            f"The term acts in the channel '{term.channel}', depends on {variables}, and moves the SMR by"
+            f"The term acts on '{term.channel}', depends on {variables}, and moves the SMR by"
             f" {term.size_um:.0f} µm rms beyond what the geometry can absorb."
         )
         if term.formula:

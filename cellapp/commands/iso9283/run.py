@@ -199,7 +199,7 @@ def _notes(task: IsoTask, stages: RunStages, used: StoredStage | None) -> list[s
 def _result(profile: Profile, task: IsoTask, found: IsoFindings, began: str, stopped: str) -> Iso9283Result:
     rng = np.random.default_rng([profile.seed, _SEED])
     arms, pairs = arm_results(profile, found, task.arms, rng), pair_results(found, rng)
-    turned = any(one.turned for one in found.measured.visits)
+    angles = any(one.orientations for one in found.measured.visits)
     air = [one.temperature_c for one in found.measured.visits if one.temperature_c is not None]
     conditions = IsoConditions(
         cycles=task.cycles,
@@ -221,7 +221,7 @@ def _result(profile: Profile, task: IsoTask, found: IsoFindings, began: str, sto
         coverage=coverage(task.tests, arms, conditions, stopped),
         missing=missing_words(found, task.tests),
         stopped=stopped,
-        notes=tuple(dict.fromkeys([*([] if turned else [_NO_ORIENTATION]), *found.notes, *lost_beam_words(found)])),
+        notes=tuple(dict.fromkeys([*([] if angles else [_NO_ORIENTATION]), *found.notes, *lost_beam_words(found)])),
     )
 
 

@@ -299,8 +299,8 @@ def _tracker_words(calibrate: CalibrateResult) -> str:
     ]
     cooperative = cooperative_noise_mm(calibrate) if calibrate.pair else None
     if cooperative is not None:
-        turned = cooperative_noise_mrad(calibrate)
-        words.append(f"pair: cooperative {cooperative:.4f} mm" + ("" if turned is None else f", {turned:.4f} mrad"))
+        rotated = cooperative_noise_mrad(calibrate)
+        words.append(f"pair: cooperative {cooperative:.4f} mm" + ("" if rotated is None else f", {rotated:.4f} mrad"))
     return "; ".join(words)
 
 
@@ -319,8 +319,8 @@ def _accuracy_message(data: ReportData) -> str:
         pair = data.calibrate.pair
         nominal = f" (nominal {mm(pair['nominal'].cooperative_mm.mean)})" if "nominal" in pair else ""
         parts.append(f"distance between both arms {mm(pair[method].cooperative_mm.mean)}{nominal}")
-        turned = pair[method].cooperative_mrad
-        parts += [] if turned is None else [f"rotation of one flange in the other's frame {turned.mean:.3f} mrad"]
+        rotated = pair[method].cooperative_mrad
+        parts += [] if rotated is None else [f"rotation of one flange in the other's frame {rotated.mean:.3f} mrad"]
     return f"Mean error at configurations that the calibration did not use: {'; '.join(parts)}."
 
 

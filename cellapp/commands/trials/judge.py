@@ -42,7 +42,7 @@ from cellapp.estimation.motion.calibrate import SearchWithRecordings
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.executors import Work, gather
-from cellapp.ground.progress import Progress
+from cellapp.ground.progress import JobSteps, Progress
 from cellapp.ground.results import CALIBRATE, Record
 from cellapp.ground.version import __version__
 from cellapp.robot.effects import EFFECTS
@@ -215,7 +215,7 @@ def judge_run(folder: Path, source: str) -> None:
         search, arms = SearchWithRecordings(model.arms, stops, recordings), dict[str, StoredFindings]()
         for name, arm in model.arms.items():
             wall_s, cpu_s = time.perf_counter(), time.process_time()
-            found = search(run.profile, name, arm, readings[name], conditions=conditions[name])
+            found = search(run.profile, name, arm, readings[name], conditions[name], JobSteps())
             result = _judged_at_rest(model, name, found, stops) if recordings[name] else found.result
             arms[name] = StoredFindings(
                 seconds=time.perf_counter() - wall_s,

@@ -197,8 +197,8 @@ def _measured(
     further: dict[str, Any] = {}
     if (probe := cell.profile.arms[name].smr.probe) is not None:
         before = plant.probe_rotations(name, stopped, **conditions)
-        turned = rotation_vectors(hidden.probe_rotations(name, stopped, **conditions) @ before.swapaxes(1, 2))
-        error = Rotation.from_rotvec(scale * turned + probe.sigma * rng.standard_normal(moved.shape))
+        rotated = rotation_vectors(hidden.probe_rotations(name, stopped, **conditions) @ before.swapaxes(1, 2))
+        error = Rotation.from_rotvec(scale * rotated + probe.sigma * rng.standard_normal(moved.shape))
         quaternion = quaternions_of(error.as_matrix() @ before)
         further = {"quaternion_M": quaternion, "sigma_rad": np.full(len(moved), probe.sigma)}
     visible = _rms(beyond_geometry(cell.profile.arms[name], stopped, exact, moved)) / rms_m

@@ -214,9 +214,9 @@ def named_errors(judgements: Sequence[Judgement]) -> str:
 
 def judgement_table(judgements: Sequence[Judgement]) -> Table:
     """Show every judgement with its uncertainty; up to the verdict it fits into 80 columns, its source follows."""
-    turned = any(one.unit == "mrad" for one in judgements)
+    rotated = any(one.unit == "mrad" for one in judgements)
     return table_of(
-        f"Errors against their tolerances [mm{', of orientation mrad' if turned else ''}]",
+        f"Errors against their tolerances [mm{', of orientation mrad' if rotated else ''}]",
         judgements,
         ("error", lambda one: CHARACTERISTIC_WORDS[one.characteristic]),
         ("of", "where"),

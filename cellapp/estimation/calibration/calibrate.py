@@ -34,7 +34,7 @@ from cellapp.estimation.calibration.least_squares import MEDIAN_NORM, NORMAL_95
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair, common_stops
 from cellapp.estimation.calibration.parameters import unknown_offset
 from cellapp.estimation.calibration.quantities import (
-    FEWEST_TURNS,
+    FEWEST_ROTATIONS,
     SUSPECT_RAD,
     Quantities,
     evaluate_quantities,
@@ -42,8 +42,8 @@ from cellapp.estimation.calibration.quantities import (
     measured_quantities,
     refuse_odd_orientations,
     repeatability,
+    rotation_scatter,
     states_nothing,
-    turning_scatter,
     with_probe,
 )
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
@@ -59,7 +59,7 @@ from cellapp.ground.results import Provenance, Stage, StageErrors
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.effects.registry import program_of
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
-from cellapp.robot.kinematics.transforms import Array, apply, register, turned_rows
+from cellapp.robot.kinematics.transforms import Array, angular_rows, apply, register
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.robot.model.nominal import nominal_arm, prior_sigmas
 
@@ -91,14 +91,14 @@ _MOST_LISTED = 8
 """Number of configurations with gross errors that a sentence lists; more are counted."""
 
 
-def gross_errors(left_M: Array, turned: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+def gross_errors(left_M: Array, angular: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
     """Return a mask (n,) of the residuals (n, 3) [m] that are gross errors; all False if there are few readings.
 
-    Orientations, masked by ``turned`` (n,), are judged separately [rad].
+    Orientations, masked by ``angular`` (n,), are judged separately [rad].
     """
-    if turned is not None:
+    if angular is not None:
         wrong = np.zeros(len(left_M), dtype=np.bool_)
-        for rows in (turned, ~turned):
+        for rows in (angular, ~angular):
             wrong[rows] = gross_errors(left_M[rows])
         return wrong
     lengths = np.linalg.norm(left_M, axis=1)
@@ -130,12 +130,12 @@ def gross_errors_of_geometry(
     none = np.zeros(len(q), dtype=np.bool_)
     if len(q) < _LEAST_READINGS:
         return none
-    turned = turned_rows(R_M_S)
+    angular = angular_rows(R_M_S)
 
     def lengths(geometry: Geometry) -> list[Array]:
         """Compute the lengths of the residuals of positions, and of orientations."""
         found = np.linalg.norm(p_M - smr_positions(geometry, q, R_M_S), axis=1)
-        return [found] if turned is None else [found[~turned], found[turned]]
+        return [found] if angular is None else [found[~angular], found[angular]]
 
     if fitted >= _ENOUGH_FITTED:
         clean = (one.max() <= _PLAINLY_NONE * float(np.median(one)) for one in lengths(start))
@@ -146,14 +146,14 @@ def gross_errors_of_geometry(
     offset = unknown_offset(nominal, q, R_M_S)
     found = identify(begin, q, p_M, R_M_S=R_M_S, prior_sigma=offset, prior_mean=nominal, robust="tukey", tolerance=1e-6)
     found = found.settled("robust fit that finds gross errors")
-    return gross_errors(p_M - smr_positions(found.geometry, q, R_M_S), turned)
+    return gross_errors(p_M - smr_positions(found.geometry, q, R_M_S), angular)
 
 
 def gross_errors_of_model(model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> NDArray[np.bool_]:
     """Return a mask (n,) of the readings whose position or orientation is a gross error by a model."""
     its = measured_quantities(readings, conditions)
     computed = model.predict(its.readings.q, conditions=its.conditions)
-    return its.readings_with(gross_errors(its.readings.p_M - computed, its.turned))
+    return its.readings_with(gross_errors(its.readings.p_M - computed, its.angular))
 
 
 def without(readings: Readings, configurations: Sequence[int]) -> Readings:
@@ -445,17 +445,17 @@ def _refuse_exchanged_probes(profile: Profile, readings: Mapping[str, Readings])
         return
     stops = common_stops(*readings.values())
     seen = np.intersect1d(measured_orientations(stops[0])[0], measured_orientations(stops[1])[0])
-    if len(seen) < FEWEST_TURNS:
+    if len(seen) < FEWEST_ROTATIONS:
         return
     both = [one.take(seen) for one in stops]
 
-    def scatter(points: Sequence[Readings], turns: Sequence[Readings]) -> float:
-        """Return how far the orientations of ``turns`` are off the arms whose bases ``points`` give."""
+    def scatter(points: Sequence[Readings], rotations: Sequence[Readings]) -> float:
+        """Return how far the orientations of ``rotations`` are off the arms whose bases ``points`` give."""
         found = []
-        for name, own, point, turn in zip(readings, both, points, turns, strict=True):
+        for name, own, point, rotation in zip(readings, both, points, rotations, strict=True):
             unknown = profile.arms[name].smr.offset == "unknown"
             geometry = start_from_nominal(nominal_arm(profile.arms[name]), own.q, point.p_M, tool_unknown=unknown)
-            found.append(turning_scatter(geometry, own.q, measured_orientations(turn)[1]))
+            found.append(rotation_scatter(geometry, own.q, measured_orientations(rotation)[1]))
         return max(found)
 
     if scatter(both, both) < SUSPECT_RAD:
@@ -584,9 +584,9 @@ def _evaluated(profile: Profile, name: str, readings: Readings, fitted: _Fitted)
 
 def _probe_mrad(its: Quantities) -> float | None:
     """Return the rms length [mrad] of the stated noise of orientations; None if none was measured or stated."""
-    if its.turned is None or its.stated is None or states_nothing(its.stated[its.turned]):
+    if its.angular is None or its.stated is None or states_nothing(its.stated[its.angular]):
         return None
-    return rms_length_mm(its.stated[its.turned])
+    return rms_length_mm(its.stated[its.angular])
 
 
 def _arm_notes(name: str, arm: ArmCalibration, fitted: _Fitted) -> list[str]:
@@ -661,7 +661,7 @@ def undetermined_offset(name: str, found: Identification) -> list[str]:
     """Warn if the offset of a probe or point is hardly determined along some direction of the flange, which then hardly
     turned."""
     places = [found.estimated.names.index(one) for one in TOOL_NAMES if one in found.estimated.names]
-    if (found.turned is None and TOOL_NAMES[0] not in found.prior_sigma) or len(places) < len(TOOL_NAMES):
+    if (found.angular is None and TOOL_NAMES[0] not in found.prior_sigma) or len(places) < len(TOOL_NAMES):
         return []
     variances, axes = np.linalg.eigh(found.estimated_covariance[np.ix_(places, places)])
     sd_mm = 1e3 * float(np.sqrt(variances[-1]))
@@ -669,7 +669,7 @@ def undetermined_offset(name: str, found: Identification) -> list[str]:
         return []
     direction = axes[:, -1] * np.sign(axes[np.argmax(np.abs(axes[:, -1])), -1])
     words = ", ".join(f"{round(one, 2) + 0.0:.2f}" for one in direction.tolist())
-    what, of = ("probe", "itself") if found.turned is not None else ("SMR", "with the flange turned so")
+    what, of = ("probe", "itself") if found.angular is not None else ("SMR", "with the flange turned so")
     return [
         f"arm '{name}': the offset of the {what} along ({words}) of the flange is not determined (95 % within"
         f" +-{NORMAL_95 * sd_mm:.0f} mm), as that direction hardly turned; positions of the {what} {of} are not"
@@ -715,21 +715,21 @@ def train_arm(profile: Profile, arm: ArmCalibration, readings: Readings, steps: 
         return arm
     done = learning_steps(profile.network)
     rotations = JobSteps(lambda _, words: steps(done, f"rotations: {words}"), steps.cancel)
-    turning = turning_network(profile, arm.model, measured_quantities(taught), rotations)
-    arm = replace(arm, model=replace(arm.model, network=replace(arm.model.network, turning=turning)))
+    turning = rotation_network(profile, arm.model, measured_quantities(taught), rotations)
+    arm = replace(arm, model=replace(arm.model, network=replace(arm.model.network, rotation=turning)))
     its = measured_quantities(held_out)
     errors = evaluate_quantities(its, arm.model.predict(its.readings.q, conditions=its.conditions))
     return replace(arm, validate={**arm.validate, "network": errors})
 
 
-def turning_network(profile: Profile, model: ArmModel, taught: Quantities, steps: JobSteps) -> ResidualNetwork | None:
+def rotation_network(profile: Profile, model: ArmModel, taught: Quantities, steps: JobSteps) -> ResidualNetwork | None:
     """Train a network on the rotation vectors that a model leaves of measured orientations, in the base frame.
 
     None if there are too few, or it does not predict left-out ones better than none.
     """
-    if taught.turned is None or np.count_nonzero(taught.turned) < 2 * profile.network.folds:
+    if taught.angular is None or np.count_nonzero(taught.angular) < 2 * profile.network.folds:
         return None
-    some, conditions = taught.readings.take(taught.turned), taught.conditions.take(taught.turned)
+    some, conditions = taught.readings.take(taught.angular), taught.conditions.take(taught.angular)
     return network_of_residuals(profile, model, some, -model.predict(some.q, conditions=conditions), steps)
 
 

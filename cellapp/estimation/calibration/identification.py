@@ -117,9 +117,9 @@ class Identification:
         length, without priors.
     configurations : int
         Number of readings n.
-    turned : array, shape (n,), or None
+    angular : array, shape (n,), or None
         Mask of measured orientations, whose residuals are rotation vectors [rad]; None if there are none.
-    freedom_of_turns : float
+    freedom_of_rotations : float
         Degrees of freedom of the orientations, a part of all.
     excess_rad : float
         Standard deviation of a component of an orientation beyond the stated uncertainty [rad].
@@ -146,8 +146,8 @@ class Identification:
     steps: tuple[float, ...]
     gram: Array = field(repr=False)
     configurations: int
-    turned: NDArray[np.bool_] | None = field(default=None, repr=False)
-    freedom_of_turns: float = 0.0
+    angular: NDArray[np.bool_] | None = field(default=None, repr=False)
+    freedom_of_rotations: float = 0.0
     excess_rad: float = 0.0
 
     def settled(self, fit: str) -> Identification:
@@ -159,7 +159,7 @@ class Identification:
     @property
     def positions(self) -> slice | NDArray[np.bool_]:
         """Mask of the rows that are positions; a full slice if no orientation was measured."""
-        return slice(None) if self.turned is None else ~self.turned
+        return slice(None) if self.angular is None else ~self.angular
 
     @property
     def condition(self) -> float:
@@ -412,7 +412,7 @@ class _Problem:
         in_table = covariance if chosen is self.parameters else _in_table(_in_table(covariance, to_table).T, to_table)
         gram, size = normal.gram[kept[:, None], kept], len(self.parameters.columns)
         scale = parameter_scale(np.diag(gram), n, chosen)
-        turned = self.observations.angles.turned
+        angular = self.observations.angles.angular
         return Identification(
             geometry=geometry,
             estimated=self.parameters,
@@ -435,8 +435,8 @@ class _Problem:
             steps=minimum.steps,
             gram=gram / (scale * scale[:, None]) / n,
             configurations=n,
-            turned=turned,
-            freedom_of_turns=_freedom_of_turns(point, turned),
+            angular=angular,
+            freedom_of_rotations=_freedom_of_rotations(point, angular),
         )
 
     def _determined(self, information: Array) -> ParameterSet:
@@ -458,13 +458,13 @@ def _in_table(values: Array, to_table: Array) -> Array:
     return np.concatenate([to_table @ values[:size], values[size:]])
 
 
-def _freedom_of_turns(point: Estimate, turned: NDArray[np.bool_] | None) -> float:
+def _freedom_of_rotations(point: Estimate, angular: NDArray[np.bool_] | None) -> float:
     """Compute the degrees of freedom of the orientations: coordinates less the parameters that they determine."""
-    if turned is None or point.normal.of_turns is None:
+    if angular is None or point.normal.of_rotations is None:
         return 0.0
-    some = turned if point.weights is None else turned & (point.weights > _LEAST_WEIGHT)
+    some = angular if point.weights is None else angular & (point.weights > _LEAST_WEIGHT)
     unit = point.normal.unit
-    information = point.normal.of_turns * (unit * unit[:, None]) / point.variance
+    information = point.normal.of_rotations * (unit * unit[:, None]) / point.variance
     determined = float(np.sum(inverse_psd(point.posterior_precision(point.variance)) * information))
     return max(1.0, 3.0 * np.count_nonzero(some) - determined)
 
@@ -615,7 +615,7 @@ def _rounds(
         before, excess = excess, excess_of(found, sigma)
         if all(abs(now - then) <= _EXCESS_SETTLED * now for now, then in zip(excess, before, strict=True)):
             break
-        earlier, weighed = found, with_excess(sigma, excess[0], found.turned, excess[1])
+        earlier, weighed = found, with_excess(sigma, excess[0], found.angular, excess[1])
         found = fit(earlier.geometry, sigma=weighed, parameter_set=parameter_set)
         found = replace(found, iterations=earlier.iterations + found.iterations, steps=(*earlier.steps, *found.steps))
     return replace(found, excess_rad=math.sqrt(excess[1])), math.sqrt(excess[0])
@@ -623,7 +623,7 @@ def _rounds(
 
 def excess_of(found: Identification, sigma: Array) -> tuple[float, float]:
     """Estimate the variances of positions [m^2] and of orientations [rad^2] beyond the stated uncertainty ``sigma``."""
-    return excess_of_kinds(found.residuals, sigma, found.degrees_of_freedom, found.turned, found.freedom_of_turns)
+    return excess_of_kinds(found.residuals, sigma, found.degrees_of_freedom, found.angular, found.freedom_of_rotations)
 
 
 def _mirrored_tool(found: Identification) -> Array | None:

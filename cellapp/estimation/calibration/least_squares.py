@@ -475,31 +475,31 @@ def _added_variance(squares: Array, variance: Array, degrees_of_freedom: float) 
 
 
 def excess_of_kinds(
-    residuals: Array, sigma: Array, degrees_of_freedom: float, turned: NDArray[np.bool_] | None, of_turns: float
+    residuals: Array, sigma: Array, degrees_of_freedom: float, angular: NDArray[np.bool_] | None, of_rotations: float
 ) -> tuple[float, float]:
     """Compute ``excess_variance`` of positions [m^2] and of orientations [rad^2], each from its own scatter.
 
-    ``of_turns`` are the degrees of freedom of the orientations, masked by ``turned`` (n,), a part of all.
+    ``of_rotations`` are the degrees of freedom of the orientations, masked by ``angular`` (n,), a part of all.
     """
-    if turned is None:
+    if angular is None:
         return excess_variance(residuals, sigma, degrees_of_freedom), 0.0
-    freedom = (max(degrees_of_freedom - of_turns, 1.0), max(of_turns, 1.0))
+    freedom = (max(degrees_of_freedom - of_rotations, 1.0), max(of_rotations, 1.0))
     found = [
         excess_variance(residuals[rows], sigma[rows], its)
-        for rows, its in zip((~turned, turned), freedom, strict=True)
+        for rows, its in zip((~angular, angular), freedom, strict=True)
         if rows.any()
     ]
     return found[0], found[-1]
 
 
 def with_excess(
-    sigma: Array, tau_squared: float, turned: NDArray[np.bool_] | None = None, of_turns: float = 0.0
+    sigma: Array, tau_squared: float, angular: NDArray[np.bool_] | None = None, of_rotations: float = 0.0
 ) -> Array:
     """Add an excess variance [m^2] per coordinate to the stated uncertainty, in the shape and unit of ``sigma``.
 
-    ``of_turns`` [rad^2] is the excess variance of orientations, masked by ``turned`` (n,).
+    ``of_rotations`` [rad^2] is the excess variance of orientations, masked by ``angular`` (n,).
     """
-    added = tau_squared if turned is None else np.where(turned, of_turns, tau_squared)
+    added = tau_squared if angular is None else np.where(angular, of_rotations, tau_squared)
     if sigma.ndim == 1:
         return np.sqrt(sigma**2 + added)
     return np.asarray(sigma + np.multiply.outer(added, np.eye(3)))
@@ -511,15 +511,15 @@ _ALIKE_AXES = 0.01
 """Relative spread of an orientation's noise over its axes from which it is stated axis by axis."""
 
 
-def readings_noise(sigma: Array, turned: NDArray[np.bool_] | None, scale: float = 1.0) -> ReadingsNoise:
+def readings_noise(sigma: Array, angular: NDArray[np.bool_] | None, scale: float = 1.0) -> ReadingsNoise:
     """Compute the rms noise, times ``scale``, of readings with uncertainties ``sigma`` (n,) or covariances (n, 3, 3);
-    ``turned`` (n,) masks orientations."""
-    if turned is None:
+    ``angular`` (n,) masks orientations."""
+    if angular is None:
         return ReadingsNoise(math.sqrt(mean_variance(sigma)) * scale)
-    m, rad = (math.sqrt(mean_variance(own)) * scale for own in (sigma[~turned], sigma[turned]))
+    m, rad = (math.sqrt(mean_variance(own)) * scale for own in (sigma[~angular], sigma[angular]))
     if sigma.ndim == 1:
         return ReadingsNoise(m, rad)
-    axes_rad = np.sqrt(np.linalg.eigvalsh(sigma[turned]).mean(axis=0)) * scale
+    axes_rad = np.sqrt(np.linalg.eigvalsh(sigma[angular]).mean(axis=0)) * scale
     return ReadingsNoise(m, rad, None if np.ptp(axes_rad) <= _ALIKE_AXES * axes_rad[-1] else axes_rad)
 
 

@@ -163,7 +163,7 @@ class NormalEquations:
         geometry [m/rad, m/m]. It scales parameters to metres at arm's length.
     residuals : array, shape (3, n)
         Measured minus computed SMR positions [m], or orientations [rad].
-    of_turns : array, shape (k, k), or None
+    of_rotations : array, shape (k, k), or None
         Part of ``A`` that measured orientations contribute; None without any.
     """
 
@@ -173,7 +173,7 @@ class NormalEquations:
     cost: float
     scale: Array
     residuals: Array
-    of_turns: Array | None = None
+    of_rotations: Array | None = None
 
     @cached_property
     def unit(self) -> Array:
@@ -196,8 +196,8 @@ def normal_equations(
     A, b, gram, cost = np.zeros((k, k)), np.zeros(k), np.zeros((size, size)), 0.0
     squares = np.zeros(k)
     residuals = np.empty((3, observations.count))
-    turned = observations.angles.turned
-    of_turns = None if turned is None else np.zeros((k, k))
+    angular = observations.angles.angular
+    of_rotations = None if angular is None else np.zeros((k, k))
     common = observations.common_white if weights is None else None
     for first, last in observations.chunks():
         P, J = linearise(geometry, observations, parameters, beta, first, last)
@@ -212,8 +212,8 @@ def normal_equations(
                 root = np.sqrt(weights[first:last])
                 J, r = np.multiply(J, root, out=white), r * root
         A += gram_matrix(J)
-        if turned is not None and of_turns is not None:
-            of_turns += gram_matrix(J[:, :, turned[first:last]])
+        if angular is not None and of_rotations is not None:
+            of_rotations += gram_matrix(J[:, :, angular[first:last]])
         b += J.swapaxes(0, 1).reshape(k, -1) @ r.ravel()
         cost += float(np.vdot(r, r))
     if common is None:
@@ -221,9 +221,9 @@ def normal_equations(
     else:
         gram, squares = A[:size, :size], A.diagonal()
         A, b, cost = A * common**2, b * common**2, cost * common**2
-        of_turns = None if of_turns is None else of_turns * common**2
+        of_rotations = None if of_rotations is None else of_rotations * common**2
     scale = parameter_scale(squares, observations.count, parameters)
-    return NormalEquations(A, b, gram, cost, scale, residuals, of_turns)
+    return NormalEquations(A, b, gram, cost, scale, residuals, of_rotations)
 
 
 def linearise(

@@ -136,14 +136,14 @@ def identify_pair(
     gain = inverse_psd(J.T @ J) @ (J * of_square[:, None]).T
     errors = np.linalg.norm(gain, axis=1)
     if R_R_L is not None and scale > 0.0:
-        turns = rotation_vectors(R_R_L @ mean_rotation(R_R_L).T)
-        scale_rad = max(float(np.sqrt(np.sum(turns**2) / (turns.size - 3))), _TOLERANCE)
+        rotations = rotation_vectors(R_R_L @ mean_rotation(R_R_L).T)
+        scale_rad = max(float(np.sqrt(np.sum(rotations**2) / (rotations.size - 3))), _TOLERANCE)
 
         def of_both(T: Array) -> tuple[Array, Array]:
             off, J = linearised(T)
-            turns = rotation_vectors(R_R_L @ T[:3, :3].T).ravel() / scale_rad
-            of_turns = np.tile(np.hstack([np.zeros((3, 3)), np.eye(3)]), (len(R_R_L), 1)) / scale_rad
-            return np.concatenate([off / of_square, turns]), np.vstack([J / of_square[:, None], of_turns])
+            rotations = rotation_vectors(R_R_L @ T[:3, :3].T).ravel() / scale_rad
+            of_rotations = np.tile(np.hstack([np.zeros((3, 3)), np.eye(3)]), (len(R_R_L), 1)) / scale_rad
+            return np.concatenate([off / of_square, rotations]), np.vstack([J / of_square[:, None], of_rotations])
 
         found = LeastSquares(of_both, after_twist).best(
             "inter-base transform from distances and relative rotations",
@@ -185,7 +185,7 @@ def relative_rotations(readings: Sequence[Readings], R_B_S: Sequence[Array]) -> 
 class PairMethod:
     """Results of one method on the held-out stops, with both inter-base transforms.
 
-    ``errors`` maps each transform to the signed distance errors (n,) [m], measured minus computed, ``turned`` to the
+    ``errors`` maps each transform to the signed distance errors (n,) [m], measured minus computed, ``rotated`` to the
     angles (k,) [rad] between the measured and the computed relative rotation at the stops where both probes were
     measured, empty without; ``position_errors`` maps each arm to the absolute errors (n,) [m] at the same stops, with
     the bases from the arms' calibration.
@@ -194,7 +194,7 @@ class PairMethod:
     identification: PairIdentification
     T_R_L_tracker: Array
     errors: Mapping[str, Array]
-    turned: Mapping[str, Array]
+    rotated: Mapping[str, Array]
     position_errors: Mapping[str, Array]
 
 
@@ -292,16 +292,16 @@ def calibrate_pair(
         by = {"distances": found.T_R_L, "tracker": np.asarray(invert(T_M[1]) @ T_M[0])}
         p_L, p_R = positions[0][held_out], positions[1][held_out]
         errors = {key: measured[held_out] - distances(T, p_L, p_R) for key, T in by.items()}
-        turns = R_R_L[held_out[seen[held_out]]]
+        rotations = R_R_L[held_out[seen[held_out]]]
         bases = [(model.nominal if name == "nominal" else model.geometry).T_M_B() for model in models]
         methods[name] = PairMethod(
             identification=found,
             T_R_L_tracker=by["tracker"],
             errors=errors,
-            turned={
-                key: np.linalg.norm(rotation_vectors(turns @ T[:3, :3].T), axis=1)
+            rotated={
+                key: np.linalg.norm(rotation_vectors(rotations @ T[:3, :3].T), axis=1)
                 for key, T in by.items()
-                if len(turns) and found.scale_rad is not None
+                if len(rotations) and found.scale_rad is not None
             },
             position_errors={
                 arm: position_errors(r.p_M[held_out], apply(T_M_B, p[held_out]))

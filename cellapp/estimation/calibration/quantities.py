@@ -27,11 +27,11 @@ from cellapp.robot.kinematics.chain import Geometry, flange_poses
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import (
     Array,
+    angular_rows,
     mean_rotation,
     quaternions_of,
     rotation_vectors,
     rotations_of,
-    turned_rows,
 )
 from cellapp.robot.model import ArmModel
 
@@ -43,7 +43,7 @@ SUSPECT_RAD = 0.02
 """Median angle from which other frames are tried: a published arm is off by some mrad."""
 _BETTER = 0.2
 """Share of the median angle below which another frame is the one that was meant."""
-FEWEST_TURNS = 4
+FEWEST_ROTATIONS = 4
 """Least number of orientations from which their frame is judged."""
 
 
@@ -74,13 +74,13 @@ class Quantities:
         return self.conditions.R_M_S
 
     @property
-    def turned(self) -> NDArray[np.bool_] | None:
+    def angular(self) -> NDArray[np.bool_] | None:
         """Mask (m,) of the vectors that are orientations; None if none is."""
-        return self.conditions.turned
+        return self.conditions.angular
 
     def readings_with(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return a mask (n,) of the readings that have at least one of the ``chosen`` (m,) vectors."""
-        n = len(self.reading) if self.turned is None else int(np.count_nonzero(~self.turned))
+        n = len(self.reading) if self.angular is None else int(np.count_nonzero(~self.angular))
         return np.isin(np.arange(n), self.reading[chosen])
 
 
@@ -111,17 +111,17 @@ def measured_quantities(readings: Readings, conditions: MeasurementConditions | 
 
 def _stated(readings: Readings, of_points: Array | None, rows: NDArray[np.intp]) -> Array:
     """Return the uncertainty of positions and orientations, ``NOT_STATED`` for a kind that states none."""
-    of_turns = np.full(len(rows), NOT_STATED)
+    of_rotations = np.full(len(rows), NOT_STATED)
     if readings.sigma_rad is not None and np.isfinite(readings.sigma_rad[rows]).all():
-        of_turns = readings.sigma_rad[rows]
-    if readings.turning_covariance_M is not None:
-        of_turns = readings.turning_covariance_M[rows]
+        of_rotations = readings.sigma_rad[rows]
+    if readings.rotation_covariance_M is not None:
+        of_rotations = readings.rotation_covariance_M[rows]
     if of_points is None:
         of_points = np.full(len(readings), NOT_STATED)
-    if of_points.ndim == of_turns.ndim:
-        return np.concatenate([of_points, of_turns])
+    if of_points.ndim == of_rotations.ndim:
+        return np.concatenate([of_points, of_rotations])
     return np.concatenate(
-        [one if one.ndim == 3 else one[:, None, None] ** 2 * np.eye(3) for one in (of_points, of_turns)]
+        [one if one.ndim == 3 else one[:, None, None] ** 2 * np.eye(3) for one in (of_points, of_rotations)]
     )
 
 
@@ -137,9 +137,9 @@ def with_probe(geometry: Geometry, q: Array, R_M_S: Array | None) -> Geometry:
     """
     if R_M_S is None:
         return replace(geometry, probe=None)
-    turned = turned_rows(R_M_S)
-    R_M_F, _ = flange_poses(geometry, q[turned])
-    rotation = mean_rotation(R_M_F.swapaxes(1, 2) @ R_M_S[turned])
+    angular = angular_rows(R_M_S)
+    R_M_F, _ = flange_poses(geometry, q[angular])
+    rotation = mean_rotation(R_M_F.swapaxes(1, 2) @ R_M_S[angular])
     return replace(geometry, probe=rotation_vectors(rotation[None])[0])
 
 
@@ -151,11 +151,11 @@ def refuse_odd_orientations(name: str, geometry: Geometry, readings: Readings) -
     """
     rows, rotations = measured_orientations(readings)
     q = readings.q[rows]
-    if len(rows) < FEWEST_TURNS or (own := turning_scatter(geometry, q, rotations)) < SUSPECT_RAD:
+    if len(rows) < FEWEST_ROTATIONS or (own := rotation_scatter(geometry, q, rotations)) < SUSPECT_RAD:
         return
-    ends = range(FEWEST_TURNS, len(rows) - FEWEST_TURNS + 1)
+    ends = range(FEWEST_ROTATIONS, len(rows) - FEWEST_ROTATIONS + 1)
     parts = {
-        end: max(turning_scatter(geometry, q[part], rotations[part]) for part in (slice(end), slice(end, None)))
+        end: max(rotation_scatter(geometry, q[part], rotations[part]) for part in (slice(end), slice(end, None)))
         for end in ends
     }
     slip = min(ends, key=lambda end: parts[end], default=0)
@@ -165,7 +165,7 @@ def refuse_odd_orientations(name: str, geometry: Geometry, readings: Readings) -
             " the orientations until then and from then on follow the flange each for themselves; fasten the probe and"
             " measure again, or import both parts as runs of their own"
         )
-    found = {words: turning_scatter(geometry, q, changed(rotations)) for words, changed in _FRAMES.items()}
+    found = {words: rotation_scatter(geometry, q, changed(rotations)) for words, changed in _FRAMES.items()}
     why = min(found, key=lambda words: found[words])
     if found[why] >= _BETTER * own:
         if own < _ODD_RAD:
@@ -177,7 +177,7 @@ def refuse_odd_orientations(name: str, geometry: Geometry, readings: Readings) -
     )
 
 
-def turning_scatter(geometry: Geometry, q: Array, rotations: Array) -> float:
+def rotation_scatter(geometry: Geometry, q: Array, rotations: Array) -> float:
     """Compute the median angle [rad] between orientations and the arm with the probe that fits them best."""
     R_F_S = flange_poses(geometry, q)[0].swapaxes(1, 2) @ rotations
     return float(np.median(np.linalg.norm(rotation_vectors(mean_rotation(R_F_S).T @ R_F_S), axis=1)))
@@ -395,11 +395,11 @@ def repeats_words(q: Array, p_M: Array) -> str:
 
 def evaluate_quantities(measured: Quantities, computed: Array) -> StageErrors:
     """Compute the errors of one model, ``computed`` (m, 3), at positions [m] and orientations [rad]."""
-    p_M, turned = measured.readings.p_M, measured.turned
-    if turned is None:
+    p_M, angular = measured.readings.p_M, measured.angular
+    if angular is None:
         return evaluate(p_M, computed, measured.readings.q)
-    errors = evaluate(p_M[~turned], computed[~turned], measured.readings.q[~turned])
-    return errors.model_copy(update={"orientation_mrad": summarise(np.linalg.norm(computed[turned], axis=1))})
+    errors = evaluate(p_M[~angular], computed[~angular], measured.readings.q[~angular])
+    return errors.model_copy(update={"orientation_mrad": summarise(np.linalg.norm(computed[angular], axis=1))})
 
 
 def evaluate(measured: Array, computed: Array, q: Array) -> StageErrors:

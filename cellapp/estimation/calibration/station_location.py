@@ -607,8 +607,8 @@ def explained(nominal: Geometry, q: Array, p_M: Array) -> Explained:
     rest = np.empty_like(p_M)
     for _ in range(_ROUNDS):
         R_M_B = register(p_M, origins + rotations @ tool)[:3, :3]
-        turned = R_M_B @ rotations
-        columns = np.concatenate([turned, np.broadcast_to(np.eye(3), turned.shape)], axis=2).reshape(-1, 6)
+        rotated = R_M_B @ rotations
+        columns = np.concatenate([rotated, np.broadcast_to(np.eye(3), rotated.shape)], axis=2).reshape(-1, 6)
         wanted = (p_M - origins @ R_M_B.T).reshape(-1)
         solution = np.linalg.lstsq(columns, wanted, rcond=None)[0]
         tool, rest = solution[:3], (wanted - columns @ solution).reshape(-1, 3)
@@ -657,7 +657,7 @@ def _readings(q: Array) -> Iterator[tuple[str, Array]]:
             coupled[:, 2] += sign * q[:, 1]
             yield f"q3 {words} q2 in place of q3", coupled
     for count in range(1, joints + 1):
-        for turned in itertools.combinations(range(joints), count):
+        for rotated in itertools.combinations(range(joints), count):
             signs = np.ones(joints)
-            signs[list(turned)] = -1.0
-            yield f"{', '.join(f'q{one + 1}' for one in turned)} with the opposite sign", q * signs
+            signs[list(rotated)] = -1.0
+            yield f"{', '.join(f'q{one + 1}' for one in rotated)} with the opposite sign", q * signs

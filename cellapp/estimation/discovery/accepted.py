@@ -34,17 +34,17 @@ from cellapp.estimation.discovery.search.state import Posteriors, SearchResult
 from cellapp.ground.results import Estimate
 from cellapp.robot.effects import (
     EFFECTS,
-    Channel,
-    DriverVariable,
+    ActsOn,
     EffectColumn,
     EffectTerm,
+    InputVariable,
     LawForm,
     place_in_words,
     term_to_json,
 )
-from cellapp.robot.effects.data_driven import FIELD_LENGTH, DataChannel, Quantity, Variable, data_driven_form
+from cellapp.robot.effects.data_driven import FIELD_LENGTH, ActedOn, Quantity, Variable, data_driven_form
 from cellapp.robot.effects.effect import is_borrowed, is_contradiction, is_unnamed, lent_effect
-from cellapp.robot.effects.unknown import channel_directions
+from cellapp.robot.effects.unknown import acted_directions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
@@ -207,7 +207,7 @@ def rms_length(fit: JointFit, whitened: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
 
 
-# -- Description of a data-driven term: channel, variables, curve, and a short formula if one fits as well ------------
+# -- Description of a data-driven term: place, variables, curve, and a short formula if one fits as well ------------
 
 
 _POINTS = 60
@@ -233,15 +233,15 @@ def describe(data: ArmData, fit: JointFit, number: int) -> TermDescription:
         said = term.note
     else:
         form = data_driven_form(term.law)
-        channel, names = form.channel.name, tuple(variable.name for variable in form.drivers)
+        channel, names = form.acts_on.name, tuple(variable.name for variable in form.inputs)
         if form.is_field:
             length = term.law.constants[FIELD_LENGTH.name]
             said = (
                 f"{channel} depends on the position, a field over the workspace that changes within some {length:.1g} m"
             )
         else:
-            values = [variable.values(data.context) for variable in form.drivers]
-            formula, gain = _formula(data, fit, number, form.channel, form.drivers, values)
+            values = [variable.values(data.context) for variable in form.inputs]
+            formula, gain = _formula(data, fit, number, form.acts_on, form.inputs, values)
             if len(names) == 1 and fit.term_columns(number)[0].joint is not None:
                 curve = _curve(fit, number, values[0])
             said = f"{channel} depends on {' and '.join(names)}{f', about {formula}' if formula else ''}"
@@ -277,12 +277,7 @@ def _curve(fit: JointFit, number: int, x: Array) -> tuple[tuple[float, float], .
 
 
 def _formula(
-    data: ArmData,
-    fit: JointFit,
-    number: int,
-    channel: DataChannel,
-    variables: Sequence[Variable],
-    values: Sequence[Array],
+    data: ArmData, fit: JointFit, number: int, acts_on: ActedOn, variables: Sequence[Variable], values: Sequence[Array]
 ) -> tuple[str, float | None]:
     """Return the best short formula and its gain over the curve; no text if it describes the term less well.
 
@@ -291,7 +286,7 @@ def _formula(
     if any(not np.isfinite(one).all() for one in values):
         return "", None
     basis = fit.term_columns(number)[0]
-    directions = [] if basis.joint is not None else channel_directions(data.context, channel)
+    directions = [] if basis.joint is not None else acted_directions(data.context, acts_on)
     found = formulas(variables, values)
     candidates = []
     for formula in found:
@@ -310,9 +305,9 @@ def _formula(
 
 
 def _columns(text: str, values: Array, basis: EffectColumn, directions: Sequence[Array]) -> tuple[EffectColumn, ...]:
-    """Return the columns of a formula in the channel of ``basis``, all in one block; for a shift one a direction."""
-    common = ("", text, -np.inf, np.inf, basis.channel, basis.index)
-    if basis.channel is Channel.JOINT:
+    """Return the columns of a formula in the place of ``basis``, all in one block; for a shift one a direction."""
+    common = ("", text, -np.inf, np.inf, basis.acts_on, basis.index)
+    if basis.acts_on is ActsOn.JOINT:
         return tuple(EffectColumn(f"{text}#{k}", *common, offset=values[:, k]) for k in range(values.shape[1]))
     return tuple(
         EffectColumn(f"{text}#{k}#{d}", *common, shift_M=values[:, k, None] * direction)
@@ -454,7 +449,7 @@ def _band(power: dict[int, float]) -> CycleBand:
     return CycleBand(first=first, last=last, peak=counts[int(np.argmax(each))], rms_urad=rms * 1e6)
 
 
-# -- Pictures of a fit: each term's partial residuals in its own channel, against the variable of the term ------------
+# -- Pictures of a fit: each term's partial residuals in its own place, against the variable of the term ------------
 #
 # The partial residual is residual + term: the readings minus everything else in the model. A joint offset is estimated
 # along the direction J_j in which the joint moves the SMR,
@@ -500,7 +495,7 @@ def pictures(data: ArmData, fit: JointFit) -> tuple[Picture, ...]:
                 found += one.of_joint(joint)
         if not joints:
             # a tilting joint axis is shown against its own joint; all other columns shift the SMR together
-            axis_of = {column.where: column.index if column.channel is Channel.AXIS else None for column in columns}
+            axis_of = {column.where: column.index if column.acts_on is ActsOn.AXIS else None for column in columns}
             for axis in dict.fromkeys(axis_of[place.where] for place in movements[number]):
                 found += one.of_shift(axis)
     return tuple(picture for picture in found if picture.x)
@@ -537,8 +532,8 @@ class _TermPictures:
         title = EFFECTS[term.slug].title
         if term.slug != UNKNOWN or is_borrowed(term.law):
             return title
-        channel = data_driven_form(term.law).channel
-        return title if channel.channel is Channel.JOINT else f"{title}, {channel.name}"
+        acts_on = data_driven_form(term.law).acts_on
+        return title if acts_on.acts_on is ActsOn.JOINT else f"{title}, {acts_on.name}"
 
     def of_joint(self, joint: int) -> list[Picture]:
         """Draw the offset of a joint (from 0)."""
@@ -687,7 +682,7 @@ def axes_of(data: ArmData, term: ModelTerm, joint: int | None, beside: int | Non
     """
     if term.slug != UNKNOWN or is_borrowed(term.law):
         return [_axis_of_effect(data, term, joint, beside)]
-    axes = (_axis(data, variable) for variable in data_driven_form(term.law).drivers)
+    axes = (_axis(data, variable) for variable in data_driven_form(term.law).inputs)
     return [(label, values) for label, values in axes if np.isfinite(values).any()]
 
 
@@ -700,29 +695,29 @@ def _axis_of_effect(data: ArmData, term: ModelTerm, joint: int | None, beside: i
     """Return the axis of a library effect: the first that applies of motion, time, temperature, field, load, angle."""
     variables = term.law.form.variables or EFFECTS[term.slug].variables
     context, now = data.context, data.conditions
-    torque = DriverVariable.TORQUE in variables
-    if joint is not None and (torque or variables & {DriverVariable.STEP, DriverVariable.APPROACH}):
-        approach = context.approach[:, joint] if DriverVariable.APPROACH in variables else None
-        if DriverVariable.STEP in variables and now.step is not None:
+    torque = InputVariable.TORQUE in variables
+    if joint is not None and (torque or variables & {InputVariable.STEP, InputVariable.APPROACH}):
+        approach = context.approach[:, joint] if InputVariable.APPROACH in variables else None
+        if InputVariable.STEP in variables and now.step is not None:
             return _axis(data, Variable(Quantity.STEP, joint))
         if torque:
             label, load = _axis(data, Variable(Quantity.TORQUE, joint))
             return (label, load) if approach is None else (f"{label}, signed by the approach", load * approach)
         if approach is not None:
             return f"approach direction of joint {joint + 1}", approach
-    if DriverVariable.TIME in variables and now.time_s is not None and np.isfinite(now.time_s).any():
+    if InputVariable.TIME in variables and now.time_s is not None and np.isfinite(now.time_s).any():
         return _axis(data, Variable(Quantity.TIME))
-    if DriverVariable.AIR_TEMPERATURE in variables and now.air_c is not None:
+    if InputVariable.AIR_TEMPERATURE in variables and now.air_c is not None:
         return _axis(data, Variable(Quantity.TEMPERATURE))
-    if DriverVariable.JOINT_TEMPERATURE in variables and now.joints_c is not None:
+    if InputVariable.JOINT_TEMPERATURE in variables and now.joints_c is not None:
         if joint is None:
             return "mean temperature of the joints [degC]", now.joints_c.mean(axis=1)
         return f"temperature of joint {joint + 1} [degC]", now.joints_c[:, joint]
-    if DriverVariable.OTHER_ARM in variables and now.other_moment_M is not None:
+    if InputVariable.OTHER_ARM in variables and now.other_moment_M is not None:
         return "moment of the other arm [Nm]", np.linalg.norm(now.other_moment_M, axis=1)
-    if DriverVariable.BEAM in variables:
+    if InputVariable.BEAM in variables:
         return _axis(data, Variable(Quantity.RANGE))
-    if DriverVariable.INCIDENCE in variables and context.smr_normal is not None:
+    if InputVariable.INCIDENCE in variables and context.smr_normal is not None:
         return _axis(data, Variable(Quantity.INCIDENCE))
     if joint is None and torque:
         return _axis(data, Variable(Quantity.TORQUE, min(_LOADED_JOINT, context.joints - 1)))

@@ -20,10 +20,10 @@ from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import (
     EFFECTS,
-    DriverVariable,
     Effect,
     EffectColumn,
     EffectContext,
+    InputVariable,
     Law,
     MeasurementConditions,
 )
@@ -391,8 +391,8 @@ class ArmData:
             tool_unknown=True,
         )
         sigma = np.full(len(readings), max(found.scale, LEAST_SCATTER_M)) if stated is None else stated
-        if stated is not None and its.turned is not None:
-            sigma = with_excess(stated, excess_m**2, its.turned, found.excess_rad**2)
+        if stated is not None and its.angular is not None:
+            sigma = with_excess(stated, excess_m**2, its.angular, found.excess_rad**2)
         geometry_only = replace(geometry_only, geometry=found.geometry)
         return cls(profile, geometry_only, readings, conditions, stated, sigma, found.estimated, found.prior_sigma)
 
@@ -400,14 +400,14 @@ class ArmData:
         return len(self.readings)
 
     @cached_property
-    def turned(self) -> NDArray[np.bool_] | None:
+    def angular(self) -> NDArray[np.bool_] | None:
         """Mask (n,) of the rows that are orientations; None if there are none."""
-        return self.conditions.turned
+        return self.conditions.angular
 
     @property
     def positions(self) -> slice | NDArray[np.bool_]:
         """Mask (n,) of the rows that are positions; a full slice if no orientation was measured."""
-        return slice(None) if self.turned is None else ~self.turned
+        return slice(None) if self.angular is None else ~self.angular
 
     @cached_property
     def group(self) -> Groups:
@@ -447,7 +447,7 @@ class ArmData:
         """Return the same data with the stated uncertainty of positions times a factor."""
         if self.stated is None or factor == 1.0:
             return self
-        factors = np.full(len(self), factor) if self.turned is None else np.where(self.turned, 1.0, factor)
+        factors = np.full(len(self), factor) if self.angular is None else np.where(self.angular, 1.0, factor)
         stated = self.stated * (factors if self.stated.ndim == 1 else factors[:, None, None] ** 2)
         return replace(self, stated=stated, sigma=stated)
 
@@ -486,7 +486,7 @@ class ArmData:
 
 def _depends_on_angles_only(slug: str, columns: Sequence[EffectColumn]) -> bool:
     """Return whether columns are the same at every geometry: joint offsets by measured joint angles only."""
-    return EFFECTS[slug].variables == {DriverVariable.JOINT_ANGLE} and all(one.joint is not None for one in columns)
+    return EFFECTS[slug].variables == {InputVariable.JOINT_ANGLE} and all(one.joint is not None for one in columns)
 
 
 def whitening(sigma: Array) -> Array:

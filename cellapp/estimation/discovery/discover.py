@@ -18,7 +18,7 @@ from cellapp.estimation.calibration.calibrate import (
     left_out_words,
     network_of_residuals,
     rms_length_mm,
-    turning_network,
+    rotation_network,
     without,
 )
 from cellapp.estimation.calibration.learning import learning_steps
@@ -207,7 +207,7 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
         noise_mrad=None if noise_rad is None else noise_rad * 1e3,
         heldout_mm=errors,
         heldout_position_mm=HeldOutBeforeAfter(before=before, after=after),
-        heldout_orientation_mrad=held_out.turned_before_after(found.geometry_only.model, fitted_model),
+        heldout_orientation_mrad=held_out.rotations_before_after(found.geometry_only.model, fitted_model),
         seconds=time.perf_counter() - started,
         steps=_gap_steps(found, held_out, before.rms, after.rms, None if result.only_some else result.fitted),
         threshold=found.threshold,
@@ -449,7 +449,7 @@ def with_network(
     if not discovery.terms or found.verdict != "unknown effect" or network is None:
         return discovery
     learnt = measured_quantities(readings.take(rows), conditions.take(rows))
-    network = replace(network, turning=turning_network(profile, discovery.model, learnt, steps))
+    network = replace(network, rotation=rotation_network(profile, discovery.model, learnt, steps))
     model = replace(discovery.model, network=network)
     step = GapStep(what="a network for the rest", effect="", heldout_mm=held_out.position_mm(model).rms)
     return discovery.with_model(model, held_out, steps=(*found.steps, step))

@@ -533,7 +533,7 @@ def with_posterior(data: ArmData, fit: JointFit, spread: float = 1.0) -> ArmMode
 
 def noise_of(data: ArmData, scale: float = 1.0, smooth: Smoothness | None = None) -> ReadingsNoise:
     """Return the noise by which the readings are weighted, times a scale; and its parts if known."""
-    noise = readings_noise(data.sigma, data.turned, scale)
+    noise = readings_noise(data.sigma, data.angular, scale)
     if smooth is None or not any(smooth.scatter.joints):
         return noise
     own = uncertainty_with_scatter(data, replace(smooth.scatter, joints=()))[data.positions]
@@ -573,7 +573,7 @@ def reweighted(data: ArmData, terms: ModelTerms) -> tuple[ArmData, Identificatio
     for _ in range(_WEIGHING_ROUNDS):
         found, _ = _identify(replace(data, sigma=sigma), terms, found)
         before, excess = excess, excess_of(found, data.stated)
-        sigma = with_excess(data.stated, excess[0], data.turned, excess[1])
+        sigma = with_excess(data.stated, excess[0], data.angular, excess[1])
         if all(abs(now - then) <= _EXCESS_CHANGE * now for now, then in zip(excess, before, strict=True)):
             break
     return replace(data, sigma=sigma), found
@@ -585,7 +585,7 @@ def uncertainty_with_scatter(data: ArmData, scatter: Excess) -> Array:
         sigma = np.full(len(data), max(scatter.m, LEAST_SCATTER_M))
     else:
         stated = data.stated * (scatter.claim if data.stated.ndim == 1 else scatter.claim**2)
-        sigma = with_excess(stated, scatter.m**2, data.turned, scatter.rad**2)
+        sigma = with_excess(stated, scatter.m**2, data.angular, scatter.rad**2)
     if not any(scatter.joints):
         return sigma
     by_joint = joint_motions(data)

@@ -74,13 +74,13 @@ class HeldOut:
     def orientation_mrad(self, model: ArmModel) -> HeldOutPosition | None:
         """Return statistics of the orientation error of a model [mrad]; None if no orientation was measured."""
         its = self._quantities
-        if its.turned is None:
+        if its.angular is None:
             return None
-        rows = np.flatnonzero(its.turned)
-        turns = model.predict(its.readings.q[rows], conditions=its.conditions.take(rows))
-        return _statistics(np.linalg.norm(turns, axis=1) * 1e3)
+        rows = np.flatnonzero(its.angular)
+        rotations = model.predict(its.readings.q[rows], conditions=its.conditions.take(rows))
+        return _statistics(np.linalg.norm(rotations, axis=1) * 1e3)
 
-    def turned_before_after(self, before: ArmModel, after: ArmModel) -> HeldOutBeforeAfter | None:
+    def rotations_before_after(self, before: ArmModel, after: ArmModel) -> HeldOutBeforeAfter | None:
         """Return ``orientation_mrad`` of two models; None if no orientation was measured."""
         errors = [self.orientation_mrad(model) for model in (before, after)]
         if errors[0] is None or errors[1] is None:
@@ -144,14 +144,14 @@ class Discovery:
         """Return the outcome with another final model, its errors on held-out readings, and changes of the result."""
         result = self.result
         before, after = result.heldout_position_mm, held_out.position_mm(model)
-        turned, turned_after = result.heldout_orientation_mrad, held_out.orientation_mrad(model)
+        angles, angles_after = result.heldout_orientation_mrad, held_out.orientation_mrad(model)
         errors: dict[str, Any] = {
             "heldout_mm": BeforeAfter(before=result.heldout_mm.before, after=after.rms),
             "heldout_position_mm": None if before is None else HeldOutBeforeAfter(before=before.before, after=after),
             "validate_": {"effects": held_out.evaluate(model)} if self.terms else {},
         }
-        if turned is not None and turned_after is not None:
-            errors["heldout_orientation_mrad"] = HeldOutBeforeAfter(before=turned.before, after=turned_after)
+        if angles is not None and angles_after is not None:
+            errors["heldout_orientation_mrad"] = HeldOutBeforeAfter(before=angles.before, after=angles_after)
         return Discovery(result.model_copy(update={**errors, **changes}), self.terms, model, self.scatter_m)
 
 

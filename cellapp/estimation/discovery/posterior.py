@@ -88,13 +88,13 @@ from cellapp.estimation.discovery.search.state import (
     scatter,
 )
 from cellapp.ground.grouping import grouped
-from cellapp.robot.effects import EFFECTS, Channel, DriverVariable, EffectColumn
-from cellapp.robot.effects.data_driven import DataChannel, channels, form_of
+from cellapp.robot.effects import EFFECTS, ActsOn, EffectColumn, InputVariable
+from cellapp.robot.effects.data_driven import ActedOn, acted_on, form_of
 from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.effects.unknown import (
     FunctionFamily,
     FunctionTable,
-    channel_directions,
+    acted_directions,
     curve_families,
     own_angles,
     pair_families,
@@ -105,7 +105,7 @@ from cellapp.robot.kinematics.transforms import Array
 #
 # If the readings determine all values of a data-driven term, it competes with every name. With fewer readings nothing
 # else takes a name's place, and whatever looks a little like the cause is named. There the same functions in the same
-# channels get normal priors: their evidence needs no value to be determined.
+# places get normal priors: their evidence needs no value to be determined.
 
 COORDINATES_EACH = 4
 """Measured coordinates needed for each parameter of a model with a data-driven term; with fewer it could fit noise."""
@@ -127,13 +127,13 @@ def gains_by_another_cause(data: ArmData, fit: JointFit, numbers: Sequence[int])
     choosing.
 
     Laws with the term's own cause do not count: functions of variables that the effect depends on, and functions of a
-    moved joint's own angle in the same channel.
+    moved joint's own angle in the same place.
     """
-    context, every = data.context, channels(data.context.joints)
+    context, every = data.context, acted_on(data.context.joints)
     families = [*curve_families(context), *pair_families(context, own_angles(context))]
     evaluated, gains = Families.of(data, families), list[float]()
     for number in numbers:
-        values = ChannelScan.of(data, fit, fit.residual_without(number)).evidence(evaluated, every)
+        values = DirectionScan.of(data, fit, fit.residual_without(number)).evidence(evaluated, every)
         tried = int(np.count_nonzero(np.isfinite(values)))
         values[_of_same_cause(fit.terms[number], fit.term_columns(number), every, families)] = -math.inf
         gains.append(float(values.max(initial=-math.inf)) - 2.0 * math.log(max(tried, 1)))
@@ -141,26 +141,26 @@ def gains_by_another_cause(data: ArmData, fit: JointFit, numbers: Sequence[int])
 
 
 def _of_same_cause(
-    term: ModelTerm, columns: tuple[EffectColumn, ...], every: tuple[DataChannel, ...], families: list[FunctionFamily]
+    term: ModelTerm, columns: tuple[EffectColumn, ...], every: tuple[ActedOn, ...], families: list[FunctionFamily]
 ) -> NDArray[np.bool_]:
-    """Return a mask (channels, families) of the functions that are a named effect in another shape."""
+    """Return a mask (places, families) of the functions that are a named effect in another shape."""
     own = EFFECTS[term.slug].variables
-    moved = {(column.channel, column.index) for column in columns}
+    moved = {(column.acts_on, column.index) for column in columns}
     found = np.zeros((len(every), len(families)), dtype=bool)
-    for row, channel in enumerate(every):
-        moves_alike = (channel.channel, channel.joint) in moved
+    for row, acts_on in enumerate(every):
+        moves_alike = (acts_on.acts_on, acts_on.joint) in moved
         for place, family in enumerate(families):
-            form = form_of(channel, family.drivers)
+            form = form_of(acts_on, family.inputs)
             if form.variables <= own:
-                of_angles = form.variables <= {DriverVariable.JOINT_ANGLE}
-                of_its_joint = all(one.joint in (None, channel.joint) for one in family.drivers)
+                of_angles = form.variables <= {InputVariable.JOINT_ANGLE}
+                of_its_joint = all(one.joint in (None, acts_on.joint) for one in family.inputs)
                 found[row, place] = not of_angles or (moves_alike and of_its_joint)
     return found
 
 
-# -- Scores of data-driven laws: every family of functions in every channel, without forming their rows ---------------
+# -- Scores of data-driven laws: every family of functions in every place, without forming their rows ---------------
 #
-# A law has functions f (k, n) of its variables, in a channel whose directions move the SMR by u_d (3, n) per unit,
+# A law has functions f (k, n) of its variables, in a place whose directions move the SMR by u_d (3, n) per unit,
 # whitened: its rows are f u_d. In the complement M = I - Q Q^T of a model's parameters its information and moments are
 #
 #     B M B^T = f K_de f^T,    K_de = sum_ab diag(u_da) M_ab diag(u_eb),    (n, n)
@@ -182,29 +182,29 @@ _Judge = Callable[[Array, Array, Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class _Direction:
-    """One direction of a channel: u (3, n), and u . M y (n,)."""
+    """One direction of a place: u (3, n), and u . M y (n,)."""
 
     unit: Array
     moment: Array
 
 
 @dataclass(frozen=True, eq=False)
-class ChannelScan:
-    """Directions of all channels in the complement of a fit's parameters.
+class DirectionScan:
+    """Directions of all places in the complement of a fit's parameters.
 
     Attributes
     ----------
     directions : mapping
-        Directions of each channel.
+        Directions of each place.
     residual : ProjectedResidual
     """
 
-    directions: Mapping[DataChannel, tuple[_Direction, ...]]
+    directions: Mapping[ActedOn, tuple[_Direction, ...]]
     residual: ProjectedResidual
 
     @classmethod
-    def of(cls, data: ArmData, fit: JointFit, residual: ProjectedResidual | None = None) -> ChannelScan:
-        """Compute the directions of all channels of an arm; a shift in any direction shares those of its parts.
+    def of(cls, data: ArmData, fit: JointFit, residual: ProjectedResidual | None = None) -> DirectionScan:
+        """Compute the directions of all places of an arm; a shift in any direction shares those of its parts.
 
         ``residual`` is that of the fit if None, else for instance that without a term.
         """
@@ -214,39 +214,39 @@ class ChannelScan:
         def direction(unit: Array) -> _Direction:
             return _Direction(unit, np.einsum("an,an->n", unit, projected))
 
-        found: dict[DataChannel, tuple[_Direction, ...]] = {}
+        found: dict[ActedOn, tuple[_Direction, ...]] = {}
         several = []
-        for channel in channels(data.context.joints):
-            if channel.channel is Channel.JOINT:
-                found[channel] = (direction(fit.by_joint[:, channel.joint]),)
-            elif len(channel.parts) > 1:
-                several.append(channel)
+        for acts_on in acted_on(data.context.joints):
+            if acts_on.acts_on is ActsOn.JOINT:
+                found[acts_on] = (direction(fit.by_joint[:, acts_on.joint]),)
+            elif len(acts_on.parts) > 1:
+                several.append(acts_on)
             else:
-                (moved,) = channel_directions(data.context, channel)
-                found[channel] = (direction(np.einsum("acn,nc->an", fit.white, moved)),)
-        for channel in several:
-            found[channel] = tuple(found[part][0] for part in channel.parts)
+                (moved,) = acted_directions(data.context, acts_on)
+                found[acts_on] = (direction(np.einsum("acn,nc->an", fit.white, moved)),)
+        for acts_on in several:
+            found[acts_on] = tuple(found[part][0] for part in acts_on.parts)
         return cls(found, residual)
 
-    def scores(self, families: Families, chosen: Sequence[DataChannel]) -> Array:
-        """Return the score (channels, families) of each law, without the price of choosing it; minus infinity if it is
+    def scores(self, families: Families, chosen: Sequence[ActedOn]) -> Array:
+        """Return the score (places, families) of each law, without the price of choosing it; minus infinity if it is
         invisible or has too many columns."""
         return self._over(families, chosen, self._gain)
 
-    def evidence(self, families: Families, chosen: Sequence[DataChannel]) -> Array:
-        """Return twice the gain of log evidence (channels, families) by each law; otherwise as ``scores``.
+    def evidence(self, families: Families, chosen: Sequence[ActedOn]) -> Array:
+        """Return twice the gain of log evidence (places, families) by each law; otherwise as ``scores``.
 
         The values of a law have normal priors of a common size, scaled so that each function moves the SMR alike; the
         best of several sizes is taken. So few readings can show a law even if they do not determine all its values.
         """
         return self._over(families, chosen, self._log_evidence)
 
-    def _over(self, families: Families, chosen: Sequence[DataChannel], judge: _Judge) -> Array:
+    def _over(self, families: Families, chosen: Sequence[ActedOn], judge: _Judge) -> Array:
         values = np.full((len(chosen), len(families.sizes)), -np.inf)
         batches = families.batches()
         kernel = self.residual.projector.kernel
-        for row, channel in enumerate(chosen):
-            directions = self.directions[channel]
+        for row, acts_on in enumerate(chosen):
+            directions = self.directions[acts_on]
             # project the distinct functions only: families share many, and one large product is faster than many small
             # ones
             projected = [
@@ -282,7 +282,7 @@ class ChannelScan:
 def _information(
     functions: Array, directions: Sequence[_Direction], projected: Sequence[Sequence[Array]]
 ) -> tuple[Array, Array, Array]:
-    """Compute information (b, m, m), norms and moments (b, m) of b families of functions f (b, k, n) in one channel.
+    """Compute information (b, m, m), norms and moments (b, m) of b families of functions f (b, k, n) in one place.
 
     ``projected`` holds f K_de (b, k, n).
     """
@@ -315,7 +315,7 @@ class Families:
         found: dict[bytes, tuple[int, Array]] = {}
         places = [
             np.array([found.setdefault(f.tobytes(), (len(found), f))[0] for f in of_one.values()], dtype=np.intp)
-            for of_one in (table.functions(one.drivers, one.constants) for one in members)
+            for of_one in (table.functions(one.inputs, one.constants) for one in members)
         ]
         return cls(np.array([f for _, f in found.values()]), tuple(places))
 
@@ -502,7 +502,7 @@ def _share_of_a_larger(fit: JointFit, number: int) -> float:
     for other, term in enumerate(fit.terms):
         if other == number or not term.is_library_effect:
             continue
-        common = (EFFECTS[own.slug].variables & EFFECTS[term.slug].variables) - {DriverVariable.JOINT_ANGLE}
+        common = (EFFECTS[own.slug].variables & EFFECTS[term.slug].variables) - {InputVariable.JOINT_ANGLE}
         larger = fit.removed_square(other)
         if common and larger > removed:
             least = min(least, removed / larger)

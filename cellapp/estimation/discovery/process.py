@@ -42,7 +42,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 # -- Components of the structured process: an effect's smooth law on the data at hand, and its hyperparameters --------
 #
-# A component is a channel (what moves) with a driver (what it depends on), as a smooth form of a named effect. A turn
+# A component is a place (what moves) with an input (what it depends on), as a smooth form of a named effect. A turn
 # about the axis that depends on its own angle is a transmission error, one across the axis a wobble, one that depends
 # on gravity's torque a compliance, and so on. The columns are weighted by a spectrum that depends on an amplitude and,
 # for functions of an angle, on a length scale.
@@ -647,8 +647,8 @@ def _noise(data: ArmData, fit: JointFit, process: StructuredProcess) -> Excess:
     left, determined = _about(fit, process, len(data))
     root = np.linalg.inv(white)
     left, eye = np.einsum("nab,nb->na", root, left), np.eye(3)
-    turned = np.zeros(len(data), dtype=np.bool_) if data.turned is None else data.turned
-    kinds = [np.where(rows[:, None, None], eye, 0.0) for rows in (~turned, turned)]
+    angular = np.zeros(len(data), dtype=np.bool_) if data.angular is None else data.angular
+    kinds = [np.where(rows[:, None, None], eye, 0.0) for rows in (~angular, angular)]
     if data.stated is not None:
         kinds.append(data.stated if data.stated.ndim == 3 else data.stated[:, None, None] ** 2 * eye)
     by_joint = joint_motions(data)
@@ -656,8 +656,8 @@ def _noise(data: ArmData, fit: JointFit, process: StructuredProcess) -> Excess:
     D = np.array([*kinds, *(by_joint[:, j].T[:, :, None] * by_joint[:, j].T[:, None] for j in seen)])
     square = np.mean(left**2, axis=1)
     size = np.einsum("knaa->k", D) / np.maximum(np.count_nonzero(np.einsum("knaa->kn", D), axis=1), 1) / 3.0
-    v = np.where(size > 0.0, float(np.mean(square[~turned])) / np.maximum(size, _SMALLEST) / len(D), 0.0)
-    v[1] = float(np.mean(square[turned])) / 2.0 if turned.any() else 0.0
+    v = np.where(size > 0.0, float(np.mean(square[~angular])) / np.maximum(size, _SMALLEST) / len(D), 0.0)
+    v[1] = float(np.mean(square[angular])) / 2.0 if angular.any() else 0.0
     if data.stated is not None:
         v[2] = 1.0
     for _ in range(_NOISE_STEPS):

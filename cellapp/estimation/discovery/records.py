@@ -38,7 +38,7 @@ class LawRecord(Record):
 
 
 class Place(Record):
-    """Where an effect acts: joints (from 1) or frames; channel and variables of a data-driven term."""
+    """Where an effect acts: joints (from 1) or frames; place and variables of a data-driven term."""
 
     joints: tuple[int, ...]
     acts_on: tuple[str, ...]

@@ -67,7 +67,7 @@ def structure_left(data: ArmData, fit: JointFit) -> RemainingStructure:
         return remaining_structure({}, CHANCE)
     found: dict[StructureKind, list[float]] = {}
     every = np.ones(len(data), dtype=np.bool_)
-    for rows in (every,) if data.turned is None else (~data.turned, data.turned):
+    for rows in (every,) if data.angular is None else (~data.angular, data.angular):
         if np.count_nonzero(rows) < _LEAST_READINGS:
             continue
         tests = _Tests.of(data, fit, rows)
@@ -77,7 +77,7 @@ def structure_left(data: ArmData, fit: JointFit) -> RemainingStructure:
             "time": tests.against_time,
             "approach": tests.against_approach,
         }
-        if rows is not data.turned:
+        if rows is not data.angular:
             kinds |= {"position": tests.against_position, "tracker": tests.against_tracker}
         for kind, test in kinds.items():
             found.setdefault(kind, []).extend(test())

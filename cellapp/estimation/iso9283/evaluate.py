@@ -105,7 +105,7 @@ class Measured:
     """One measured visit: arm -> SMR position (3,) [m] and its covariance (3, 3) [m^2] as the tracker states it.
 
     ``group`` is the index of the group in a drift test, ``time_s`` is on the cell's clock, ``temperature_c`` is that of
-    the air. ``turned``: arm with a probe -> its quaternion (4,) and standard uncertainty [rad].
+    the air. ``orientations``: arm with a probe -> its quaternion (4,) and standard uncertainty [rad].
     """
 
     place: Place
@@ -115,7 +115,7 @@ class Measured:
     time_s: float
     temperature_c: float | None
     group: int = 0
-    turned: Mapping[str, tuple[Array, float]] = field(default_factory=dict)
+    orientations: Mapping[str, tuple[Array, float]] = field(default_factory=dict)
 
 
 @dataclass(eq=False)
@@ -301,10 +301,10 @@ def _pose(pose: str, cycles: Cycles, axes_M: Array, rng: np.random.Generator) ->
 def _orientation(
     arm: ArmProgramme, pose: str, visits: Sequence[Measured], base_M: Array
 ) -> OrientationCharacteristics | None:
-    turned = [one.turned[arm.name] for one in visits if arm.name in one.turned]
-    if pose not in arm.rotation_M or not turned:
+    orientations = [one.orientations[arm.name] for one in visits if arm.name in one.orientations]
+    if pose not in arm.rotation_M or not orientations:
         return None
-    attained, sigma_rad = zip(*turned, strict=True)
+    attained, sigma_rad = zip(*orientations, strict=True)
     return orientation_characteristics(attained, arm.rotation_M[pose], base_M, sigma_rad)
 
 
@@ -479,13 +479,13 @@ def raw_rows(
     for place in dict.fromkeys(one.place for one in measured.visits):
         for name, pose in zip(place.arms, place.poses, strict=True):
             arm = programmes[name, place.commands]
-            turned = quaternions_of(arm.rotation_M[pose]) if pose in arm.rotation_M else None
-            yield _row("commanded", _place_cells(place, name), arm.position_M[pose], turned=turned)
+            quaternion = quaternions_of(arm.rotation_M[pose]) if pose in arm.rotation_M else None
+            yield _row("commanded", _place_cells(place, name), arm.position_M[pose], quaternion=quaternion)
     for one in measured.visits:
         for name, p_M in one.p_M.items():
             counted = (str(one.group + 1), str(one.cycle + 1), repr(float(one.time_s)))
-            turned = one.turned[name][0] if name in one.turned else None
-            yield _row("measured", _place_cells(one.place, name), p_M, counted, turned=turned)
+            quaternion = one.orientations[name][0] if name in one.orientations else None
+            yield _row("measured", _place_cells(one.place, name), p_M, counted, quaternion=quaternion)
     for runs in paths:
         where = ("path", runs.commands, runs.arm, runs.name, "", _percent(runs.series))
         for place_M, tangent_M in zip(runs.commanded_M, runs.tangents_M, strict=True):
@@ -501,9 +501,9 @@ def _row(
     p_M: Array,
     counted: Row = ("", "", ""),
     direction: Array | None = None,
-    turned: Array | None = None,
+    quaternion: Array | None = None,
 ) -> Row:
-    return (kind, *where, *counted, *_numbers(p_M, 3), *_numbers(direction, 3), *_numbers(turned, 4))
+    return (kind, *where, *counted, *_numbers(p_M, 3), *_numbers(direction, 3), *_numbers(quaternion, 4))
 
 
 def _place_cells(place: Place, name: str) -> tuple[str, ...]:

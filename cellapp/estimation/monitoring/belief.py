@@ -19,7 +19,7 @@ from cellapp.estimation.prior.calibrate import calibration_posterior
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import EFFECTS, DriverVariable, EffectTerm, MeasurementConditions
+from cellapp.robot.effects import EFFECTS, EffectTerm, InputVariable, MeasurementConditions
 from cellapp.robot.kinematics.chain import all_names
 from cellapp.robot.kinematics.transforms import Array, apply
 from cellapp.robot.model import ArmModel, CellModel
@@ -35,7 +35,7 @@ from cellapp.robot.model.model import relocated
 
 LENGTH_M = 5e-5
 """Least change of a length that the check has to detect [m]."""
-TURN_RAD = 5e-5
+ROTATION_RAD = 5e-5
 """Least change of an angle that the check has to detect [rad]."""
 FALSE_ALARM, MISS = 0.01, 0.05
 """Probabilities of a false alarm and of missing a visible change."""
@@ -49,7 +49,7 @@ TRACKER = "tracker"
 ChangeKind = Literal["tracker", "base", "smr", "parameter", "effect"]
 
 
-_OF_DAY = {DriverVariable.TIME, DriverVariable.AIR_TEMPERATURE, DriverVariable.JOINT_TEMPERATURE}
+_OF_DAY = {InputVariable.TIME, InputVariable.AIR_TEMPERATURE, InputVariable.JOINT_TEMPERATURE}
 UNREPEATED = 3e-5
 """What of an arm's errors may be new at each visit, as a standard deviation [m, rad]: arms of this class state a
 repeatability of 0.1 mm by ISO 9283."""
@@ -110,7 +110,7 @@ class ArmBelief:
         Geometric parameters, as indices into ``parameter_names``: base, D-H rows and tool.
     covariance : array, shape (p, p)
         Posterior covariance of the geometric parameters, then of the values of all terms.
-    of_points, of_turns : Scatter
+    of_points, of_rotations : Scatter
         Scatter of a measured coordinate [m], and of a component of an orientation [rad], about the model.
     day_m : float
         Rms motion of the SMR by effects of the day of the calibration, such as drift, of which today's are unknown [m].
@@ -127,7 +127,7 @@ class ArmBelief:
     columns: tuple[int, ...]
     covariance: Array
     of_points: Scatter
-    of_turns: Scatter
+    of_rotations: Scatter
     day_m: float
     promised_m: float
     measured: Measured
@@ -145,7 +145,7 @@ class ArmBelief:
 
     def kinds(self, measured: Measured) -> list[tuple[NDArray[np.bool_], Scatter]]:
         """Return the masks (n,) of positions and of orientations, where there are some, each with its scatter."""
-        found = ((measured.points, self.of_points), (~measured.points, self.of_turns))
+        found = ((measured.points, self.of_points), (~measured.points, self.of_rotations))
         return [(rows, scatter) for rows, scatter in found if rows.any()]
 
     def unremembered(self, measured: Measured, again: Array) -> Array:
@@ -208,7 +208,7 @@ def check_belief(
     model: CellModel,
     readings: Mapping[str, Readings],
     *,
-    turned: Collection[str] = (),
+    angular: Collection[str] = (),
     T_new_old: Array | None = None,
     station: Array | None = None,
 ) -> CheckBelief:
@@ -221,7 +221,7 @@ def check_belief(
         The calibration in force (of ``calibrate`` or ``discover``), in the frame of its readings.
     readings : mapping
         Arm -> the readings that it was calibrated from, of all splits.
-    turned : collection of str
+    angular : collection of str
         Arms of which the check measures orientation too; used if the calibration measured it.
     T_new_old : array, shape (4, 4), optional
         Maps coordinates of the tracker's frame into that of the station where it was located since.
@@ -237,7 +237,7 @@ def check_belief(
         if name not in readings or not len(readings[name]):
             raise InputError(f"arm '{name}': the calibration has no readings of it; a check needs them")
     own = {
-        name: readings[name] if name in turned else replace(readings[name], quaternion_M=None) for name in model.arms
+        name: readings[name] if name in angular else replace(readings[name], quaternion_M=None) for name in model.arms
     }
     conditions = conditions_of_arms(model.arms, own)
     models = {
@@ -283,7 +283,7 @@ def arm_belief(found: Posterior, measured: Measured) -> ArmBelief:
         columns=found.prior.columns,
         covariance=found.covariance,
         of_points=_scatter(found, promised, points, found.scatter_m),
-        of_turns=_scatter(found, promised, ~points, found.scatter_rad) if measured.turned is not None else Scatter(),
+        of_rotations=Scatter() if measured.angular is None else _scatter(found, promised, ~points, found.scatter_rad),
         day_m=_day_m(found.model, measured.positions),
         promised_m=math.sqrt(float(np.mean(np.trace(promised[points], axis1=1, axis2=2)))),
         measured=measured,
@@ -365,8 +365,8 @@ def _relocated(arm: ArmBelief, T: Array) -> ArmBelief:
     its, R = arm.measured, T[:3, :3]
     R_M_S = its.conditions.R_M_S
     p_M = apply(T, its.readings.p_M)
-    if its.turned is not None:
-        p_M[its.turned] = 0.0
+    if its.angular is not None:
+        p_M[its.angular] = 0.0
     stated = its.stated if its.stated is None or its.stated.ndim == 1 else R @ its.stated @ R.T
     return replace(
         arm,

@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.quantities import conditions_of_arms
 from cellapp.estimation.monitoring.belief import (
     LENGTH_M,
+    ROTATION_RAD,
     TRACKER,
-    TURN_RAD,
     ArmBelief,
     ChangeKind,
     CheckBelief,
@@ -85,7 +85,7 @@ def directions_of(belief: CheckBelief) -> list[Direction]:
     """
     found = [
         Direction(
-            TRACKER, "tracker", f"tracker {words}", (k,), LENGTH_M if k < 3 else TURN_RAD, "m" if k < 3 else "rad"
+            TRACKER, "tracker", f"tracker {words}", (k,), LENGTH_M if k < 3 else ROTATION_RAD, "m" if k < 3 else "rad"
         )
         for k, words in enumerate(_TWIST_WORDS)
     ]
@@ -122,7 +122,7 @@ def _of_geometry(name: str, arm: ArmBelief) -> list[Direction]:
         kind: ChangeKind = "parameter" if is_own(column, joints) else ("base" if column < 6 else "smr")
         what = parameter_words(word) if kind == "parameter" else f"{kind} {word}"
         unit = parameter_unit(word)
-        found.append(Direction(name, kind, what, (place,), LENGTH_M if unit == "m" else TURN_RAD, unit))
+        found.append(Direction(name, kind, what, (place,), LENGTH_M if unit == "m" else ROTATION_RAD, unit))
     return found
 
 
@@ -240,9 +240,9 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
     p_M = np.concatenate(
         [belief.arms[name].model.predict(its.readings.q, conditions=its.conditions) for name, its in vectors.items()]
     )
-    turned = np.concatenate([~its.points for its in vectors.values()])
+    angular = np.concatenate([~its.points for its in vectors.values()])
     total = 3 * len(places)
-    station = twists(p_M - centre_of(belief), turned).reshape(total, 6).T
+    station = twists(p_M - centre_of(belief), angular).reshape(total, 6).T
     rows, K, first = np.zeros((len(directions), total)), np.zeros((total, total)), 0
     for name in names:
         arm, its = belief.arms[name], vectors[name]
@@ -255,18 +255,18 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
         K[here, here] = uncertain.T @ arm.covariance @ uncertain
         if arm.day_m:
             at = slice(first // 3, here.stop // 3)
-            drift = twists(p_M[at] - arm_centre(arm), turned[at]).reshape(-1, 6) * _day_sizes(arm)
+            drift = twists(p_M[at] - arm_centre(arm), angular[at]).reshape(-1, 6) * _day_sizes(arm)
             K[here, here] += drift @ drift.T
         rows[:, here] = _moved(directions, name, X, station[:, here])
         _add_noise(K, first, noise_covariance(arm, its, again))
         first = here.stop
     if belief.station is not None:
-        T = twists(p_M, turned).reshape(total, 6)
+        T = twists(p_M, angular).reshape(total, 6)
         K += T @ belief.station @ T.T
     order = np.argsort(places, kind="stable")
     coordinates = (3 * order[:, None] + np.arange(3)).ravel()
     measured = np.concatenate([its.readings.p_M for its in vectors.values()])
-    measured[turned], p_M[turned] = -p_M[turned], 0.0
+    measured[angular], p_M[angular] = -p_M[angular], 0.0
     return StopRows(
         measured=measured[order],
         expected=p_M[order],
@@ -274,14 +274,14 @@ def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions:
         arm_of=arm_of[order],
         rows=rows[:, coordinates],
         factor=scipy.linalg.cholesky(K[np.ix_(coordinates, coordinates)], lower=True),
-        points=~turned[order],
+        points=~angular[order],
     )
 
 
-def twists(p_M: Array, turned: NDArray[np.bool_]) -> Array:
-    """Compute the motion (m, 3, 6) of positions (m, 3), or orientations where ``turned``, by a common small twist."""
+def twists(p_M: Array, angular: NDArray[np.bool_]) -> Array:
+    """Compute the motion (m, 3, 6) of positions (m, 3), or orientations where ``angular``, by a common small twist."""
     columns = twist_columns(p_M)
-    columns[turned] = np.concatenate([np.zeros((3, 3)), np.eye(3)], axis=1)
+    columns[angular] = np.concatenate([np.zeros((3, 3)), np.eye(3)], axis=1)
     return columns
 
 
@@ -339,8 +339,8 @@ def _day_sizes(arm: ArmBelief) -> Array:
     Shift and rotation contribute half of the mean square each.
     """
     p_M = arm.positions.readings.p_M - arm_centre(arm)
-    by_turn = float(np.sqrt(np.mean(np.sum(twist_columns(p_M)[:, :, 3:] ** 2, axis=(1, 2)))))
-    return arm.day_m * math.sqrt(0.5) * np.repeat([1.0 / math.sqrt(3.0), 1.0 / by_turn], 3)
+    by_rotation = float(np.sqrt(np.mean(np.sum(twist_columns(p_M)[:, :, 3:] ** 2, axis=(1, 2)))))
+    return arm.day_m * math.sqrt(0.5) * np.repeat([1.0 / math.sqrt(3.0), 1.0 / by_rotation], 3)
 
 
 def _add_noise(K: Array, first: int, blocks: Array) -> None:
@@ -398,5 +398,5 @@ def visibility(belief: CheckBelief, directions: Sequence[Direction], moved: Mapp
 
 def _as_points(arm: ArmBelief, moved: Array) -> Array:
     """Return motions (C, 3 n) [m] of an arm's vectors; rotations are scaled to equal standard deviations of a point."""
-    scale = np.where(arm.measured.points, 1.0, arm.of_points.noise / max(arm.of_turns.noise, 1e-12))
+    scale = np.where(arm.measured.points, 1.0, arm.of_points.noise / max(arm.of_rotations.noise, 1e-12))
     return np.asarray((moved * scale[:, None]).reshape(len(moved), -1))

@@ -239,7 +239,7 @@ def _change(design: Design, cause: Cause) -> FoundChange:
         unit=direction.unit if single else "",
         p_value=cause.p_value,
         moved_mm=moved_m(design, cause, None) * 1e3,
-        turned_mrad=_turned_mrad(design, cause),
+        turned_mrad=_rotation_mrad(design, cause),
         rivals=cause.rivals,
     )
 
@@ -262,19 +262,19 @@ def moved_m(design: Design, cause: Cause, arm: str | None) -> float:
     return math.sqrt(squares / count)
 
 
-def _turned_mrad(design: Design, cause: Cause) -> float | None:
+def _rotation_mrad(design: Design, cause: Cause) -> float | None:
     """Compute the rms rotation [mrad] of the probe by a change over the calibration's readings.
 
     None if the change is not of one arm, or no orientation was measured.
     """
     one = cause.alternative
     arm = design.belief.arms.get(one.arm)
-    if arm is None or arm.measured.turned is None:
+    if arm is None or arm.measured.angular is None:
         return None
     if cause.motion is not None:
         return float(np.linalg.norm(rotation_vectors(cause.motion[None, :3, :3])[0])) * 1e3
-    turned = np.tensordot(cause.sizes, design.motions[one.arm][list(one.members), len(arm.positions) :], axes=1)
-    return math.sqrt(float(np.mean(np.sum(turned**2, axis=1)))) * 1e3
+    rotations = np.tensordot(cause.sizes, design.motions[one.arm][list(one.members), len(arm.positions) :], axes=1)
+    return math.sqrt(float(np.mean(np.sum(rotations**2, axis=1)))) * 1e3
 
 
 def _checked(design: Design, stops: StopRows, causes: Sequence[Cause], explained: bool) -> dict[str, CheckedArm]:
@@ -284,7 +284,7 @@ def _checked(design: Design, stops: StopRows, causes: Sequence[Cause], explained
     found = {}
     for place, (name, arm) in enumerate(design.belief.arms.items()):
         rows = (stops.arm_of == place) & stops.points
-        turned = (stops.arm_of == place) & ~stops.points
+        angular = (stops.arm_of == place) & ~stops.points
         if not rows.any():
             continue
         own = [one for one in causes if one.alternative.arm == name]
@@ -294,8 +294,8 @@ def _checked(design: Design, stops: StopRows, causes: Sequence[Cause], explained
             expected_mm=math.sqrt(float(variance[rows].mean())) * 1e3,
             rms_mm=math.sqrt(float(measured[rows].mean())) * 1e3,
             left_mm=math.sqrt(squares) * 1e3 if explained else None,
-            expected_mrad=math.sqrt(float(variance[turned].mean())) * 1e3 if turned.any() else None,
-            rms_mrad=math.sqrt(float(measured[turned].mean())) * 1e3 if turned.any() else None,
+            expected_mrad=math.sqrt(float(variance[angular].mean())) * 1e3 if angular.any() else None,
+            rms_mrad=math.sqrt(float(measured[angular].mean())) * 1e3 if angular.any() else None,
         )
     return found
 

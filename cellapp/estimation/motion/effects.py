@@ -589,7 +589,7 @@ def line_powers(problem: Problem, solution: Solution, joints: Sequence[int]) -> 
     own, shape = list(joints), (len(joints), _MOST_CYCLES + 1)
     sums, energy = np.zeros(shape, dtype=np.complex128), np.zeros(shape)
     low, high = np.full(len(own), np.inf), np.full(len(own), -np.inf)
-    for track, whitening, u, scale, turned, weight in white_residuals(problem, solution):
+    for track, whitening, u, scale, rotated, weight in white_residuals(problem, solution):
         response = np.conj(np.fft.fft(whitening, _RESPONSE))
         step = track.stamps.period_s * _RESPONSE / (2.0 * math.pi)
         q, qd = (one[:, own] for one in track.path.at(u))
@@ -598,7 +598,7 @@ def line_powers(problem: Problem, solution: Solution, joints: Sequence[int]) -> 
             part = slice(first, first + _CHUNK)
             gain = response[np.rint(np.outer(_COUNTS, qd[part, joint] * step)).astype(np.intp) % _RESPONSE]
             powers = np.conj(angle_powers(q[part, joint], _MOST_CYCLES))
-            sums[joint] += np.einsum("cn,cn,n->c", powers, gain, turned[part, own[joint]] * scale)
+            sums[joint] += np.einsum("cn,cn,n->c", powers, gain, rotated[part, own[joint]] * scale)
             energy[joint] += (gain.real**2 + gain.imag**2) @ (weight[part, own[joint]] * scale)
     raw = np.abs(sums) ** 2 / np.maximum(energy, 1e-300)
     floor = scipy.ndimage.median_filter(raw, (1, _NEIGHBOURS), mode="nearest") / _LOG_2

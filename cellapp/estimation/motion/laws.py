@@ -192,13 +192,13 @@ class JointPath:
         begun[[first for first, _ in _runs(self.stamps)]] = True
         found = []
         for joint, direction in enumerate(self.direction.T):
-            turned, sides = begun.copy(), np.sign(direction)
-            turned[1:] |= (sides[1:] != sides[:-1]) & (sides[:-1] != 0.0)
-            first = np.flatnonzero(turned)
+            rotated, sides = begun.copy(), np.sign(direction)
+            rotated[1:] |= (sides[1:] != sides[:-1]) & (sides[:-1] != 0.0)
+            first = np.flatnonzero(rotated)
             side = sides[np.append(first[1:], len(sides)) - 1]
             q = np.asarray(self._position(self.stamps.time_s[first])[:, joint])
             plays = play(np.repeat(q[:, None], len(_WIDTHS), axis=1), _WIDTHS)
-            found.append(_Turns(np.cumsum(turned) - 1, q, side, plays / _WIDTHS))
+            found.append(_Turns(np.cumsum(rotated) - 1, q, side, plays / _WIDTHS))
         return tuple(found)
 
 
@@ -573,7 +573,7 @@ class JointTerm:
         torque = state.torque[:, j]
         return np.asarray(torque if self.knee is None else np.clip(torque, -self.knee.torque, self.knee.torque))
 
-    def turned(self, state: JointState, value: float, unit: Array) -> Array:
+    def rotated(self, state: JointState, value: float, unit: Array) -> Array:
         """Return the offset of the joint (n,) for a value of the parameter [rad], where ``unit`` (n,) is its
         ``offset``; for shaped terms including the offset at the shape."""
         if self.law is Law.TIME_CONSTANT and state.course is not None:
@@ -646,7 +646,7 @@ class JointState:
         for number, (term, value) in enumerate(zip(terms, values.tolist(), strict=True)):
             if value:
                 unit = term.offset(self) if units is None else units[number]
-                total[:, term.joint] += term.turned(self, value, unit)
+                total[:, term.joint] += term.rotated(self, value, unit)
         return total
 
 

@@ -422,13 +422,13 @@ def _matched(problem: Problem, solution: Solution, free: Sequence[int]) -> tuple
     from scipy.signal import freqz  # it loads scipy.stats: not for commands without recordings
 
     product, square = np.zeros((2, problem.layout.parameters.joints, len(FREQUENCIES)))
-    for track, white, u, scale, turned, weight in white_residuals(problem, solution, twice=True):
+    for track, white, u, scale, angular, weight in white_residuals(problem, solution, twice=True):
         _, gain = freqz(white, 1.0, 2.0 * math.pi * FREQUENCIES * track.stamps.period_s)
         even = track.path.even
         for joint in free:
             for place, frequency in enumerate(FREQUENCIES.tolist()):
                 answer = even.at(even.vibrating(joint, frequency, _DAMPING), u)
-                product[joint, place] += scale * float(turned[:, joint] @ answer)
+                product[joint, place] += scale * float(angular[:, joint] @ answer)
                 square[joint, place] += scale * abs(gain[place]) ** 2 * float(weight[:, joint] @ answer**2)
     return product, square
 
@@ -437,7 +437,7 @@ def white_residuals(
     problem: Problem, solution: Solution, *, twice: bool = False
 ) -> Iterator[tuple[Track, Array, Array, float, Array, Array]]:
     """Yield each recording, its whitening filter, times (n,) of its points, the inverse of the variance of its filtered
-    residuals, and ``_turned`` of these; ``twice``: filtered once more, backwards, as if columns passed the filter."""
+    residuals, and ``_rotated`` of these; ``twice``: filtered once more, backwards, as if columns passed the filter."""
     from scipy.signal import lfilter  # as in ``_matched``
 
     model = problem.model(solution.values)
@@ -448,18 +448,18 @@ def white_residuals(
         if twice:
             filtered = lfilter(white, [1.0], filtered[::-1], axis=0)[::-1]
         u = track.controller_times(source.rows, *model.clock(number))
-        yield track, white, u, scale, *_turned(model.geometry, track.path.at(u)[0], filtered)
+        yield track, white, u, scale, *_rotated(model.geometry, track.path.at(u)[0], filtered)
 
 
-def _turned(geometry: Geometry, q: Array, residuals: Array) -> tuple[Array, Array]:
+def _rotated(geometry: Geometry, q: Array, residuals: Array) -> tuple[Array, Array]:
     """Return the residuals (n, 3) projected on the motion by each joint, and the square of that motion, (n, N) each."""
     parts: list[tuple[Array, Array]] = []
     for first in range(0, len(q), _CHUNK):
         _, J = joint_jacobian(geometry, JointAngles.of(q[first : first + _CHUNK]))
         own = residuals[first : first + _CHUNK]
         parts.append((np.einsum("ajn,na->nj", J, own), np.einsum("ajn,ajn->nj", J, J)))
-    turned, weight = (np.concatenate(each) for each in zip(*parts, strict=True))
-    return turned, weight
+    angular, weight = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return angular, weight
 
 
 def lagging_joints(terms: Sequence[JointTerm], values: Array, errors: Array, shown: float) -> tuple[JointTerm, ...]:

@@ -65,12 +65,12 @@ class Measured(Quantities):
     @property
     def points(self) -> NDArray[np.bool_]:
         """Mask (n,) of the vectors that are positions."""
-        return np.ones(len(self), dtype=np.bool_) if self.turned is None else ~self.turned
+        return np.ones(len(self), dtype=np.bool_) if self.angular is None else ~self.angular
 
     @property
     def positions(self) -> Measured:
         """The vectors that are positions."""
-        if self.turned is None:
+        if self.angular is None:
             return self
         its = self.take(self.points)
         return replace(its, conditions=replace(its.conditions, R_M_S=None))
@@ -212,8 +212,8 @@ def posterior(model: ArmModel, measured: Measured, prior: Prior, scatter_m: floa
             break
     else:
         raise NotConverged.of(_FIT, f"{_STEPS} steps were not enough; the last was {moved:.1e} standard errors long")
-    of_turns = 0.0 if measured.turned is None else before[1]
-    return Posterior(prior, values, covariance, model, measured, before[0], residuals_M, of_turns)
+    of_rotations = 0.0 if measured.angular is None else before[1]
+    return Posterior(prior, values, covariance, model, measured, before[0], residuals_M, of_rotations)
 
 
 def _loss(model: ArmModel, measured: Measured, prior: Prior, values: Array, step: Array) -> float:
@@ -232,8 +232,8 @@ def _scatter(measured: Measured, residuals_M: Array, fitted: float) -> tuple[flo
     """
     stated = np.full(len(measured), NOT_STATED) if measured.stated is None else measured.stated
     freedom = max(3 * len(measured) - fitted, 1.0)
-    of_turns = freedom * float(np.mean(~measured.points))
-    found = excess_of_kinds(residuals_M, stated, freedom, measured.turned, of_turns)
+    of_rotations = freedom * float(np.mean(~measured.points))
+    found = excess_of_kinds(residuals_M, stated, freedom, measured.angular, of_rotations)
     least = _LEAST_SCATTER_M if measured.stated is None else 0.0
     return max(math.sqrt(found[0]), least), math.sqrt(found[1])
 
@@ -250,7 +250,7 @@ def solution(normal: NormalMatrix, prior: Prior) -> tuple[Array, Array]:
 def _sigma(measured: Measured, scatter_m: float, scatter_rad: float) -> Array:
     if measured.stated is None:
         return np.full(len(measured), scatter_m)
-    return with_excess(measured.stated, scatter_m**2, measured.turned, scatter_rad**2)
+    return with_excess(measured.stated, scatter_m**2, measured.angular, scatter_rad**2)
 
 
 _TYPICAL_COUNT = 2.0

@@ -99,7 +99,7 @@ def calibration_posterior(
     some, conditions = its.take(good), conditions.take(good)
     model = replace(model, network=None, posterior=None)
     measured = Measured.of(some, conditions)
-    if measured.turned is None:
+    if measured.angular is None:
         model = model.of_positions()
     if before is None:
         return posterior(model, measured, _first_prior(model, sizes(profile, model, measured))), measured
@@ -229,7 +229,7 @@ def stated_model(found: Posterior, seed: int) -> ArmModel:
         columns=found.prior.columns,
         sizes=[len(term.names) for term in model.effects],
         covariance=found.covariance,
-        noise=readings_noise(found.measured.sigma, found.measured.turned),
+        noise=readings_noise(found.measured.sigma, found.measured.angular),
         seed=(seed, _DRAW_SEED),
     )
     return replace(
@@ -267,7 +267,7 @@ def _identification(profile: Profile, alone: Identification, found: Posterior) -
         standard_errors=np.sqrt(np.diag(in_table)),
         covariance=in_table,
         residuals=found.residuals_M,
-        turned=found.measured.turned,
+        angular=found.measured.angular,
         excess_rad=found.scatter_rad,
     )
 
@@ -352,6 +352,6 @@ def without_effects(model: ArmModel, readings: Readings, conditions: Measurement
         return plain
     rows, R_M_S = measured_orientations(readings)
     quaternion = readings.quaternion_M.copy()
-    turned = model.turns(readings.q, conditions)[rows].swapaxes(1, 2) @ R_M_S
-    quaternion[rows] = quaternions_of(turned)
+    rotated = model.rotations(readings.q, conditions)[rows].swapaxes(1, 2) @ R_M_S
+    quaternion[rows] = quaternions_of(rotated)
     return replace(plain, quaternion_M=quaternion)

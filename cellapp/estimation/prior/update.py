@@ -114,7 +114,7 @@ class Evidence:
         Stated covariance of the readings [m^2], zero if none is stated.
     drift : mapping
         Part -> ``X U X^T`` (d, d), with U the squared drift units of the parameters.
-    of_turns : array, shape (d, d), or None
+    of_rotations : array, shape (d, d), or None
         Covariance of a scatter of 1 rad in each component of the orientations alone.
     """
 
@@ -123,7 +123,7 @@ class Evidence:
     believed: Array
     stated: Array
     drift: Mapping[SignaturePart, Array]
-    of_turns: Array | None = None
+    of_rotations: Array | None = None
 
     def jumped(self, candidate: Candidate) -> Evidence:
         """Return the model that allows for a jump of some parameters."""
@@ -136,8 +136,8 @@ class Evidence:
         for part, size in drifts.items():
             K = K + size**2 * self.drift[part]
         K.flat[:: len(K) + 1] += scatters[0] ** 2
-        if self.of_turns is not None:
-            K += (scatters[1] ** 2 - scatters[0] ** 2) * self.of_turns
+        if self.of_rotations is not None:
+            K += (scatters[1] ** 2 - scatters[0] ** 2) * self.of_rotations
         return K
 
     def log_likelihood(self, drifts: Mapping[SignaturePart, float], scatters: Sequence[float]) -> float:
@@ -151,7 +151,7 @@ class Evidence:
 
         Raise ``NotConverged`` if the search does not end.
         """
-        parts, kinds = list(self.drift), 1 if self.of_turns is None else 2
+        parts, kinds = list(self.drift), 1 if self.of_rotations is None else 2
         bounds = [
             *((math.log(_NO_DRIFT), math.log(_MOST_DRIFT[part])) for part in parts),
             *((math.log(_SCATTER_M[0]), math.log(_SCATTER_M[1])),) * kinds,
@@ -199,7 +199,7 @@ def evidence(
     covariance: Array,
     stated: Array,
     units: Mapping[SignaturePart, Array],
-    turned: NDArray[np.bool_] | None = None,
+    angular: NDArray[np.bool_] | None = None,
 ) -> Evidence:
     """Build the linear model in the complement of the free parameters.
 
@@ -217,7 +217,7 @@ def evidence(
         Stated covariance of the readings [m^2].
     units : mapping
         Part -> unit of drift (p,) of each parameter, zero outside the part.
-    turned : array, shape (3 n,), optional
+    angular : array, shape (3 n,), optional
         Mask of the components of orientations.
     """
     scale = 1.0 / np.maximum(np.linalg.norm(free, axis=1), 1e-300)
@@ -231,7 +231,7 @@ def evidence(
         believed=rows.T @ covariance @ rows,
         stated=Z.T @ stated @ Z,
         drift={part: (rows * unit[:, None] ** 2).T @ rows for part, unit in units.items()},
-        of_turns=None if turned is None else Z[turned].T @ Z[turned],
+        of_rotations=None if angular is None else Z[angular].T @ Z[angular],
     )
 
 
@@ -376,7 +376,7 @@ def first_model(profile: Profile, name: str, measured: Measured, belief: Belief)
     model = replace(model, effects=belief.terms)
     true_q = model.true_joints(readings.q, conditions=conditions)
     model = replace(model, geometry=start_from_nominal(believed, true_q, readings.p_M, tool_unknown=True))
-    if measured.turned is None:
+    if measured.angular is None:
         return model
     true_q = model.true_joints(measured.readings.q, conditions=measured.conditions)
     geometry = with_probe(model.geometry, true_q, measured.conditions.R_M_S)
@@ -467,7 +467,7 @@ def _evidence(belief: Belief, model: ArmModel, judged: Measured) -> Evidence:
         covariance=belief.covariance,
         stated=_covariance_matrix(judged.stated, len(judged)),
         units={part: _units(belief, part) for part in dict.fromkeys(belief.parts)},
-        turned=None if judged.turned is None else np.tile(judged.turned, 3),
+        angular=None if judged.angular is None else np.tile(judged.angular, 3),
     )
 
 

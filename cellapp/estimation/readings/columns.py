@@ -352,7 +352,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("quaternion_M", "", ("quat_w", "quat_x", "quat_y", "quat_z"), "quaternion", check=_of_unit_length, since=8),
     Column("sigma_rad", "rad", ("sigma_rad",), check=_positive_angle, since=8),
     Column(
-        "turning_covariance_M",
+        "rotation_covariance_M",
         "rad^2",
         ("rot_xx", "rot_xy", "rot_xz", "rot_yy", "rot_yz", "rot_zz"),
         "symmetric",

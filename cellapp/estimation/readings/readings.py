@@ -58,7 +58,7 @@ class Reading:
         Orientation of the probe's frame S in M, unit quaternion, scalar first.
     sigma_rad : float or None
         Standard uncertainty of the orientation about each axis [rad].
-    turning_covariance_M : array, shape (3, 3), or None
+    rotation_covariance_M : array, shape (3, 3), or None
         Covariance of a rotation about the axes of M [rad^2]; it takes precedence over ``sigma_rad``.
     smr : str or None
         Name of the SMR on the flange that was measured; None for the only one.
@@ -87,7 +87,7 @@ class Reading:
     payload_center_F: _Floats | None = None
     quaternion_M: _Floats | None = None
     sigma_rad: float | None = None
-    turning_covariance_M: _Floats | None = None
+    rotation_covariance_M: _Floats | None = None
     smr: str | None = None
     station: str | None = None
     point: str | None = None
@@ -157,7 +157,7 @@ class Readings:
         Orientation of the probe's frame S in M, unit quaternion, scalar first; NaN in rows where it was not measured.
     sigma_rad : array, shape (n,), or None
         Standard uncertainty of the orientation about each axis [rad].
-    turning_covariance_M : array, shape (n, 3, 3), or None
+    rotation_covariance_M : array, shape (n, 3, 3), or None
         Covariance of a rotation about the axes of M [rad^2]; it takes precedence over ``sigma_rad``.
     smr : tuple of n (str or None), or None
         Names of the SMRs on the flange that were measured.
@@ -191,7 +191,7 @@ class Readings:
     payload_center_F: _Floats | None = None
     quaternion_M: _Floats | None = None
     sigma_rad: _Floats | None = None
-    turning_covariance_M: _Floats | None = None
+    rotation_covariance_M: _Floats | None = None
     smr: tuple[str | None, ...] | None = None
     station: tuple[str | None, ...] | None = None
     point: tuple[str | None, ...] | None = None
@@ -391,13 +391,13 @@ def one_pose_a_stop(readings: Readings) -> tuple[Readings, str, list[Fault]]:
     first = np.where(seen, row, len(readings)).min(axis=1)
     faults = list(_not_one_stop(readings, first[group]))
     p_M = np.where(seen[:, :, None], readings.p_M[row], np.nan)
-    turned = seen.sum(axis=1) >= 3
-    points_S = _figure(p_M[turned])
+    angular = seen.sum(axis=1) >= 3
+    points_S = _figure(p_M[angular])
     if points_S is None:
         words = f"no stop has all of {', '.join(names)}, or they stand on one line: no rotation follows"
         return readings, "", [*faults, (0, "smr", words)]
     misfit = np.full(len(stops), np.nan)
-    misfit[turned] = _misfit(points_S, p_M[turned])
+    misfit[angular] = _misfit(points_S, p_M[angular])
     outlying, exchanged = _outlying(misfit), _EXCHANGED * float(np.abs(points_S).max())
     faults += [
         (
@@ -408,10 +408,10 @@ def one_pose_a_stop(readings: Readings) -> tuple[Readings, str, list[Fault]]:
         for stop in np.flatnonzero(outlying & (misfit > exchanged)).tolist()
     ]
     one = _means(readings, row, np.where(seen[:, 0], row[:, 0], first))
-    one, sigma_rad = _with_poses(one, readings, points_S, row, p_M, turned)
-    kept = (turned | seen[:, 0]) & ~outlying
+    one, sigma_rad = _with_poses(one, readings, points_S, row, p_M, angular)
+    kept = (angular | seen[:, 0]) & ~outlying
     sentence = f"one position (that of SMR {names[0]}) and one rotation of SMRs {', '.join(names)}"
-    sentence += f" at {np.count_nonzero(turned)} of {len(stops)} stops, to {1e3 * sigma_rad:.3f} mrad about the axis"
+    sentence += f" at {np.count_nonzero(angular)} of {len(stops)} stops, to {1e3 * sigma_rad:.3f} mrad about the axis"
     sentence += f" known least; {counted(int(np.count_nonzero(~kept)), 'stop')} left out"
     if outlying.any():
         off = ", ".join(f"{stops[stop]} ({misfit[stop] * 1e3:.3f} mm)" for stop in np.flatnonzero(outlying).tolist())
@@ -505,35 +505,35 @@ def _means(readings: Readings, row: NDArray[np.intp], first: Sequence[int] | NDA
 
 
 def _with_poses(
-    one: Readings, rows: Readings, points_S: Array, row: NDArray[np.intp], p_M: Array, turned: NDArray[np.bool_]
+    one: Readings, rows: Readings, points_S: Array, row: NDArray[np.intp], p_M: Array, angular: NDArray[np.bool_]
 ) -> tuple[Readings, float]:
-    """Set position, rotation and covariances in the readings (S,) in the mask ``turned`` (S,); also return the rms
+    """Set position, rotation and covariances in the readings (S,) in the mask ``angular`` (S,); also return the rms
     standard deviation [rad] of the rotations about the axes known least."""
     covariances, of_points = _covariances(rows), dict[str, Any]()
     if covariances is None:
-        counts = np.isfinite(p_M[turned, :, 0]).sum(axis=1)
-        square = float(np.sum(_misfit(points_S, p_M[turned]) ** 2 * counts))
+        counts = np.isfinite(p_M[angular, :, 0]).sum(axis=1)
+        square = float(np.sum(_misfit(points_S, p_M[angular]) ** 2 * counts))
         free = 3 * int(counts.sum()) - 6 * len(counts) - 3 * len(points_S) + 6
         noise_m = max(np.sqrt(square / free), _LEAST_M) if free > 0 else _USUAL_NOISE_M
         covariances = np.tile(noise_m**2 * np.eye(3), (len(rows), 1, 1))
     elif (own := _covariances(one)) is not None:
         of_points = {"sigma_m": None, "covariance_M": own}
-    information = np.where((row >= 0)[:, :, None, None], np.linalg.inv(covariances)[row], 0.0)[turned]
-    rotation, origin = _laid_on(points_S, p_M[turned])
+    information = np.where((row >= 0)[:, :, None, None], np.linalg.inv(covariances)[row], 0.0)[angular]
+    rotation, origin = _laid_on(points_S, p_M[angular])
     arms = np.einsum("sab,kb->ska", rotation, points_S)
-    J, off = twist_columns(arms), np.nan_to_num(p_M[turned] - origin[:, None] - arms)
+    J, off = twist_columns(arms), np.nan_to_num(p_M[angular] - origin[:, None] - arms)
     unit = np.array([1.0, 1.0, 1.0, *(1.0 / np.abs(points_S).max(),) * 3])
     weighed = np.einsum("skab,skbi->skai", information, J)
     covariance = np.linalg.inv(np.einsum("skai,skaj->sij", J, weighed) * unit * unit[:, None]) * unit * unit[:, None]
     step = np.einsum("sij,skaj,ska->si", covariance, weighed, off)
     rotation = scipy.spatial.transform.Rotation.from_rotvec(step[:, 3:]).as_matrix() @ rotation
-    places, quaternion, turning = one.p_M.copy(), np.full((len(one), 4), np.nan), np.full((len(one), 3, 3), np.nan)
-    places[turned], quaternion[turned] = origin + step[:, :3], quaternions_of(rotation)
-    turning[turned] = covariance[:, 3:, 3:]
+    places, quaternion, of_rotation = one.p_M.copy(), np.full((len(one), 4), np.nan), np.full((len(one), 3, 3), np.nan)
+    places[angular], quaternion[angular] = origin + step[:, :3], quaternions_of(rotation)
+    of_rotation[angular] = covariance[:, 3:, 3:]
     if of_points:
-        of_points["covariance_M"][turned] = covariance[:, :3, :3]
+        of_points["covariance_M"][angular] = covariance[:, :3, :3]
     least = np.linalg.eigvalsh(covariance[:, 3:, 3:])[:, -1]
-    posed = replace(one, p_M=places, quaternion_M=quaternion, turning_covariance_M=turning, **of_points)
+    posed = replace(one, p_M=places, quaternion_M=quaternion, rotation_covariance_M=of_rotation, **of_points)
     return posed, float(np.sqrt(least.mean()))
 
 

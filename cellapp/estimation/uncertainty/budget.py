@@ -19,9 +19,9 @@ from cellapp.estimation.calibration.records import ArmCalibrationResult
 from cellapp.estimation.discovery.records import ArmDiscoveryResult
 from cellapp.estimation.readings.readings import Readings
 from cellapp.estimation.uncertainty.records import (
+    AngleContribution,
     Conformity,
     ToleranceVerdict,
-    TurnContribution,
     UncertaintyContribution,
     UncertaintyParts,
 )
@@ -273,9 +273,9 @@ def _line(source: str, standard_mm: float | None, evaluation: str, basis: str) -
 # -- Uncertainty budget of a measured orientation error (JCGM 100): independent contributions, for one component ------
 
 
-def turn_budget(
+def angle_budget(
     profile: Profile, arm: str, model_mrad: float, noise_mrad: float, basis: str = "at the command"
-) -> tuple[TurnContribution, ...]:
+) -> tuple[AngleContribution, ...]:
     """Return the contributions to the uncertainty of a flange rotation measured by a probe or several SMRs [mrad].
 
     With several SMRs only the scatter about the model is known, which includes the arm's repeatability.
@@ -299,14 +299,14 @@ def turn_budget(
         ("calibrated model", model_mrad, "A", f"posterior of the model in force {basis}"),
     ]
     return tuple(
-        TurnContribution.model_validate(
+        AngleContribution.model_validate(
             {"source": source, "standard_mrad": value, "evaluation": kind, "basis": words, "where": arm}
         )
         for source, value, kind, words in lines
     )
 
 
-def expanded_mrad(contributions: Sequence[TurnContribution]) -> float | None:
+def expanded_mrad(contributions: Sequence[AngleContribution]) -> float | None:
     """Return the expanded uncertainty [mrad], k = 2; None if a contribution is missing."""
     standard_mrad = combined(one.standard_mrad for one in contributions)
     return None if standard_mrad is None else COVERAGE * standard_mrad

@@ -95,33 +95,33 @@ def divided(
     usual = MeasurementConditions(
         payload_kg=None if conditions.payload_kg is None else np.full(len(known), conditions.payload_kg[0])
     )
-    moved, turned = ([draws(at_tcp, known, usual), draws(at_tcp, q, conditions)] for draws in (_moved, _turned))
+    moved, rotated = ([draws(at_tcp, known, usual), draws(at_tcp, q, conditions)] for draws in (_moved, _rotated))
     judge = correction or _nothing
     corrected = judge(known, usual), judge(q, conditions)
-    shifts, turns = ([its[part][None] for its in corrected] for part in (0, 1))
+    shifts, rotations = ([its[part][None] for its in corrected] for part in (0, 1))
     (there, _), (here, origins) = flange_poses(arm.geometry, known), flange_poses(arm.geometry, q)
     centre = (origins + here @ tcp).mean(axis=0)
     columns = [_columns(at_tcp, one, centre) for one in (known, q)]
     rigid, own = _common(columns, moved)
     rigid_shift, own_shift = _common(columns, shifts)
     columns = [_with_identity(there), _with_identity(here)]
-    angles, own_turns = _common(columns, turned)
-    common_turn, own_turn = _common(columns, turns)
+    angles, own_rotations = _common(columns, rotated)
+    common_rotation, own_rotation = _common(columns, rotations)
     of_network = 0.0 if arm.network is None else np.mean(arm.network.spread(q) ** 2, axis=1)
     own_m, whole_m = (np.sqrt(np.mean(one**2, axis=(0, 2)) + of_network) for one in (own, moved[1]))
-    own_rad, whole_rad = (np.sqrt(np.mean(np.sum(one**2, axis=2), axis=0)) for one in (own_turns, turned[1]))
-    common = _beyond(rigid_shift, rigid) or _beyond(common_turn, angles)
-    shift, rotation = (np.linalg.norm(one[0], axis=1) for one in (own_shift, own_turn))
-    sigma, turn = (np.sqrt(np.mean(one**2, axis=1)) for one in (rigid, angles))
+    own_rad, whole_rad = (np.sqrt(np.mean(np.sum(one**2, axis=2), axis=0)) for one in (own_rotations, rotated[1]))
+    common = _beyond(rigid_shift, rigid) or _beyond(common_rotation, angles)
+    shift, rotation = (np.linalg.norm(one[0], axis=1) for one in (own_shift, own_rotation))
+    sigma, sigma_rad = (np.sqrt(np.mean(one**2, axis=1)) for one in (rigid, angles))
     return Divided(
         whole_m,
         own_m,
         whole_rad,
         own_rad,
         flange_m=sigma[:3],
-        flange_rad=turn[:3],
+        flange_rad=sigma_rad[:3],
         base_m=float(np.sqrt(np.mean(sigma[3:6] ** 2))),
-        base_rad=float(np.sqrt(np.sum(turn[3:] ** 2))),
+        base_rad=float(np.sqrt(np.sum(sigma_rad[3:] ** 2))),
         common_significant=common,
         own_significant=bool(beyond(shift, rotation, own_m, own_rad).any()),
     )
@@ -145,7 +145,7 @@ def _moved(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> Array:
     return arm.posterior.displacements(arm.geometry, arm.effects, arm.context(q, conditions=conditions))
 
 
-def _turned(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> Array:
+def _rotated(arm: ArmModel, q: Array, conditions: MeasurementConditions) -> Array:
     """Return the rotations (S, n, 3) of the flange by the geometry of each draw [rad]."""
     assert arm.posterior is not None
     columns = list(arm.posterior.columns)
@@ -169,10 +169,10 @@ def _with_identity(rotations: Array) -> Array:
     return np.concatenate([rotations, np.broadcast_to(np.eye(3), rotations.shape)], axis=2)
 
 
-def beyond(shift: Array, turn: Array, own: Array, own_turn: Array) -> NDArray[np.bool_]:
+def beyond(shift: Array, rotation: Array, own: Array, own_rotation: Array) -> NDArray[np.bool_]:
     """Return where lengths (n,) of shifts and rotations are significant against standard uncertainties, as those of
     ``Divided``."""
-    return np.asarray((shift > _LENGTH_95 * own) | (turn > _LENGTH_95 / np.sqrt(3.0) * own_turn))
+    return np.asarray((shift > _LENGTH_95 * own) | (rotation > _LENGTH_95 / np.sqrt(3.0) * own_rotation))
 
 
 def _beyond(values: Array, draws: Array) -> bool:

@@ -1,7 +1,7 @@
 """The library of physical effects. A new effect is one file and one line in ``registry``, or a plug-in."""
 
 from cellapp.robot.effects.context import (
-    Channel,
+    ActsOn,
     EffectColumn,
     EffectContext,
     MeasurementConditions,
@@ -24,7 +24,7 @@ from cellapp.robot.effects.effect import (
     term_from_json,
     term_to_json,
 )
-from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, NeighbouringPauses, Scaled
+from cellapp.robot.effects.law import FIXED, SCALED, Constant, InputVariable, Law, LawForm, NeighbouringPauses, Scaled
 from cellapp.robot.effects.own_law import Linear, MotionLaw, Tuned, motion_laws, own_law
 from cellapp.robot.effects.registry import EFFECTS, registered
 
@@ -32,14 +32,14 @@ __all__ = [
     "EFFECTS",
     "FIXED",
     "SCALED",
-    "Channel",
+    "ActsOn",
     "Constant",
     "Displacement",
-    "DriverVariable",
     "Effect",
     "EffectColumn",
     "EffectContext",
     "EffectTerm",
+    "InputVariable",
     "Law",
     "LawForm",
     "Linear",

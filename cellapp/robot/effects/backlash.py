@@ -14,13 +14,13 @@ from cellapp.robot.effects.law import (
     FIXED,
     SCALED,
     Constant,
-    DriverVariable,
+    InputVariable,
     Law,
     LawForm,
     SmoothLaw,
     with_prior_sd,
 )
-from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.modulation import TermInput
 from cellapp.robot.kinematics.transforms import Array
 
 WIDTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)
@@ -97,13 +97,13 @@ class Backlash(Effect):
     impossible = ImpossibleValues(
         sign="backlash of the opposite sign", sign_check="check the approach convention of the readings"
     )
-    variables = frozenset({DriverVariable.APPROACH, DriverVariable.STEP})
+    variables = frozenset({InputVariable.APPROACH, InputVariable.STEP})
     forms = (CONSTANT, SATURATING, GRADUAL, SMALL)
-    free_drivers = (
-        FreeDriver(Quantity.STEP, absolute=True),
-        FreeDriver(Quantity.TORQUE, absolute=True),
-        FreeDriver(Quantity.JOINT_ANGLE),
-        FreeDriver(Quantity.TIME),
+    discrepancy_inputs = (
+        TermInput(Quantity.STEP, absolute=True),
+        TermInput(Quantity.TORQUE, absolute=True),
+        TermInput(Quantity.JOINT_ANGLE),
+        TermInput(Quantity.TIME),
     )
 
     def missing_data(self, context: EffectContext) -> str:
@@ -216,14 +216,14 @@ class FrictionWindup(Effect):
         size_check="check masses",
     )
     variables = frozenset(
-        {DriverVariable.APPROACH, DriverVariable.TORQUE, DriverVariable.PAYLOAD, DriverVariable.JOINT_ANGLE}
+        {InputVariable.APPROACH, InputVariable.TORQUE, InputVariable.PAYLOAD, InputVariable.JOINT_ANGLE}
     )
     forms = (LOAD, BOTH, BOTH_GRADUAL)
-    free_drivers = (
-        FreeDriver(Quantity.TORQUE, absolute=True),
-        FreeDriver(Quantity.STEP, absolute=True),
-        FreeDriver(Quantity.JOINT_ANGLE),
-        FreeDriver(Quantity.TIME),
+    discrepancy_inputs = (
+        TermInput(Quantity.TORQUE, absolute=True),
+        TermInput(Quantity.STEP, absolute=True),
+        TermInput(Quantity.JOINT_ANGLE),
+        TermInput(Quantity.TIME),
     )
 
     def missing_data(self, context: EffectContext) -> str:

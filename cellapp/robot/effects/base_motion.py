@@ -6,11 +6,11 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, shift_column
+from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, shift_column
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, Meaning
-from cellapp.robot.effects.law import AMPLITUDE, FIXED, Constant, DriverVariable, Law, LawForm, SmoothLaw, with_prior_sd
-from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.law import AMPLITUDE, FIXED, Constant, InputVariable, Law, LawForm, SmoothLaw, with_prior_sd
+from cellapp.robot.effects.modulation import TermInput
 from cellapp.robot.effects.time_functions import (
     FIRST,
     LAST,
@@ -37,9 +37,9 @@ from cellapp.robot.kinematics.transforms import Array
 class OnsetEffect(Effect):
     """An effect that is there from an onset on, which is searched between readings."""
 
-    variables = frozenset({DriverVariable.TIME})
+    variables = frozenset({InputVariable.TIME})
     forms = (ONSET_FORM,)
-    free_drivers = (FreeDriver(Quantity.TIME),)
+    discrepancy_inputs = (TermInput(Quantity.TIME),)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs times."""
@@ -97,9 +97,9 @@ class BaseDrift(Effect):
         settle: Measure both arms by turns: what both share is the tracker's."""
     )
     look_alikes = ("base_step", "thermal_growth", "joint_drift")
-    variables = frozenset({DriverVariable.TIME})
+    variables = frozenset({InputVariable.TIME})
     forms = (LINEAR_FORM, WARM_UP_FORM, QUADRATIC, WANDERING, WANDERING_IN_ORDER)
-    free_drivers = (FreeDriver(Quantity.TIME),)
+    discrepancy_inputs = (TermInput(Quantity.TIME),)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs times."""
@@ -181,6 +181,6 @@ def _twist(name: str, context: EffectContext, along: Array, suffix: str = "") ->
     """The six components of a base motion, times a function of time (n,)."""
     moved = context.base_twists * along[:, None]
     return [
-        shift_column(f"{name}_{component}{suffix}", unit, Channel.BASE, moved[k], -_MOST_MOTION, _MOST_MOTION)
+        shift_column(f"{name}_{component}{suffix}", unit, ActsOn.BASE, moved[k], -_MOST_MOTION, _MOST_MOTION)
         for k, (component, unit) in enumerate(_COMPONENTS)
     ]

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, frame_poses, jacobian
 from cellapp.robot.kinematics.statics import Bodies, GravityLoads, gravity_loads
-from cellapp.robot.kinematics.transforms import Array, turned_rows
+from cellapp.robot.kinematics.transforms import Array, angular_rows
 
-# -- Columns of an effect: the SMR displacement per unit of each parameter, and the channel it acts through -----------
+# -- Columns of an effect: the SMR displacement per unit of each parameter, and what it acts on -----------
 
 
-class Channel(Enum):
+class ActsOn(Enum):
     """The part of the cell that an effect moves, and how that moves the measured SMR."""
 
     JOINT = "joint"
@@ -35,8 +35,8 @@ class Channel(Enum):
     """Reading error of the tracker, along the beam or across it."""
 
 
-INDEXED_CHANNELS = frozenset({Channel.JOINT, Channel.AXIS, Channel.LINK})
-"""Channels that exist once per joint."""
+INDEXED = frozenset({ActsOn.JOINT, ActsOn.AXIS, ActsOn.LINK})
+"""What exists once per joint."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ class EffectColumn:
         Columns of one block enter or leave a model together.
     lower, upper : float
         Physical bounds of the parameter; a value outside is an alias of something else, not a finding.
-    channel : Channel
+    acts_on : ActsOn
     index : int or None
-        Joint or link, from 0; None where the column acts on all of them or the channel has none.
+        Joint or link, from 0; None where the column acts on all of them or what it acts on has none.
     wave : Wave or None
         Its dependence on the angle of joint ``index``, where that is periodic.
     refines : bool
@@ -75,9 +75,9 @@ class EffectColumn:
         Standard deviation of the parameter's zero-mean prior, where the column is part of a smooth free function;
         infinite where the parameter has no prior.
     offset : array, shape (n,), or None
-        Joint offset per unit [rad]; channel ``JOINT`` only.
+        Joint offset per unit [rad]; of a joint only.
     shift_M : array, shape (n, 3), or None
-        SMR shift per unit [m] in the tracker frame; all other channels.
+        SMR shift per unit [m] in the tracker frame; of all others.
     """
 
     name: str
@@ -85,7 +85,7 @@ class EffectColumn:
     block: str
     lower: float
     upper: float
-    channel: Channel
+    acts_on: ActsOn
     index: int | None = None
     wave: Wave | None = None
     refines: bool = False
@@ -96,7 +96,7 @@ class EffectColumn:
     @property
     def joint(self) -> int | None:
         """The joint that it offsets, from 0; None for a column that shifts the SMR."""
-        return self.index if self.channel is Channel.JOINT else None
+        return self.index if self.acts_on is ActsOn.JOINT else None
 
     @property
     def cycles(self) -> int | None:
@@ -106,14 +106,14 @@ class EffectColumn:
     @property
     def where(self) -> str:
         """What it acts on, for people: ``joint 2``, ``link 3``, ``all links``, ``base``, ``tool``, ``tracker``."""
-        return place_name(self.channel, self.index)
+        return place_name(self.acts_on, self.index)
 
 
-def place_name(channel: Channel, index: int | None) -> str:
-    """Name of what a channel acts on; ``index`` counts from 0."""
-    if channel not in INDEXED_CHANNELS:
-        return channel.value
-    kind = "link" if channel is Channel.LINK else "joint"
+def place_name(acts_on: ActsOn, index: int | None) -> str:
+    """Name of what an effect acts on; ``index`` counts from 0."""
+    if acts_on not in INDEXED:
+        return acts_on.value
+    kind = "link" if acts_on is ActsOn.LINK else "joint"
     return f"all {kind}s" if index is None else f"{kind} {index + 1}"
 
 
@@ -131,14 +131,14 @@ def joint_column(
     prior_sd: float = math.inf,
 ) -> EffectColumn:
     """A column that offsets one joint (from 0); the default block is the joint."""
-    block = block or place_name(Channel.JOINT, joint)
-    return EffectColumn(name, unit, block, lower, upper, Channel.JOINT, joint, wave, refines, prior_sd, offset=offset)
+    block = block or place_name(ActsOn.JOINT, joint)
+    return EffectColumn(name, unit, block, lower, upper, ActsOn.JOINT, joint, wave, refines, prior_sd, offset=offset)
 
 
 def shift_column(
     name: str,
     unit: str,
-    channel: Channel,
+    acts_on: ActsOn,
     shift_M: Array,
     lower: float,
     upper: float,
@@ -149,8 +149,8 @@ def shift_column(
     refines: bool = False,
 ) -> EffectColumn:
     """A column that shifts the SMR (n, 3) [m per unit, tracker frame]; the default block is what it acts on."""
-    block = block or place_name(channel, index)
-    return EffectColumn(name, unit, block, lower, upper, channel, index, wave, refines, shift_M=shift_M)
+    block = block or place_name(acts_on, index)
+    return EffectColumn(name, unit, block, lower, upper, acts_on, index, wave, refines, shift_M=shift_M)
 
 
 @dataclass(frozen=True)
@@ -210,9 +210,9 @@ class MeasurementConditions:
     R_M_S: Array | None = None
 
     @property
-    def turned(self) -> NDArray[np.bool_] | None:
+    def angular(self) -> NDArray[np.bool_] | None:
         """Mask (n,) of readings of an orientation; None if there are none."""
-        return turned_rows(self.R_M_S)
+        return angular_rows(self.R_M_S)
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> MeasurementConditions:
         """Select some of the stops; the temperature record stays whole."""
@@ -307,23 +307,23 @@ class EffectContext:
         return JointAngles.of(self.posture, self.conditions.R_M_S)
 
     @cached_property
-    def turned(self) -> Array | None:
+    def angular(self) -> Array | None:
         """1 at readings (n, 1) of an orientation, 0 at those of a position; None if all are of positions."""
-        turned = self.conditions.turned
-        return None if turned is None else turned[:, None].astype(np.float64)
+        angular = self.conditions.angular
+        return None if angular is None else angular[:, None].astype(np.float64)
 
-    def moved(self, shift_M: Array | None, turn_M: Array | None = None, lever_M: Array | None = None) -> Array:
+    def moved(self, shift_M: Array | None, angle_M: Array | None = None, lever_M: Array | None = None) -> Array:
         """Compute the change (n, 3) of each reading, position [m] or orientation [rad], by a small motion of a body.
 
-        The body shifts by ``shift_M`` [m] and turns by ``turn_M`` [rad] about a point from which ``lever_M`` (n, 3) [m]
-        points to the SMR, all in the tracker frame. An orientation changes by the turn alone.
+        The body shifts by ``shift_M`` [m] and rotates by ``angle_M`` [rad] about a point from which ``lever_M`` (n, 3)
+        [m] points to the SMR, all in the tracker frame. An orientation changes by the rotation alone.
         """
         moved = np.zeros((len(self), 3)) if shift_M is None else np.asarray(shift_M)
-        if turn_M is not None and lever_M is not None:
-            moved = moved + np.cross(turn_M, lever_M)
-        if self.turned is None:
+        if angle_M is not None and lever_M is not None:
+            moved = moved + np.cross(angle_M, lever_M)
+        if self.angular is None:
             return moved
-        return np.asarray(moved * (1.0 - self.turned) + (0.0 if turn_M is None else turn_M * self.turned))
+        return np.asarray(moved * (1.0 - self.angular) + (0.0 if angle_M is None else angle_M * self.angular))
 
     @cached_property
     def base_twists(self) -> Array:
@@ -363,17 +363,17 @@ class EffectContext:
         upward = np.stack([-s * np.cos(azimuth), -s * np.sin(azimuth), np.cos(elevation)], axis=1)
         return azimuth, elevation, horizontal, upward
 
-    def twist_shift(self, frame: int, shift: Array | None, turn: Array | None) -> Array:
+    def twist_shift(self, frame: int, shift: Array | None, rotation: Array | None) -> Array:
         """Compute the SMR shift (n, 3) [m, tracker frame] for a small twist of D-H frame ``frame`` (0: base).
 
-        ``shift`` [m] and ``turn`` [rad], each (n, 3) or (3,), are in that frame. For readings of an orientation, the
-        result is its change [rad].
+        ``shift`` [m] and ``rotation`` [rad], each (n, 3) or (3,), are in that frame. For readings of an orientation,
+        the result is its change [rad].
         """
         rotations, origins = self.frames
         R, o = rotations[frame], origins[frame]
         in_M = [
             None if one is None else np.einsum("nab,nb->na", R, np.broadcast_to(one, (len(self), 3)))
-            for one in (shift, turn)
+            for one in (shift, rotation)
         ]
         return self.moved(in_M[0], in_M[1], self.p_M - o)
 

@@ -1,6 +1,6 @@
-"""Forms of data-driven laws: which channel depends on which one or two variables, or on the position.
+"""Forms of data-driven laws: what they act on depends on which one or two variables, or on the position.
 
-In JSON such a law is named ``channel|variable`` or ``channel|variable|variable``; a field over the workspace is named
+In JSON such a law is named ``place|variable`` or ``place|variable|variable``; a field over the workspace is named
 ``base shift|x|y|z``.
 """
 
@@ -15,8 +15,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.robot.effects.context import Channel, EffectContext, place_name, varies
-from cellapp.robot.effects.law import AMPLITUDE, FIXED, Constant, DriverVariable, Law, LawForm
+from cellapp.robot.effects.context import ActsOn, EffectContext, place_name, varies
+from cellapp.robot.effects.law import AMPLITUDE, FIXED, Constant, InputVariable, Law, LawForm
 from cellapp.robot.effects.time_functions import times_known
 from cellapp.robot.kinematics.transforms import Array
 
@@ -103,7 +103,7 @@ _STILL = 1e-9
 
 
 class Direction(Enum):
-    """Direction of a data-driven channel; base and tool axes are their own."""
+    """Direction in which a data-driven law acts; base and tool axes are their own."""
 
     SHIFT_X = "shift x"
     SHIFT_Y = "shift y"
@@ -121,54 +121,54 @@ _TRACKER = (Direction.RADIAL, Direction.AZIMUTH, Direction.ELEVATION)
 
 
 @dataclass(frozen=True)
-class DataChannel:
-    """A channel of data-driven laws.
+class ActedOn:
+    """What a data-driven law acts on.
 
-    ``joint`` (from 0) with ``Channel.JOINT``; else ``direction``, None for a shift in any direction.
+    ``joint`` (from 0) with ``ActsOn.JOINT``; else ``direction``, None for a shift in any direction.
     """
 
-    channel: Channel
+    acts_on: ActsOn
     direction: Direction | None = None
     joint: int | None = None
 
     @cached_property
     def name(self) -> str:
         """``joint 2``, ``base shift``, ``base turn x``, ``tool``, ``tool y``, ``tracker radial``."""
-        if self.channel is Channel.JOINT:
-            return place_name(self.channel, self.joint)
-        if self.channel is Channel.TOOL:
+        if self.acts_on is ActsOn.JOINT:
+            return place_name(self.acts_on, self.joint)
+        if self.acts_on is ActsOn.TOOL:
             return "tool" if self.direction is None else f"tool {self.direction.value[-1]}"
-        return f"{self.channel.value} {'shift' if self.direction is None else self.direction.value}"
+        return f"{self.acts_on.value} {'shift' if self.direction is None else self.direction.value}"
 
     @property
     def directions(self) -> tuple[Direction, ...]:
         """The directions that it combines; none for a joint."""
-        if self.channel is Channel.JOINT:
+        if self.acts_on is ActsOn.JOINT:
             return ()
         return _SHIFTS if self.direction is None else (self.direction,)
 
     @property
-    def parts(self) -> tuple[DataChannel, ...]:
-        """One channel for each direction."""
-        return tuple(DataChannel(self.channel, one) for one in self.directions)
+    def parts(self) -> tuple[ActedOn, ...]:
+        """One for each direction."""
+        return tuple(ActedOn(self.acts_on, one) for one in self.directions)
 
     @property
-    def subject(self) -> DataChannel:
-        """The channel regardless of a shift's direction: terms with one subject are about the same motion."""
-        return DataChannel(self.channel) if self.direction in _SHIFTS else self
+    def subject(self) -> ActedOn:
+        """What it acts on, regardless of a shift's direction: terms with one subject are about the same motion."""
+        return ActedOn(self.acts_on) if self.direction in _SHIFTS else self
 
 
 @lru_cache(maxsize=8)
-def channels(joints: int) -> tuple[DataChannel, ...]:
-    """All channels of an arm with N joints."""
-    base = [DataChannel(Channel.BASE, one) for one in (*_SHIFTS, *_TURNS)]
+def acted_on(joints: int) -> tuple[ActedOn, ...]:
+    """All that laws act on, of an arm with N joints."""
+    base = [ActedOn(ActsOn.BASE, one) for one in (*_SHIFTS, *_TURNS)]
     return (
-        *(DataChannel(Channel.JOINT, joint=j) for j in range(joints)),
-        DataChannel(Channel.BASE),
-        DataChannel(Channel.TOOL),
+        *(ActedOn(ActsOn.JOINT, joint=j) for j in range(joints)),
+        ActedOn(ActsOn.BASE),
+        ActedOn(ActsOn.TOOL),
         *base,
-        *(DataChannel(Channel.TOOL, one) for one in _SHIFTS),
-        *(DataChannel(Channel.TRACKER, one) for one in _TRACKER),
+        *(ActedOn(ActsOn.TOOL, one) for one in _SHIFTS),
+        *(ActedOn(ActsOn.TRACKER, one) for one in _TRACKER),
     )
 
 
@@ -194,22 +194,22 @@ class Quantity(Enum):
 
 PER_JOINT = frozenset({Quantity.JOINT_ANGLE, Quantity.OTHER_JOINT_ANGLE, Quantity.TORQUE, Quantity.STEP})
 """Quantities of which there is one per joint."""
-_DRIVERS = {
-    Quantity.JOINT_ANGLE: DriverVariable.JOINT_ANGLE,
-    Quantity.OTHER_JOINT_ANGLE: DriverVariable.OTHER_ARM,
-    Quantity.TIME: DriverVariable.TIME,
-    Quantity.TORQUE: DriverVariable.TORQUE,
-    Quantity.STEP: DriverVariable.STEP,
-    Quantity.DWELL: DriverVariable.DWELL,
-    Quantity.PAYLOAD: DriverVariable.PAYLOAD,
-    Quantity.TEMPERATURE: DriverVariable.AIR_TEMPERATURE,
-    Quantity.RANGE: DriverVariable.BEAM,
-    Quantity.AZIMUTH: DriverVariable.BEAM,
-    Quantity.ELEVATION: DriverVariable.BEAM,
-    Quantity.INCIDENCE: DriverVariable.INCIDENCE,
-    Quantity.X: DriverVariable.BEAM,  # where the SMR is, seen from the base or from the tracker
-    Quantity.Y: DriverVariable.BEAM,
-    Quantity.Z: DriverVariable.BEAM,
+_INPUTS = {
+    Quantity.JOINT_ANGLE: InputVariable.JOINT_ANGLE,
+    Quantity.OTHER_JOINT_ANGLE: InputVariable.OTHER_ARM,
+    Quantity.TIME: InputVariable.TIME,
+    Quantity.TORQUE: InputVariable.TORQUE,
+    Quantity.STEP: InputVariable.STEP,
+    Quantity.DWELL: InputVariable.DWELL,
+    Quantity.PAYLOAD: InputVariable.PAYLOAD,
+    Quantity.TEMPERATURE: InputVariable.AIR_TEMPERATURE,
+    Quantity.RANGE: InputVariable.BEAM,
+    Quantity.AZIMUTH: InputVariable.BEAM,
+    Quantity.ELEVATION: InputVariable.BEAM,
+    Quantity.INCIDENCE: InputVariable.INCIDENCE,
+    Quantity.X: InputVariable.BEAM,  # where the SMR is, seen from the base or from the tracker
+    Quantity.Y: InputVariable.BEAM,
+    Quantity.Z: InputVariable.BEAM,
 }
 
 
@@ -226,9 +226,9 @@ class Variable:
         return self.quantity.value if self.joint is None else f"{self.quantity.value}{self.joint + 1}"
 
     @property
-    def driver(self) -> DriverVariable:
+    def input(self) -> InputVariable:
         """What effects that depend on it share."""
-        return _DRIVERS[self.quantity]
+        return _INPUTS[self.quantity]
 
     @property
     def is_joint_angle(self) -> bool:
@@ -336,38 +336,38 @@ SECOND_CONSTANTS = _constants("2")
 
 @dataclass(frozen=True)
 class DataDrivenForm(LawForm):
-    """The form of a data-driven law: its channel and one or two driver variables, or the three of the position."""
+    """The form of a data-driven law: what it acts on and one or two inputs, or the three of the position."""
 
-    channel: DataChannel = field(kw_only=True)
-    drivers: tuple[Variable, ...] = field(kw_only=True)
+    acts_on: ActedOn = field(kw_only=True)
+    inputs: tuple[Variable, ...] = field(kw_only=True)
 
     @property
     def is_field(self) -> bool:
         """Whether it is a field over the workspace."""
-        return self.drivers == POSITION
+        return self.inputs == POSITION
 
     @property
-    def subject(self) -> tuple[DataChannel, tuple[Variable, ...]]:
-        """Channel regardless of a shift's direction, and variables."""
-        return self.channel.subject, self.drivers
+    def subject(self) -> tuple[ActedOn, tuple[Variable, ...]]:
+        """What it acts on, regardless of a shift's direction, and variables."""
+        return self.acts_on.subject, self.inputs
 
 
 @lru_cache(maxsize=16384)
-def form_of(channel: DataChannel, drivers: tuple[Variable, ...]) -> DataDrivenForm:
-    """The form of driver variables in a channel; cached, as a search makes the same thousands repeatedly."""
-    names = [one.name for one in drivers]
-    of = "the position, a field over the workspace" if drivers == POSITION else " and ".join(names)
+def form_of(acts_on: ActedOn, inputs: tuple[Variable, ...]) -> DataDrivenForm:
+    """The form of inputs and what it acts on; cached, as a search makes the same thousands repeatedly."""
+    names = [one.name for one in inputs]
+    of = "the position, a field over the workspace" if inputs == POSITION else " and ".join(names)
     return DataDrivenForm(
-        name="|".join([channel.name, *names]),
-        words=f"{channel.name} as a function of {of}",
-        constants=FIELD_CONSTANTS if drivers == POSITION else FIRST_CONSTANTS + SECOND_CONSTANTS,
-        variables=frozenset(_DRIVERS[one.quantity] for one in drivers),
-        channel=channel,
-        drivers=drivers,
+        name="|".join([acts_on.name, *names]),
+        words=f"{acts_on.name} as a function of {of}",
+        constants=FIELD_CONSTANTS if inputs == POSITION else FIRST_CONSTANTS + SECOND_CONSTANTS,
+        variables=frozenset(_INPUTS[one.quantity] for one in inputs),
+        acts_on=acts_on,
+        inputs=inputs,
     )
 
 
-FIELD = form_of(DataChannel(Channel.BASE), POSITION)
+FIELD = form_of(ActedOn(ActsOn.BASE), POSITION)
 """A field over the workspace. A shift seen in the tracker's frame is the same field, with other coordinates."""
 
 
@@ -383,22 +383,22 @@ _NUMBERED = re.compile(r"(.*?)(\d+)")
 def form_named(name: str) -> DataDrivenForm | None:
     """The form of a name in JSON, the one place that reads such names; None if it is not one."""
     first, *rest = name.split("|")
-    channel = _channel_named(first)
+    acts_on = _acted_on_named(first)
     found = [variable_named(one) for one in rest]
-    drivers = tuple(one for one in found if one is not None)
-    if channel is None or len(drivers) < len(rest):
+    inputs = tuple(one for one in found if one is not None)
+    if acts_on is None or len(inputs) < len(rest):
         return None
-    if drivers == FIELD.drivers:
-        return FIELD if channel == FIELD.channel else None
-    if not 1 <= len(rest) <= 2 or set(drivers) & set(POSITION):
+    if inputs == FIELD.inputs:
+        return FIELD if acts_on == FIELD.acts_on else None
+    if not 1 <= len(rest) <= 2 or set(inputs) & set(POSITION):
         return None
-    return form_of(channel, drivers)
+    return form_of(acts_on, inputs)
 
 
-def _channel_named(name: str) -> DataChannel | None:
+def _acted_on_named(name: str) -> ActedOn | None:
     numbered = _NUMBERED.fullmatch(name)
     joints = int(numbered[2]) if numbered else 0
-    return next((one for one in channels(joints) if one.name == name), None)
+    return next((one for one in acted_on(joints) if one.name == name), None)
 
 
 def variable_named(name: str) -> Variable | None:

@@ -2,7 +2,7 @@
 
 An effect is one subclass of ``Effect`` in one file, and one line in ``registry``. It declares its words, the variables
 it depends on, its look-alikes and the forms of its law; it computes columns that are linear in its parameters.
-Joint offsets enter the chain exactly; all other channels move the SMR by less than a millimetre and enter linearly.
+Joint offsets enter the chain exactly; all other places move the SMR by less than a millimetre and enter linearly.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 import numpy as np
 
-from cellapp.robot.effects.context import INDEXED_CHANNELS, EffectColumn, EffectContext, place_name
-from cellapp.robot.effects.law import DriverVariable, Law, LawForm, SmoothLaw
+from cellapp.robot.effects.context import INDEXED, EffectColumn, EffectContext, place_name
+from cellapp.robot.effects.law import InputVariable, Law, LawForm, SmoothLaw
 from cellapp.robot.effects.modulation import (
-    FreeDriver,
     Modulation,
+    TermInput,
     modulation_from_json,
     modulation_to_json,
     with_modulations,
@@ -140,11 +140,11 @@ class Effect(ABC):
     """Cause, usual size, what to check and what would settle it."""
     look_alikes: ClassVar[tuple[str, ...]] = ()
     """Slugs of effects that data may not distinguish from it."""
-    variables: ClassVar[frozenset[DriverVariable]]
+    variables: ClassVar[frozenset[InputVariable]]
     """What it depends on."""
     forms: ClassVar[tuple[LawForm, ...]]
     """All forms of its law, the simplest first."""
-    free_drivers: ClassVar[tuple[FreeDriver, ...]] = ()
+    discrepancy_inputs: ClassVar[tuple[TermInput, ...]] = ()
     """Drivers on which it may depend in ways that the law does not describe; if empty, the law is taken as exact."""
 
     arm_bound: ClassVar[bool] = False
@@ -328,12 +328,12 @@ def sentence(effect: Effect, columns: Sequence[EffectColumn], values: Sequence[f
 def _places(columns: Sequence[EffectColumn]) -> str:
     """``joint 2``, ``joints 1, 2, 3``, ``base``."""
     indices = sorted({column.index for column in columns if column.index is not None})
-    channel = columns[0].channel
-    if channel not in INDEXED_CHANNELS or not indices:
-        return place_name(channel, None)
+    acts_on = columns[0].acts_on
+    if acts_on not in INDEXED or not indices:
+        return place_name(acts_on, None)
     if len(indices) == 1:
-        return place_name(channel, indices[0])
-    return f"{place_name(channel, None).removeprefix('all ')} {', '.join(str(index + 1) for index in indices)}"
+        return place_name(acts_on, indices[0])
+    return f"{place_name(acts_on, None).removeprefix('all ')} {', '.join(str(index + 1) for index in indices)}"
 
 
 # -- Accepted effects as terms of an arm model: their displacement, and the one JSON form of a term -------------------

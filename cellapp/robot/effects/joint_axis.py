@@ -8,21 +8,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, Wave, shift_column
+from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, Wave, shift_column
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, Meaning
 from cellapp.robot.effects.law import (
     AMPLITUDE,
     CYCLES,
     LENGTH,
-    DriverVariable,
+    InputVariable,
     Law,
     LawForm,
     LengthRange,
     SmoothLaw,
     circle_variances,
 )
-from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.modulation import TermInput
 from cellapp.robot.kinematics.transforms import Array
 
 BEARING_CYCLES = range(1, 7)
@@ -76,9 +76,9 @@ class JointAxisWobble(Effect):
           the axis."""
     )
     look_alikes = ("joint_axis_runout", "transmission_error")
-    variables = frozenset({DriverVariable.JOINT_ANGLE})
+    variables = frozenset({InputVariable.JOINT_ANGLE})
     forms = (TWICE, HARMONICS, _SMOOTH_TILT)
-    free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
+    discrepancy_inputs = (TermInput(Quantity.JOINT_ANGLE),)
 
     def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
         """Against the axis' own angle: one amplitude and one length scale for all joints."""
@@ -132,7 +132,7 @@ def error_motions(
                 shift_column(
                     own,
                     unit,
-                    Channel.AXIS,
+                    ActsOn.AXIS,
                     moved * wave(context.q[:, joint])[:, None],
                     -largest,
                     largest,
@@ -188,9 +188,9 @@ class JointAxisRunout(Effect):
         settle: Move {place} alone through a whole revolution, folded and stretched: a run-out stays the same."""
     )
     look_alikes = ("joint_axis_wobble", "transmission_error", "encoder_eccentricity")
-    variables = frozenset({DriverVariable.JOINT_ANGLE})
+    variables = frozenset({InputVariable.JOINT_ANGLE})
     forms = (RUNOUT, _SMOOTH_SHIFT)
-    free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
+    discrepancy_inputs = (TermInput(Quantity.JOINT_ANGLE),)
 
     def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
         """Against the axis' own angle: one amplitude and one length scale for all joints."""

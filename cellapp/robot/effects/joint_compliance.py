@@ -9,17 +9,8 @@ import numpy as np
 from cellapp.robot.effects.context import EffectColumn, EffectContext, joint_column, varies
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
-from cellapp.robot.effects.law import (
-    AMPLITUDE,
-    SCALED,
-    Constant,
-    DriverVariable,
-    Law,
-    LawForm,
-    SmoothLaw,
-    with_prior_sd,
-)
-from cellapp.robot.effects.modulation import OWN_SIZE, FreeDriver
+from cellapp.robot.effects.law import AMPLITUDE, SCALED, Constant, InputVariable, Law, LawForm, SmoothLaw, with_prior_sd
+from cellapp.robot.effects.modulation import OWN_SIZE, TermInput
 from cellapp.robot.kinematics.transforms import Array
 
 KNEES = (0.2, 0.35, 0.5, 0.65)
@@ -36,7 +27,7 @@ _MOST_CORRECTION = 1e-4
 """Bound of what the load or one body adds to the compliance [rad/Nm], either sign."""
 _MOST_AWAY = 0.3
 """Distance [m] by which the load's centre of mass may differ from the stated one."""
-_LOADED = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
+_LOADED = frozenset({InputVariable.JOINT_ANGLE, InputVariable.TORQUE, InputVariable.PAYLOAD})
 
 KNEE = Constant("knee", "Nm", SCALED, "knee at {}", "{} Nm for joint {}", per_joint=True)
 LINEAR = LawForm("linear", "in proportion to the torque, a stiffness each")
@@ -97,7 +88,7 @@ class JointCompliance(Effect):
     )
     variables = _LOADED
     forms = (LINEAR, TWO_SLOPE, THREE_SLOPE, FREE_MASSES)
-    free_drivers = (OWN_SIZE, FreeDriver(Quantity.JOINT_ANGLE), FreeDriver(Quantity.PAYLOAD))
+    discrepancy_inputs = (OWN_SIZE, TermInput(Quantity.JOINT_ANGLE), TermInput(Quantity.PAYLOAD))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
@@ -166,7 +157,7 @@ class PayloadCompliance(Effect):
     )
     variables = _LOADED
     forms = (LawForm("", "in proportion to the payload's torque"),)
-    free_drivers = (OWN_SIZE, FreeDriver(Quantity.JOINT_ANGLE), FreeDriver(Quantity.PAYLOAD))
+    discrepancy_inputs = (OWN_SIZE, TermInput(Quantity.JOINT_ANGLE), TermInput(Quantity.PAYLOAD))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs a payload that varies."""

@@ -19,7 +19,7 @@ AMPLITUDE_NAME = "amplitude"
 """Constant that only smooth forms have: the standard deviation of a free function."""
 
 
-class DriverVariable(Enum):
+class InputVariable(Enum):
     """A quantity that effects depend on; effects that share one may be confounded."""
 
     JOINT_ANGLE = "q"
@@ -156,14 +156,14 @@ class LawForm:
         A sentence fragment for reports.
     constants : tuple of Constant
         Every constant that a law of this form may carry.
-    variables : frozenset of DriverVariable
+    variables : frozenset of InputVariable
         Variables of this form; empty if they are all those of the effect.
     """
 
     name: str
     words: str
     constants: tuple[Constant, ...] = ()
-    variables: frozenset[DriverVariable] = frozenset()
+    variables: frozenset[InputVariable] = frozenset()
 
     def law(self, constants: Mapping[str, float] | None = None, tried: int = 1) -> Law:
         """Return a law of this form with values for its constants."""

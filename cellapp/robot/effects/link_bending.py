@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, shift_column
+from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, shift_column
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
-from cellapp.robot.effects.law import DriverVariable, Law, LawForm
-from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.law import InputVariable, Law, LawForm
+from cellapp.robot.effects.modulation import TermInput
 from cellapp.robot.kinematics.transforms import Array
 
 _LONG = 0.3
@@ -80,9 +80,9 @@ class LinkBending(Effect):
         sign_check="check masses, direction of gravity and mounting",
         size_check="check masses, direction of gravity and mounting",
     )
-    variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
+    variables = frozenset({InputVariable.JOINT_ANGLE, InputVariable.TORQUE, InputVariable.PAYLOAD})
     forms = (BENDING, TORSION, OWN_WEIGHT, TORSION_OWN_WEIGHT, FREE_WEIGHT)
-    free_drivers = (FreeDriver(Quantity.TORQUE), FreeDriver(Quantity.JOINT_ANGLE), FreeDriver(Quantity.PAYLOAD))
+    discrepancy_inputs = (TermInput(Quantity.TORQUE), TermInput(Quantity.JOINT_ANGLE), TermInput(Quantity.PAYLOAD))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
@@ -107,7 +107,7 @@ def _link_columns(context: EffectContext, form: LawForm, i: int) -> list[EffectC
 
     def column(name: str, shift_M: Array, part: str = "", unit: str = _UNIT, most: float = _MOST_FLEXIBILITY) -> None:
         block, refines = f"link {i + 1}{part}", bool(part)
-        made = shift_column(f"{name}{i + 1}", unit, Channel.LINK, shift_M, 0.0, most, block, index=i, refines=refines)
+        made = shift_column(f"{name}{i + 1}", unit, ActsOn.LINK, shift_M, 0.0, most, block, index=i, refines=refines)
         columns.append(made)
 
     columns: list[EffectColumn] = []
@@ -151,15 +151,15 @@ class _Beam:
         e, L = self.along, (fraction * self.length)[:, None]
         lever = np.cross(e, force)
         moment_across = moment - np.einsum("na,na->n", moment, e)[:, None] * e
-        turn = moment_across * L + lever * L**2 / 2.0
+        rotation = moment_across * L + lever * L**2 / 2.0
         shift = np.cross(lever, e) * L**3 / 3.0 + np.cross(moment, e) * L**2 / 2.0
         beyond = self.to_smr + e * (self.length[:, None] - L)
-        return self.context.moved(shift, turn, beyond)
+        return self.context.moved(shift, rotation, beyond)
 
     def twisted(self, moment: Array, fraction: Array | float = 1.0) -> Array:
         """SMR shift (n, 3) for GJ = 1, under a moment (n, 3) at a fraction of the length."""
-        turn = np.einsum("na,na->n", moment, self.along) * fraction * self.length
-        return self.context.moved(None, turn[:, None] * self.along, self.to_smr)
+        rotation = np.einsum("na,na->n", moment, self.along) * fraction * self.length
+        return self.context.moved(None, rotation[:, None] * self.along, self.to_smr)
 
     def sheared(self, force: Array) -> Array:
         """SMR shift (n, 3) for k G A = 1, under a force (n, 3) at the end."""

@@ -7,11 +7,11 @@ from collections.abc import Collection
 import numpy as np
 
 from cellapp.robot.effects.base_motion import OnsetEffect
-from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, joint_column, shift_column, varies
+from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, joint_column, shift_column, varies
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, Meaning
-from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm
-from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.law import FIXED, SCALED, Constant, InputVariable, Law, LawForm
+from cellapp.robot.effects.modulation import TermInput
 from cellapp.robot.effects.thermal import MEAN_AIR, above_mean_air
 from cellapp.robot.effects.time_functions import after_onset, with_default
 from cellapp.robot.kinematics.transforms import Array
@@ -31,7 +31,7 @@ _MOST_ANGLE = 5e-4
 """Bound of each amplitude [rad]: ten times the permissible error at 3 m."""
 
 
-PLAIN_SCALE = LawForm("", "in proportion to the distance", variables=frozenset({DriverVariable.BEAM}))
+PLAIN_SCALE = LawForm("", "in proportion to the distance", variables=frozenset({InputVariable.BEAM}))
 AIR_SCALE = LawForm("air", "in proportion to the distance and to the air temperature", (MEAN_AIR,))
 
 
@@ -64,9 +64,9 @@ class TrackerScale(Effect):
         settle: Measure a calibrated scale bar or two nests of known distance: the arm alone cannot show a scale."""
     )
     look_alikes = ("thermal_growth", "tracker_distance_offset")
-    variables = frozenset({DriverVariable.BEAM, DriverVariable.AIR_TEMPERATURE})
+    variables = frozenset({InputVariable.BEAM, InputVariable.AIR_TEMPERATURE})
     forms = (PLAIN_SCALE, AIR_SCALE)
-    free_drivers = (FreeDriver(Quantity.RANGE), FreeDriver(Quantity.TEMPERATURE))
+    discrepancy_inputs = (TermInput(Quantity.RANGE), TermInput(Quantity.TEMPERATURE))
 
     def laws(self, context: EffectContext) -> list[Law]:
         """The same throughout; with the air temperature where it is known."""
@@ -80,8 +80,8 @@ class TrackerScale(Effect):
         if law.form == AIR_SCALE:
             shift_M = context.moved(above_mean_air(context, law)[:, None] * context.p_M)
             largest = _MOST_SCALE_PER_KELVIN
-            return [shift_column("scale_air", "1/K", Channel.TRACKER, shift_M, -largest, largest)]
-        return [shift_column("scale", "m/m", Channel.TRACKER, context.moved(context.p_M), -_MOST_SCALE, _MOST_SCALE)]
+            return [shift_column("scale_air", "1/K", ActsOn.TRACKER, shift_M, -largest, largest)]
+        return [shift_column("scale", "m/m", ActsOn.TRACKER, context.moved(context.p_M), -_MOST_SCALE, _MOST_SCALE)]
 
 
 class TrackerDistanceOffset(Effect):
@@ -103,14 +103,14 @@ class TrackerDistanceOffset(Effect):
         settle: Measure a target between two stations of the tracker, or stops near and far."""
     )
     look_alikes = ("tracker_angle_error", "pedestal_compliance", "target_incidence")
-    variables = frozenset({DriverVariable.BEAM})
+    variables = frozenset({InputVariable.BEAM})
     forms = (LawForm("", "the same at any distance"),)
-    free_drivers = (FreeDriver(Quantity.RANGE),)
+    discrepancy_inputs = (TermInput(Quantity.RANGE),)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column."""
         along = context.moved(context.beam[1])
-        return [shift_column("distance_offset", "m", Channel.TRACKER, along, -_MOST_OFFSET, _MOST_OFFSET)]
+        return [shift_column("distance_offset", "m", ActsOn.TRACKER, along, -_MOST_OFFSET, _MOST_OFFSET)]
 
 
 class TrackerAngleError(Effect):
@@ -135,9 +135,9 @@ class TrackerAngleError(Effect):
         settle: Measure the same stops from a second station."""
     )
     look_alikes = ("tracker_distance_offset", "pedestal_compliance", "joint_compliance")
-    variables = frozenset({DriverVariable.BEAM})
+    variables = frozenset({InputVariable.BEAM})
     forms = (LawForm("orders", "one and two cycles per revolution of either angle"),)
-    free_drivers = (FreeDriver(Quantity.AZIMUTH), FreeDriver(Quantity.ELEVATION))
+    discrepancy_inputs = (TermInput(Quantity.AZIMUTH), TermInput(Quantity.ELEVATION))
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Cosine and sine of each order of each angle, a block per order."""
@@ -151,7 +151,7 @@ class TrackerAngleError(Effect):
             shift_column(
                 f"{name}_{letter}{n}",
                 "rad",
-                Channel.TRACKER,
+                ActsOn.TRACKER,
                 context.moved(wave(n * angle)[:, None] * across),
                 -_MOST_ANGLE,
                 _MOST_ANGLE,
@@ -168,7 +168,7 @@ class TrackerAngleError(Effect):
 
 _MOST_SLIP = 1e-2
 """Bound [m]: a target that slipped by a centimetre has fallen off."""
-_MOST_TURN = 0.1
+_MOST_ROTATION = 0.1
 """Bound [rad] of a probe's turn in its mount; from twice this a calibration refuses the orientations."""
 _MOST_INCIDENCE = 5e-3
 """Bound [m]: ``1 - cos th`` is 0.13 at 30 degrees, so that this is 0.7 mm, some thirty times the error of a prism."""
@@ -201,15 +201,15 @@ class TargetSlip(OnsetEffect):
         """Three columns, six of a probe; after the onset where the time is unknown."""
         moved = context.frames[0][-1] * after_onset(context, law)[:, None, None]
         slips = [
-            shift_column(f"slip_{letter}", "m", Channel.TOOL, context.moved(moved[:, :, k]), -_MOST_SLIP, _MOST_SLIP)
+            shift_column(f"slip_{letter}", "m", ActsOn.TOOL, context.moved(moved[:, :, k]), -_MOST_SLIP, _MOST_SLIP)
             for k, letter in enumerate("xyz")
         ]
-        if context.turned is None if names is None else "turn_x" not in names:
+        if context.angular is None if names is None else "turn_x" not in names:
             return slips
-        turns = [context.moved(None, moved[:, :, k]) for k in range(3)]
+        rotations = [context.moved(None, moved[:, :, k]) for k in range(3)]
         return slips + [
-            shift_column(f"turn_{letter}", "rad", Channel.TOOL, turn_M, -_MOST_TURN, _MOST_TURN)
-            for letter, turn_M in zip("xyz", turns, strict=True)
+            shift_column(f"turn_{letter}", "rad", ActsOn.TOOL, angle_M, -_MOST_ROTATION, _MOST_ROTATION)
+            for letter, angle_M in zip("xyz", rotations, strict=True)
         ]
 
 
@@ -240,9 +240,9 @@ class TargetIncidence(Effect):
         settle: Measure one point at six rolls of the wrist, and with the SMR rotated by 90 degrees in its mount."""
     )
     look_alikes = ("tracker_distance_offset",)
-    variables = frozenset({DriverVariable.INCIDENCE})
+    variables = frozenset({InputVariable.INCIDENCE})
     forms = (RADIAL, LATERAL)
-    free_drivers = (FreeDriver(Quantity.INCIDENCE),)
+    discrepancy_inputs = (TermInput(Quantity.INCIDENCE),)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs the SMR viewing direction."""
@@ -260,7 +260,7 @@ class TargetIncidence(Effect):
         if law.form == LATERAL:
             shifts["incidence_lateral"] = lateral
         return [
-            shift_column(name, "m", Channel.TRACKER, context.moved(shift_M), -_MOST_INCIDENCE, _MOST_INCIDENCE)
+            shift_column(name, "m", ActsOn.TRACKER, context.moved(shift_M), -_MOST_INCIDENCE, _MOST_INCIDENCE)
             for name, shift_M in shifts.items()
         ]
 
@@ -315,12 +315,12 @@ class UnsettledMeasurement(Effect):
         settle: Read the same stop again 5 s later."""
     )
     look_alikes = ("backlash", "friction_windup")
-    variables = frozenset({DriverVariable.STEP, DriverVariable.DWELL})
+    variables = frozenset({InputVariable.STEP, InputVariable.DWELL})
     forms = (STEP, CREEP)
-    free_drivers = (
-        FreeDriver(Quantity.STEP, absolute=True),
-        FreeDriver(Quantity.DWELL),
-        FreeDriver(Quantity.JOINT_ANGLE),
+    discrepancy_inputs = (
+        TermInput(Quantity.STEP, absolute=True),
+        TermInput(Quantity.DWELL),
+        TermInput(Quantity.JOINT_ANGLE),
     )
 
     def missing_data(self, context: EffectContext) -> str:

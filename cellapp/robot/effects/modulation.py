@@ -38,8 +38,8 @@ _REPRESENTATIVES: Mapping[Quantity, tuple[int, ...]] = {
 
 
 @dataclass(frozen=True)
-class FreeDriver:
-    """A quantity that an effect's free part depends on, or its absolute value; None for the size of the column itself.
+class TermInput:
+    """A quantity that an effect's discrepancy term depends on, or its absolute value; None: the size of the column.
 
     Of a quantity of joints it is that of the column's own joint, or of the joints that stand for the arm where the
     column belongs to no joint.
@@ -59,7 +59,7 @@ class FreeDriver:
         return tuple(Variable(self.quantity, joint) for joint in _REPRESENTATIVES.get(self.quantity, ()))
 
 
-OWN_SIZE = FreeDriver(None)
+OWN_SIZE = TermInput(None)
 """The size of the column itself: the joint offset, or the length of the SMR shift, per unit of the parameter."""
 
 
@@ -117,7 +117,7 @@ class Modulation:
         return np.asarray(np.nan_to_num(np.cos(self.order * np.pi * u)), dtype=np.float64)
 
     def column(self, base: EffectColumn, context: EffectContext) -> EffectColumn:
-        """Its column, in the channel and block of the base column and without bounds; the prior keeps it small."""
+        """Its column, in the place and block of the base column and without bounds; the prior keeps it small."""
         along = self.values(base, context)
         return replace(
             base,
@@ -152,7 +152,7 @@ def _driver_values(driver: Variable | None, base: EffectColumn, context: EffectC
     return np.asarray(np.linalg.norm(base.shift_M, axis=1))
 
 
-def modulations(driver: FreeDriver, columns: Sequence[EffectColumn], context: EffectContext) -> tuple[Modulation, ...]:
+def modulations(driver: TermInput, columns: Sequence[EffectColumn], context: EffectContext) -> tuple[Modulation, ...]:
     """The modulations of some columns by one driver; none where it does not vary in the run."""
     known = set(variables(context))
     found: list[Modulation] = []

@@ -22,13 +22,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, joint_column, shift_column, varies
+from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, joint_column, shift_column, varies
 from cellapp.robot.effects.effect import Effect, Meaning
-from cellapp.robot.effects.law import FIXED, SCALED, Constant, DriverVariable, Law, LawForm, Tuning
+from cellapp.robot.effects.law import FIXED, SCALED, Constant, InputVariable, Law, LawForm, Tuning
 from cellapp.robot.effects.time_functions import with_default
 from cellapp.robot.kinematics.transforms import Array
 
-ActsOn = Literal["joints", "base", "tool", "tracker"]
+LawActsOn = Literal["joints", "base", "tool", "tracker"]
 LawFunction = Callable[..., Array]
 """Readings and parameters by name -> (n, N) [rad] or (n, 3) [m]."""
 
@@ -91,25 +91,25 @@ class _Quantity:
     Where readings ``may_lack`` it, ``of`` gives None or NaN, for which its mean over the run stands.
     """
 
-    variable: DriverVariable
+    variable: InputVariable
     of: Callable[[EffectContext], Array | None]
     per_joint: bool = False
     may_lack: bool = False
 
 
 QUANTITIES: Mapping[str, _Quantity] = {
-    "q": _Quantity(DriverVariable.JOINT_ANGLE, lambda context: context.q, per_joint=True),
-    "qd": _Quantity(DriverVariable.SPEED, lambda context: None, per_joint=True),
-    "qdd": _Quantity(DriverVariable.SPEED, lambda context: None, per_joint=True),
-    "tau": _Quantity(DriverVariable.TORQUE, lambda context: context.torques, per_joint=True),
-    "payload_kg": _Quantity(DriverVariable.PAYLOAD, lambda context: context.payload_kg),
-    "approach": _Quantity(DriverVariable.APPROACH, lambda context: context.approach, per_joint=True),
-    "step": _Quantity(DriverVariable.STEP, lambda context: context.step, per_joint=True),
-    "dwell_s": _Quantity(DriverVariable.DWELL, lambda context: context.conditions.dwell_s, may_lack=True),
-    "time_s": _Quantity(DriverVariable.TIME, lambda context: context.conditions.time_s, may_lack=True),
-    "air_c": _Quantity(DriverVariable.AIR_TEMPERATURE, lambda context: context.conditions.air_c, may_lack=True),
+    "q": _Quantity(InputVariable.JOINT_ANGLE, lambda context: context.q, per_joint=True),
+    "qd": _Quantity(InputVariable.SPEED, lambda context: None, per_joint=True),
+    "qdd": _Quantity(InputVariable.SPEED, lambda context: None, per_joint=True),
+    "tau": _Quantity(InputVariable.TORQUE, lambda context: context.torques, per_joint=True),
+    "payload_kg": _Quantity(InputVariable.PAYLOAD, lambda context: context.payload_kg),
+    "approach": _Quantity(InputVariable.APPROACH, lambda context: context.approach, per_joint=True),
+    "step": _Quantity(InputVariable.STEP, lambda context: context.step, per_joint=True),
+    "dwell_s": _Quantity(InputVariable.DWELL, lambda context: context.conditions.dwell_s, may_lack=True),
+    "time_s": _Quantity(InputVariable.TIME, lambda context: context.conditions.time_s, may_lack=True),
+    "air_c": _Quantity(InputVariable.AIR_TEMPERATURE, lambda context: context.conditions.air_c, may_lack=True),
     "joints_c": _Quantity(
-        DriverVariable.JOINT_TEMPERATURE, lambda context: context.conditions.joints_c, per_joint=True, may_lack=True
+        InputVariable.JOINT_TEMPERATURE, lambda context: context.conditions.joints_c, per_joint=True, may_lack=True
     ),
 }
 """Names of arguments that a law may take: joint positions q (n, N) [rad], speeds qd [rad/s] and accelerations qdd
@@ -125,7 +125,7 @@ _IN_MOTION = frozenset({"q", "qd", "qdd", "tau", "approach"})
 def own_law(
     title: str,
     *,
-    acts_on: ActsOn = "joints",
+    acts_on: LawActsOn = "joints",
     look_alikes: tuple[str, ...] = (),
     check: tuple[str, ...] = (),
     size: str = "not stated",
@@ -205,7 +205,7 @@ class _Declared:
     """A user's function with its parameters."""
 
     function: LawFunction
-    acts_on: ActsOn
+    acts_on: LawActsOn
     parameters: Mapping[str, Linear | Tuned]
 
     @property
@@ -366,9 +366,9 @@ class _OwnEffect(Effect):
             if joint is not None:
                 columns.append(joint_column(f"{name}{joint + 1}", kind.unit, joint, moved[:, joint], *kind.bounds))
             else:
-                channel = Channel(own.acts_on)
+                acts_on = ActsOn(own.acts_on)
                 columns.append(
-                    shift_column(name, kind.unit, channel, _in_tracker(context, channel, moved), *kind.bounds)
+                    shift_column(name, kind.unit, acts_on, _in_tracker(context, acts_on, moved), *kind.bounds)
                 )
         return columns
 
@@ -386,8 +386,8 @@ def _mean_over_run(name: str, law: Law, joints: int) -> float | Array:
     return law.constants[typical]
 
 
-def _in_tracker(context: EffectContext, channel: Channel, shift: Array) -> Array:
+def _in_tracker(context: EffectContext, acts_on: ActsOn, shift: Array) -> Array:
     """A shift (n, 3) [m] in the axes of base, tool or tracker, in the tracker's axes."""
-    if channel is Channel.TRACKER:
+    if acts_on is ActsOn.TRACKER:
         return context.moved(shift)
-    return context.twist_shift(0 if channel is Channel.BASE else context.joints, shift, None)
+    return context.twist_shift(0 if acts_on is ActsOn.BASE else context.joints, shift, None)

@@ -6,11 +6,11 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, shift_column, varies
+from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, shift_column, varies
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
-from cellapp.robot.effects.law import FIXED, Constant, DriverVariable, Law, LawForm
-from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.law import FIXED, Constant, InputVariable, Law, LawForm
+from cellapp.robot.effects.modulation import TermInput
 from cellapp.robot.effects.time_functions import with_default
 from cellapp.robot.kinematics.transforms import Array
 
@@ -70,9 +70,9 @@ class PedestalCompliance(Effect):
         sign_check="check masses, direction of gravity and mounting",
         size_check="check masses, direction of gravity and mounting",
     )
-    variables = frozenset({DriverVariable.JOINT_ANGLE, DriverVariable.TORQUE, DriverVariable.PAYLOAD})
+    variables = frozenset({InputVariable.JOINT_ANGLE, InputVariable.TORQUE, InputVariable.PAYLOAD})
     forms = (OWN_ISOTROPIC, OWN_TILT, OWN_PIVOT, OWN_GENERAL)
-    free_drivers = (FreeDriver(Quantity.TORQUE), FreeDriver(Quantity.JOINT_ANGLE))
+    discrepancy_inputs = (TermInput(Quantity.TORQUE), TermInput(Quantity.JOINT_ANGLE))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
@@ -99,8 +99,8 @@ class PedestalCompliance(Effect):
 def _unsymmetric(context: EffectContext, moments: Array, axes: Array) -> list[EffectColumn]:
     """Turns across the own moment (n, 2) and about the vertical, and shifts, in a block of turns and one of shifts."""
     x, y = axes
-    turns = [("x", "y", x), ("y", "x", y), ("z", "x", np.cross(x, y)), ("z", "y", np.cross(x, y))]
-    moved = [(f"turn_{letter}_{by}", "rad/Nm", by, context.twist_shift(0, None, axis)) for letter, by, axis in turns]
+    tilts = [("x", "y", x), ("y", "x", y), ("z", "x", np.cross(x, y)), ("z", "y", np.cross(x, y))]
+    moved = [(f"turn_{letter}_{by}", "rad/Nm", by, context.twist_shift(0, None, axis)) for letter, by, axis in tilts]
     moved += [
         (f"shift_{letter}_{by}", "m/Nm", by, context.base_twists[k]) for k, letter in enumerate("xyz") for by in "xy"
     ]
@@ -110,7 +110,7 @@ def _unsymmetric(context: EffectContext, moments: Array, axes: Array) -> list[Ef
 
     def column(name: str, unit: str, load: Array, shift_M: Array, block: str) -> EffectColumn:
         along = load[:, None] * shift_M
-        return shift_column(f"pedestal_{name}", unit, Channel.BASE, along, -_LARGEST, _LARGEST, block, refines=True)
+        return shift_column(f"pedestal_{name}", unit, ActsOn.BASE, along, -_LARGEST, _LARGEST, block, refines=True)
 
     return [
         *(
@@ -150,9 +150,9 @@ class PedestalCoupling(Effect):
         settle: Move the other arm at random between stops, and log its joints."""
     )
     look_alikes = ("base_step", "base_drift")
-    variables = frozenset({DriverVariable.OTHER_ARM})
+    variables = frozenset({InputVariable.OTHER_ARM})
     forms = (OTHER_ISOTROPIC, OTHER_TILT, OTHER_GENERAL)
-    free_drivers = (FreeDriver(Quantity.OTHER_JOINT_ANGLE),)
+    discrepancy_inputs = (TermInput(Quantity.OTHER_JOINT_ANGLE),)
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs another arm that moves."""
@@ -193,12 +193,12 @@ class PedestalCoupling(Effect):
 
 def _own_column(name: str, unit: str, shift_M: Array) -> EffectColumn:
     """The arm's own moment tilts its base in the direction of the moment only."""
-    return shift_column(name, unit, Channel.BASE, shift_M, 0.0, _LARGEST)
+    return shift_column(name, unit, ActsOn.BASE, shift_M, 0.0, _LARGEST)
 
 
 def _other_column(name: str, unit: str, shift_M: Array) -> EffectColumn:
     """The common foundation may tilt this base either way."""
-    return shift_column(name, unit, Channel.BASE, shift_M, -_LARGEST, _LARGEST)
+    return shift_column(name, unit, ActsOn.BASE, shift_M, -_LARGEST, _LARGEST)
 
 
 def horizontal_axes(context: EffectContext) -> Array:

@@ -18,14 +18,14 @@ from cellapp.robot.effects.law import (
     CYCLES,
     FIXED,
     Constant,
-    DriverVariable,
+    InputVariable,
     Law,
     LawForm,
     SmoothLaw,
     circle_variances,
     with_prior_sd,
 )
-from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.modulation import TermInput
 from cellapp.robot.kinematics.transforms import Array
 
 LINES_MAX = 210
@@ -81,7 +81,7 @@ class EncoderEccentricity(Effect):
         settle: Log both encoders of {place}: an eccentric disc shows in one only."""
     )
     look_alikes = ("joint_compliance", "transmission_error")
-    variables = frozenset({DriverVariable.JOINT_ANGLE})
+    variables = frozenset({InputVariable.JOINT_ANGLE})
     forms = (ONE, ONE_SMOOTH, TILTED)
 
     def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
@@ -92,7 +92,7 @@ class EncoderEccentricity(Effect):
         """Free amplitudes."""
         return [ONE.law()]
 
-    free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
+    discrepancy_inputs = (TermInput(Quantity.JOINT_ANGLE),)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Cosine and sine of each joint; of a tilted disc those of both cycle counts."""
@@ -142,9 +142,9 @@ class TransmissionError(Effect):
         settle: Read the encoders with all their digits."""
     )
     look_alikes = ("encoder_eccentricity", "joint_axis_wobble", "joint_axis_runout")
-    variables = frozenset({DriverVariable.JOINT_ANGLE})
+    variables = frozenset({InputVariable.JOINT_ANGLE})
     forms = (TWO, LINES, GEAR, CURVE)
-    free_drivers = (FreeDriver(Quantity.JOINT_ANGLE),)
+    discrepancy_inputs = (TermInput(Quantity.JOINT_ANGLE),)
 
     def laws(self, context: EffectContext) -> list[Law]:
         """Two cycles; any lines."""

@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, joint_column, shift_column, varies
+from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, joint_column, shift_column, varies
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
 from cellapp.robot.effects.law import (
@@ -14,13 +14,13 @@ from cellapp.robot.effects.law import (
     FIXED,
     SCALED,
     Constant,
-    DriverVariable,
+    InputVariable,
     Law,
     LawForm,
     SmoothLaw,
     with_prior_sd,
 )
-from cellapp.robot.effects.modulation import FreeDriver
+from cellapp.robot.effects.modulation import TermInput
 from cellapp.robot.effects.time_functions import (
     FIRST,
     LAST,
@@ -62,9 +62,9 @@ MEAN_JOINT = Constant("mean_c", "degC", FIXED, per_joint=True)
 """Mean temperature of each joint in the run."""
 LAG = Constant("lag_s", "s", SCALED, "lag {} min", factor=1.0 / 60.0)
 
-_OF_AIR = frozenset({DriverVariable.AIR_TEMPERATURE})
-_OF_JOINTS = frozenset({DriverVariable.JOINT_TEMPERATURE})
-_OF_TIME = frozenset({DriverVariable.TIME})
+_OF_AIR = frozenset({InputVariable.AIR_TEMPERATURE})
+_OF_JOINTS = frozenset({InputVariable.JOINT_TEMPERATURE})
+_OF_TIME = frozenset({InputVariable.TIME})
 _LAGGED = (LAG, MEAN_AIR, MEAN_JOINT)
 _WARM_UP = (FIRST, LAST, WARM_UP_TIME)
 AIR = LawForm("air", "with the air temperature, all links alike", (MEAN_AIR,), _OF_AIR)
@@ -125,9 +125,9 @@ class ThermalGrowth(Effect):
         limit_size=_ALUMINIUM,
         size_check="check the unit of the temperatures and where they were taken",
     )
-    variables = _OF_AIR | _OF_JOINTS | _OF_TIME | {DriverVariable.JOINT_ANGLE}
+    variables = _OF_AIR | _OF_JOINTS | _OF_TIME | {InputVariable.JOINT_ANGLE}
     forms = (AIR, AIR_LINKS, JOINTS, JOINTS_LINKS, CONDUCTION, CONDUCTION_LINKS, WARM_UP, WARM_UP_LINKS)
-    free_drivers = (FreeDriver(Quantity.TIME), FreeDriver(Quantity.TEMPERATURE))
+    discrepancy_inputs = (TermInput(Quantity.TIME), TermInput(Quantity.TEMPERATURE))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs temperatures or times."""
@@ -173,7 +173,7 @@ class ThermalGrowth(Effect):
         grown = context.link_growth * warmer.T[:, :, None]
         if law.form in _BY_LINK:
             return _link_by_link(context, grown, unit, lower, upper, names)
-        return [shift_column("growth", unit, Channel.LINK, grown.sum(axis=0), lower, upper)]
+        return [shift_column("growth", unit, ActsOn.LINK, grown.sum(axis=0), lower, upper)]
 
 
 def _conduction(context: EffectContext, law: Law, names: Collection[str] | None) -> list[EffectColumn]:
@@ -184,13 +184,13 @@ def _conduction(context: EffectContext, law: Law, names: Collection[str] | None)
     by_air = context.link_growth.sum(axis=0) * air[:, None]
     housing = context.moved(np.einsum("inc,ni->nc", context.frames[0][:-1, :, :, 2], joints))
     columns = [
-        shift_column("growth_air", "1/K", Channel.LINK, by_air, 0.0, _MOST_GROWTH, "air"),
-        shift_column("growth_housings", "m/K", Channel.AXIS, housing, 0.0, _MOST_HOUSING, "housings"),
+        shift_column("growth_air", "1/K", ActsOn.LINK, by_air, 0.0, _MOST_GROWTH, "air"),
+        shift_column("growth_housings", "m/K", ActsOn.AXIS, housing, 0.0, _MOST_HOUSING, "housings"),
     ]
     if law.form == CONDUCTION_LINKS:
         return [*_link_by_link(context, by_joints, "1/K", 0.0, _MOST_GROWTH, names), *columns]
     together = by_joints.sum(axis=0)
-    return [shift_column("growth_joints", "1/K", Channel.LINK, together, 0.0, _MOST_GROWTH, "joints"), *columns]
+    return [shift_column("growth_joints", "1/K", ActsOn.LINK, together, 0.0, _MOST_GROWTH, "joints"), *columns]
 
 
 def _lagged_temperatures(context: EffectContext, law: Law, joints: Array, air: Array) -> tuple[Array, Array]:
@@ -220,7 +220,7 @@ def _link_by_link(
     """One column for each link of noticeable length, from shifts (N, n, 3)."""
     shortest = _NOTICEABLE * context.link_lengths.max()
     return [
-        shift_column(f"growth{i + 1}", unit, Channel.LINK, grown[i], lower, upper, index=i)
+        shift_column(f"growth{i + 1}", unit, ActsOn.LINK, grown[i], lower, upper, index=i)
         for i in range(context.joints)
         if context.link_lengths[i] >= shortest or (names is not None and f"growth{i + 1}" in names)
     ]
@@ -260,7 +260,7 @@ class JointDrift(Effect):
     look_alikes = ("base_drift", "thermal_growth", "base_step")
     variables = _OF_TIME | _OF_AIR | _OF_JOINTS
     forms = (LINEAR_FORM, WARM_UP_FORM, ZERO_BY_TEMPERATURE, WANDERING)
-    free_drivers = (FreeDriver(Quantity.TIME), FreeDriver(Quantity.TEMPERATURE))
+    discrepancy_inputs = (TermInput(Quantity.TIME), TermInput(Quantity.TEMPERATURE))
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs times or temperatures of the joints."""

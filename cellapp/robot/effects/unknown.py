@@ -1,4 +1,4 @@
-"""Effects without a name: a data-driven term that states which channel depends on which one or two variables."""
+"""Effects without a name: a data-driven term that states which place depends on which one or two variables."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ import numpy as np
 from numpy.polynomial.legendre import legvander
 from numpy.typing import NDArray
 
-from cellapp.robot.effects.context import Channel, EffectColumn, EffectContext, joint_column, shift_column
+from cellapp.robot.effects.context import ActsOn, EffectColumn, EffectContext, joint_column, shift_column
 from cellapp.robot.effects.data_driven import (
     FIELD_LENGTH,
     FIRST_CONSTANTS,
     PERIOD,
     POSITION,
     SECOND_CONSTANTS,
-    DataChannel,
+    ActedOn,
     DataDrivenForm,
     Direction,
     Quantity,
     Variable,
-    channels,
+    acted_on,
     data_driven_form,
     field_frequencies,
     field_functions,
@@ -46,7 +46,7 @@ from cellapp.robot.effects.effect import (
     lent_law,
     unnamed,
 )
-from cellapp.robot.effects.law import AMPLITUDE, Constant, DriverVariable, Law, LawForm, SmoothLaw, with_prior_sd
+from cellapp.robot.effects.law import AMPLITUDE, Constant, InputVariable, Law, LawForm, SmoothLaw, with_prior_sd
 from cellapp.robot.effects.time_functions import run_span, with_default
 from cellapp.robot.kinematics.transforms import Array
 
@@ -72,20 +72,20 @@ UNKNOWN_MEANING = Meaning(
     ),
 )
 
-_CHECKS: Mapping[Channel, tuple[str, ...]] = {
-    Channel.JOINT: (
+_CHECKS: Mapping[ActsOn, tuple[str, ...]] = {
+    ActsOn.JOINT: (
         "Check cables and hoses along {place}: a dress pack that pulls acts like this.",
         "Check gear, encoder and bolts of {place}.",
     ),
-    Channel.BASE: (
+    ActsOn.BASE: (
         "Check the bolts of base plate, pedestal and anchors.",
         "Look for what else moves in the cell: the other arm, a conveyor, a door, traffic on the floor.",
     ),
-    Channel.TOOL: (
+    ActsOn.TOOL: (
         "Check the screws of the SMR's mount and of the tool, and the seat of the SMR in its nest.",
         "Check cables at the wrist that pull at the mount.",
     ),
-    Channel.TRACKER: (
+    ActsOn.TRACKER: (
         "Check the tracker's stand, its weather station and its warm-up; run the two-face check.",
         "Look for warm air across the beam: heaters, open doors, the arm's own controller.",
     ),
@@ -108,15 +108,15 @@ _SETTLE: Mapping[Quantity, str] = {
 }
 
 
-def data_driven_meaning(channel: DataChannel, drivers: Sequence[Variable]) -> Meaning:
-    """Meaning of a term that moves ``channel`` with one or two variables."""
-    settle = dict.fromkeys(_to_settle(one) for one in drivers)
-    depends = enumeration([_variable_in_words(one) for one in drivers])
+def data_driven_meaning(acts_on: ActedOn, inputs: Sequence[Variable]) -> Meaning:
+    """Meaning of a term that moves ``acts_on`` with one or two variables."""
+    settle = dict.fromkeys(_to_settle(one) for one in inputs)
+    depends = enumeration([_variable_in_words(one) for one in inputs])
     return Meaning(
         cause=f"Something moves {{place}} with {depends}, by a law that the library does not have.",
         size=UNKNOWN_MEANING.size,
         size_source=UNKNOWN_MEANING.size_source,
-        check=(*_CHECKS.get(channel.channel, ()), *UNKNOWN_MEANING.check[:2]),
+        check=(*_CHECKS.get(acts_on.acts_on, ()), *UNKNOWN_MEANING.check[:2]),
         settle=(*settle, UNKNOWN_MEANING.settle[-1]),
     )
 
@@ -127,7 +127,7 @@ def imitation_meaning(title: str, meaning: Meaning) -> Meaning:
         cause=f"Something moves {{place}} and looks like {title}; a dress pack that pulls at it is more probable.",
         size=UNKNOWN_MEANING.size,
         size_source=UNKNOWN_MEANING.size_source,
-        check=tuple(dict.fromkeys((*_CHECKS[Channel.JOINT], *meaning.check))),
+        check=tuple(dict.fromkeys((*_CHECKS[ActsOn.JOINT], *meaning.check))),
         settle=("Take the hose or cable off {place} and measure 20 stops again.", *meaning.settle),
     )
 
@@ -172,7 +172,7 @@ _FEWEST = 24
 
 
 class Unknown(Effect):
-    """A data-driven term ``sum_k b_k f_k(v)`` in one channel, or ``sum_k b_k f_k(v, w)``; b in rad or m.
+    """A data-driven term ``sum_k b_k f_k(v)`` in one place, or ``sum_k b_k f_k(v, w)``; b in rad or m.
 
     Of a joint angle v: cosine and sine of v to 4 v. Of time: linear, and cosine of 1 to 20 half cycles over the run, or
     with ``period_s`` cosine and sine of one period. Of anything else: Legendre polynomials to order 4 on the range it
@@ -187,13 +187,13 @@ class Unknown(Effect):
     A law of the library whose values are impossible, or that imitates a part of something else, is one as well.
 
     It is not scanned like the named effects; ``dictionary`` and ``pairs`` list the laws to try. A term imitates every
-    named effect that has its channel and variable.
+    named effect that has its place and variable.
     """
 
     slug = "unknown"
     title = "unknown effect"
     meaning = UNKNOWN_MEANING
-    variables: ClassVar[frozenset[DriverVariable]] = frozenset()
+    variables: ClassVar[frozenset[InputVariable]] = frozenset()
     forms: ClassVar[tuple[LawForm, ...]] = (PAIRS,)
 
     def __init__(self, library: Mapping[str, Effect] | None = None) -> None:
@@ -213,14 +213,14 @@ class Unknown(Effect):
         return [SmoothLaw(unnamed(self, PAIRS).name, 2e-5)]
 
     def meaning_of(self, law: Law) -> Meaning:
-        """Checks by channel and further stops by variables; those of the effect that a contradiction behaves like."""
+        """Checks by place and further stops by variables; those of the effect that a contradiction behaves like."""
         if isinstance(law.form, ContradictionForm):
             return contradiction_meaning(law.form.effect)
         if isinstance(law.form, BorrowedForm):
             return imitation_meaning(law.form.effect.title, law.form.effect.meaning)
         if not isinstance(law.form, DataDrivenForm):
             return self.meaning
-        return data_driven_meaning(law.form.channel, law.form.drivers)
+        return data_driven_meaning(law.form.acts_on, law.form.inputs)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """One column per function and direction, all in one block; those of the effect for a law of the library."""
@@ -229,28 +229,28 @@ class Unknown(Effect):
             return [replace(column, lower=-np.inf, upper=np.inf) for column in of_effect]
         if law.form == PAIRS:
             return _of_neighbours(context, law.constants[AMPLITUDE.name], names)
-        channel = data_driven_form(law).channel
-        if channel not in channels(context.joints):
+        acts_on = data_driven_form(law).acts_on
+        if acts_on not in acted_on(context.joints):
             raise ValueError(f"effect {self.slug} has no law '{law.name}' for an arm with {context.joints} joints")
         values = functions(context, law)
-        if channel.channel is Channel.JOINT:
-            assert channel.joint is not None
-            prefix = _label(channel)
+        if acts_on.acts_on is ActsOn.JOINT:
+            assert acts_on.joint is not None
+            prefix = _label(acts_on)
             return [
-                joint_column(f"{prefix}.{name}", "rad", channel.joint, one, -_LARGEST, _LARGEST, channel.name)
+                joint_column(f"{prefix}.{name}", "rad", acts_on.joint, one, -_LARGEST, _LARGEST, acts_on.name)
                 for name, one in values.items()
             ]
         columns = []
-        for part, (unit, moved) in zip(channel.parts, _shifts(context, channel), strict=True):
+        for part, (unit, moved) in zip(acts_on.parts, _shifts(context, acts_on), strict=True):
             columns += [
                 shift_column(
                     f"{_label(part)}.{name}",
                     unit,
-                    channel.channel,
+                    acts_on.acts_on,
                     one[:, None] * moved,
                     -_LARGEST,
                     _LARGEST,
-                    channel.name,
+                    acts_on.name,
                 )
                 for name, one in values.items()
             ]
@@ -259,14 +259,14 @@ class Unknown(Effect):
 
 @dataclass(frozen=True)
 class FunctionFamily:
-    """Functions of one or two variables that any channel may depend on: the variables, and the constants of the law."""
+    """Functions of one or two variables that any place may depend on: the variables, and the constants of the law."""
 
-    drivers: tuple[Variable, ...]
+    inputs: tuple[Variable, ...]
     constants: Mapping[str, float]
 
-    def law(self, channel: DataChannel) -> Law:
-        """The data-driven law of a channel."""
-        return form_of(channel, self.drivers).law(self.constants)
+    def law(self, acts_on: ActedOn) -> Law:
+        """The data-driven law of a place."""
+        return form_of(acts_on, self.inputs).law(self.constants)
 
 
 def curve_families(context: EffectContext) -> list[FunctionFamily]:
@@ -325,9 +325,9 @@ def _with_priors(columns: list[EffectColumn], law: Law) -> list[EffectColumn]:
     return [with_prior_sd(column, sd[k % len(sd)]) for k, column in enumerate(columns)]
 
 
-def channel_directions(context: EffectContext, channel: DataChannel) -> list[Array]:
-    """SMR shifts (n, 3) [m, tracker frame] per unit of a channel other than a joint, in each of its directions."""
-    return [moved for _, moved in _shifts(context, channel)]
+def acted_directions(context: EffectContext, acts_on: ActedOn) -> list[Array]:
+    """SMR shifts (n, 3) [m, tracker frame] per unit of a place other than a joint, in each of its directions."""
+    return [moved for _, moved in _shifts(context, acts_on)]
 
 
 def _of_neighbours(context: EffectContext, amplitude: float, names: Collection[str] | None) -> list[EffectColumn]:
@@ -348,20 +348,20 @@ def _of_neighbours(context: EffectContext, amplitude: float, names: Collection[s
     return columns
 
 
-def _label(channel: DataChannel) -> str:
-    return channel.name.replace(" ", "_")
+def _label(acts_on: ActedOn) -> str:
+    return acts_on.name.replace(" ", "_")
 
 
-def _shifts(context: EffectContext, channel: DataChannel) -> list[tuple[str, Array]]:
-    """Unit and SMR shift (n, 3) per unit of each direction of a channel other than a joint."""
-    return [_shift(context, channel.channel, direction) for direction in channel.directions]
+def _shifts(context: EffectContext, acts_on: ActedOn) -> list[tuple[str, Array]]:
+    """Unit and SMR shift (n, 3) per unit of each direction of a place other than a joint."""
+    return [_shift(context, acts_on.acts_on, direction) for direction in acts_on.directions]
 
 
-def _shift(context: EffectContext, channel: Channel, direction: Direction) -> tuple[str, Array]:
+def _shift(context: EffectContext, acts_on: ActsOn, direction: Direction) -> tuple[str, Array]:
     axes = {Direction.SHIFT_X: 0, Direction.SHIFT_Y: 1, Direction.SHIFT_Z: 2, Direction.TURN_X: 3, Direction.TURN_Y: 4}
     if direction in axes:
         axis = axes[direction]
-        if channel is Channel.TOOL:
+        if acts_on is ActsOn.TOOL:
             return "m", context.moved(context.frames[0][-1][:, :, axis])
         return ("m" if axis < 3 else "rad"), context.base_twists[axis]
     distance, beam = context.beam
@@ -418,7 +418,7 @@ def _about(azimuth: Array, center: float) -> Array:
 
 def functions(context: EffectContext, law: Law) -> dict[str, Array]:
     """Evaluate the functions (n,) of a law's variables, by name."""
-    return FunctionTable(context).functions(data_driven_form(law).drivers, law.constants)
+    return FunctionTable(context).functions(data_driven_form(law).inputs, law.constants)
 
 
 @dataclass(frozen=True, eq=False)
@@ -432,23 +432,23 @@ class FunctionTable:
     families: dict[tuple[Variable, float], list[tuple[int, str, Array]]] = field(default_factory=dict)
     waves: dict[Variable, NDArray[np.complex128]] = field(default_factory=dict)
 
-    def functions(self, drivers: tuple[Variable, ...], constants: Mapping[str, float]) -> dict[str, Array]:
+    def functions(self, inputs: tuple[Variable, ...], constants: Mapping[str, float]) -> dict[str, Array]:
         """Evaluate the functions (n,) of some variables, by name."""
-        if drivers == POSITION:
+        if inputs == POSITION:
             return field_functions(position_in_base(self.context), constants)
         first = _own(constants, FIRST_CONSTANTS, "")
-        if len(drivers) == 1:
-            if drivers[0].quantity is Quantity.TIME:
-                return _of_time(self.context, drivers[0], first)
-            return {name: values for _, name, values in self._family(drivers[0], first)}
-        if all(one.is_joint_angle for one in drivers):
-            return self._of_two_angles(drivers, round(constants["order"]))
+        if len(inputs) == 1:
+            if inputs[0].quantity is Quantity.TIME:
+                return _of_time(self.context, inputs[0], first)
+            return {name: values for _, name, values in self._family(inputs[0], first)}
+        if all(one.is_joint_angle for one in inputs):
+            return self._of_two_angles(inputs, round(constants["order"]))
         second = _own(constants, SECOND_CONSTANTS, "2")
         most = round(max(first["order"], second["order"]))
         ones = [(0, "", np.ones(len(self.context)))]
         products = {}
-        for m, left, f in ones + self._family(drivers[0], first):
-            for k, right, g in ones + self._family(drivers[1], second):
+        for m, left, f in ones + self._family(inputs[0], first):
+            for k, right, g in ones + self._family(inputs[1], second):
                 if 1 <= m + k <= most:
                     products["*".join(filter(None, (left, right)))] = f * g
         return products
@@ -459,10 +459,10 @@ class FunctionTable:
             self.families[key] = _family(self.context, variable, constants)
         return self.families[key]
 
-    def _of_two_angles(self, drivers: tuple[Variable, ...], order: int) -> dict[str, Array]:
+    def _of_two_angles(self, inputs: tuple[Variable, ...], order: int) -> dict[str, Array]:
         """Evaluate cosine and sine of m v + k w, 1 <= |m| + |k| <= ``order``, each at most 3, opposite signs once."""
-        v, w = (self._waves(one) for one in drivers)
-        labels = tuple(one.name.replace(" ", "_") for one in drivers)
+        v, w = (self._waves(one) for one in inputs)
+        labels = tuple(one.name.replace(" ", "_") for one in inputs)
         found = {}
         for m, k, text in _phases(labels, order):
             wave = v[m] * (w[k] if k >= 0 else w[-k].conj())

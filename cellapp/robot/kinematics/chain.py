@@ -39,6 +39,7 @@ from numpy.typing import NDArray
 
 from cellapp.robot.kinematics.transforms import (
     Array,
+    angular_rows,
     apply,
     left_jacobian,
     rotation_from_vector,
@@ -47,7 +48,6 @@ from cellapp.robot.kinematics.transforms import (
     rotation_y,
     rotation_z,
     transform,
-    turned_rows,
 )
 
 # -- Constant matrices and vectors of a chain's parameters: the base in the tracker frame, and the D-H rows -----------
@@ -274,9 +274,9 @@ class JointAngles:
         return cls(np.cos(angles), np.sin(angles), R_M_S)
 
     @cached_property
-    def turned(self) -> NDArray[np.bool_] | None:
+    def angular(self) -> NDArray[np.bool_] | None:
         """Mask (n,) of configurations at which orientation is computed; None if there are none."""
-        return turned_rows(self.R_M_S)
+        return angular_rows(self.R_M_S)
 
     @cached_property
     def signed_sines(self) -> Array:
@@ -404,9 +404,9 @@ def jacobian(
     if max(of_probe) >= 0:
         J[of_probe] = 0.0  # a probe turns about its own origin
     if angles.R_M_S is not None:
-        turned = angles.turned
-        J[:r, :, turned] = axes[:, :, turned].swapaxes(0, 1)
-        J[r:, :, turned] = 0.0
+        angular = angles.angular
+        J[:r, :, angular] = axes[:, :, angular].swapaxes(0, 1)
+        J[r:, :, angular] = 0.0
     return P, (J if sources.restore is None else J[sources.restore]).swapaxes(0, 1)
 
 
@@ -513,18 +513,18 @@ def _computed(geometry: Geometry, angles: JointAngles, frames: Array) -> Array:
     """Compute SMR positions (3, n) [m] or, if an orientation was measured, the rotation vector from it [rad]."""
     P = _smr(geometry, frames)
     if angles.R_M_S is not None:
-        turned, last = angles.turned, 4 * geometry.joints
-        flange = frames[last : last + 3][:, :, turned].transpose(2, 1, 0)
+        angular, last = angles.angular, 4 * geometry.joints
+        flange = frames[last : last + 3][:, :, angular].transpose(2, 1, 0)
         R_M_S = flange if geometry.probe is None else flange @ rotation_from_vector(geometry.probe)
-        P[:, turned] = rotation_vectors(R_M_S @ angles.R_M_S[turned].swapaxes(1, 2)).T
+        P[:, angular] = rotation_vectors(R_M_S @ angles.R_M_S[angular].swapaxes(1, 2)).T
     return P
 
 
 def _probe_axes(geometry: Geometry, frames: Array) -> Array:
     """Compute the axes (3, 3, n) about which the components of a probe's rotation vector rotate it: component, axis."""
     last = 4 * geometry.joints
-    turn = np.eye(3) if geometry.probe is None else left_jacobian(geometry.probe)
-    return np.asarray(np.einsum("can,ck->akn", frames[last : last + 3], turn))
+    rotation = np.eye(3) if geometry.probe is None else left_jacobian(geometry.probe)
+    return np.asarray(np.einsum("can,ck->akn", frames[last : last + 3], rotation))
 
 
 def _frame_shapes(geometry: Geometry, n: int) -> tuple[tuple[int, ...], ...]:
@@ -537,22 +537,22 @@ def _new_frames(geometry: Geometry, angles: JointAngles) -> Array:
     return _frames(geometry, angles, *map(np.empty, _frame_shapes(geometry, angles.count)))
 
 
-def _frames(geometry: Geometry, angles: JointAngles, vectors: Array, turned: Array, scratch: Array) -> Array:
+def _frames(geometry: Geometry, angles: JointAngles, vectors: Array, rotated: Array, scratch: Array) -> Array:
     """Compute axes and origins of all D-H frames, base first, then the fixed vectors of the base: (4 N + 8, 3, n).
 
-    The result is written into ``vectors``; ``turned`` and ``scratch`` are overwritten (``_frame_shapes``). The part of
+    The result is written into ``vectors``; ``rotated`` and ``scratch`` are overwritten (``_frame_shapes``). The part of
     A_i after rot_z(q_i) is the same for all configurations, hence one matrix product per joint.
     """
     base = geometry.base_vectors[:, :, None]
     vectors[:4], vectors[-4:] = base[:4], base[4:]
-    flat, turned_flat, turned_xy = vectors.reshape(len(vectors), -1), turned.reshape(4, -1), turned[:2]
+    flat, rotated_flat, rotated_xy = vectors.reshape(len(vectors), -1), rotated.reshape(4, -1), rotated[:2]
     rows, signed_sines = geometry.row_matrices, angles.signed_sines
     for i in range(geometry.joints):
         before = vectors[4 * i : 4 * i + 4]
-        np.multiply(before[:2], angles.cosines[i], out=turned_xy)
-        turned_xy += np.multiply(before[1::-1], signed_sines[i], out=scratch)
-        turned[2:] = before[2:]
-        np.matmul(rows[i], turned_flat, out=flat[4 * i + 4 : 4 * i + 8])
+        np.multiply(before[:2], angles.cosines[i], out=rotated_xy)
+        rotated_xy += np.multiply(before[1::-1], signed_sines[i], out=scratch)
+        rotated[2:] = before[2:]
+        np.matmul(rows[i], rotated_flat, out=flat[4 * i + 4 : 4 * i + 8])
     return vectors
 
 
@@ -602,22 +602,22 @@ calibration.conf files in public bug reports of drivers. On the rows of another 
 def plain_geometry(geometry: Geometry) -> Geometry:
     """Return the same arm with all beta zero: ``smr_positions`` are equal to rounding at every configuration.
 
-    A plain row leaves a rotation about and a shift along the next joint axis. These commute with that joint's rotation,
+    A plain row leaves an angle about and a shift along the next joint axis. These commute with that joint's angle,
     so they are added to theta and d of the next row, and after the last row to the tool. Flange orientations are equal
     too, unless the last row has a beta.
     """
     rows = geometry.rows.copy()
-    turn = shift = 0.0
+    angle = shift = 0.0
     for row in rows:
-        row[0] += turn
+        row[0] += angle
         row[1] += shift
-        row[:], turn, shift = _plain_row(row)
-    tool = apply(transform(rotation_z(turn), [0.0, 0.0, shift]), geometry.tool)
+        row[:], angle, shift = _plain_row(row)
+    tool = apply(transform(rotation_z(angle), [0.0, 0.0, shift]), geometry.tool)
     return replace(geometry, rows=rows, tool=tool)
 
 
 def _plain_row(row: Array) -> tuple[Array, float, float]:
-    """Convert a row (5,) to one without beta; also return the remaining rotation [rad] about and shift [m] along z.
+    """Convert a row (5,) to one without beta; also return the remaining angle [rad] about and shift [m] along z.
 
     With the row's x axis turned by ``psi`` about its first axis onto the common normal, and ``twist`` between the axes:
 
@@ -638,24 +638,24 @@ def _plain_row(row: Array) -> tuple[Array, float, float]:
         shift = a * math.sin(psi) / sine
     cp, sp, ct = math.cos(psi), math.sin(psi), math.cos(twist)
     x_next = np.array([cb, sa * sb, -ca * sb])
-    turn = math.atan2(x_next @ [-sp * ct, cp * ct, math.sin(twist)], x_next @ [cp, sp, 0.0])
-    return np.array([theta + psi, d - shift * ct, a * cp, twist, 0.0]), turn, shift
+    angle = math.atan2(x_next @ [-sp * ct, cp * ct, math.sin(twist)], x_next @ [cp, sp, 0.0])
+    return np.array([theta + psi, d - shift * ct, a * cp, twist, 0.0]), angle, shift
 
 
 def hayati_rows(plain: Array, published: Array) -> Array:
     """Convert plain rows (N, 4) to rows (N, 5) with beta of the same arm, near its published rows (N, 4).
 
     If two published axes are parallel, the row keeps the published d and has a beta, so that no length is large; the
-    remaining rotation and shift go into theta and d of the next row, as in ``plain_geometry``. Flange poses are equal.
+    remaining angle and shift go into theta and d of the next row, as in ``plain_geometry``. Flange poses are equal.
     """
     rows = np.column_stack([plain, np.zeros(len(plain))])
-    turn = shift = 0.0
+    angle = shift = 0.0
     for i, row in enumerate(rows):
-        row[0] += turn
+        row[0] += angle
         row[1] += shift
-        turn = shift = 0.0
+        angle = shift = 0.0
         if i + 1 < len(rows) and abs(math.sin(published[i, 3])) < _NEARLY_PARALLEL:
-            row[:], turn, shift = _hayati_row(row, published[i])
+            row[:], angle, shift = _hayati_row(row, published[i])
     return rows
 
 
@@ -679,12 +679,12 @@ def same_chain(plain: Array, other: Array, published: Array) -> bool:
     if plain.shape != other.shape:
         return False
     rows = [hayati_rows(one, published) for one in (plain, other)]
-    turn = 2.0 * np.pi
-    return bool(np.all(np.abs(np.remainder(rows[0] - rows[1] + 0.5 * turn, turn) - 0.5 * turn) < _SAME_ROWS))
+    angle = 2.0 * np.pi
+    return bool(np.all(np.abs(np.remainder(rows[0] - rows[1] + 0.5 * angle, angle) - 0.5 * angle) < _SAME_ROWS))
 
 
 def _hayati_row(row: Array, published: Array) -> tuple[Array, float, float]:
-    """Convert a plain row (5,) to one with the published d and a beta; also return the remaining rotation [rad] and
+    """Convert a plain row (5,) to one with the published d and a beta; also return the remaining angle [rad] and
     shift [m] about z.
 
     The next axis intersects the plane z = d at the row's new origin; the x axis goes through that point.
@@ -699,15 +699,15 @@ def _hayati_row(row: Array, published: Array) -> tuple[Array, float, float]:
     in_row = rotation_z(-theta_new) @ axis
     beta, alpha_new = math.asin(in_row[0]), math.atan2(-in_row[1], in_row[2])
     left = (rotation_z(theta_new) @ rotation_x(alpha_new) @ rotation_y(beta)).T @ rotation_z(theta) @ rotation_x(alpha)
-    turned = np.array([theta_new, published[1], sign * math.hypot(x, y), alpha_new, beta])
-    return turned, math.atan2(left[1, 0], left[0, 0]), float(shift)
+    rotated = np.array([theta_new, published[1], sign * math.hypot(x, y), alpha_new, beta])
+    return rotated, math.atan2(left[1, 0], left[0, 0]), float(shift)
 
 
 def plain_rows_of(origins: Array, published: Array) -> Array:
     """Return the plain rows (N, 4) of an arm from its joints' origins (N, 4, 4) in the frames of the links before.
 
-    Each origin is ``rot_z(turn) trans(0, 0, shift) trans(a, 0, 0) rot_x(alpha) trans(0, 0, d) rot_z(theta)``: a and
-    alpha are those of the row before, to which turn and shift belong, too. Of the two directions of a common normal,
+    Each origin is ``rot_z(angle) trans(0, 0, shift) trans(a, 0, 0) rot_x(alpha) trans(0, 0, d) rot_z(theta)``: a and
+    alpha are those of the row before, to which angle and shift belong, too. Of the two directions of a common normal,
     that of the ``published`` rows (N, 4) is chosen. What stands before the first joint belongs to the base.
     """
     rows = np.zeros((len(origins) + 1, 4))
@@ -717,16 +717,16 @@ def plain_rows_of(origins: Array, published: Array) -> Array:
         for sign in (1.0, -1.0):
             sine = sign * math.hypot(R[0, 2], R[1, 2])
             if abs(sine) < _PARALLEL:
-                turn = math.atan2(sign * p[1], sign * p[0]) if math.hypot(p[0], p[1]) > _SAME_ROWS else 0.0
-                theta, d, alpha = math.atan2(R[1, 0], R[0, 0]) - turn, p[2], 0.0
+                angle = math.atan2(sign * p[1], sign * p[0]) if math.hypot(p[0], p[1]) > _SAME_ROWS else 0.0
+                theta, d, alpha = math.atan2(R[1, 0], R[0, 0]) - angle, p[2], 0.0
             else:
-                turn, theta = math.atan2(R[0, 2] / sine, -R[1, 2] / sine), math.atan2(R[2, 0] / sine, R[2, 1] / sine)
+                angle, theta = math.atan2(R[0, 2] / sine, -R[1, 2] / sine), math.atan2(R[2, 0] / sine, R[2, 1] / sine)
                 alpha = math.atan2(sine, R[2, 2])
-                d = (math.sin(turn) * p[0] - math.cos(turn) * p[1]) / sine
-            length = math.cos(turn) * p[0] + math.sin(turn) * p[1]
+                d = (math.sin(angle) * p[0] - math.cos(angle) * p[1]) / sine
+            length = math.cos(angle) * p[0] + math.sin(angle) * p[1]
             if (length * a if abs(a) > _SAME_ROWS else alpha * twist) >= 0.0:
                 break
-        rows[joint] += [turn, p[2] - d * math.cos(alpha), length, alpha]
+        rows[joint] += [angle, p[2] - d * math.cos(alpha), length, alpha]
         rows[joint + 1, :2] += [theta, d]
     rows[1:, 0] -= 2.0 * math.pi * np.rint((rows[1:, 0] - published[:, 0]) / (2.0 * math.pi))
     return rows[1:]

@@ -161,10 +161,10 @@ def structure_of(geometry: Geometry) -> tuple[Structure, float] | None:
     reach = float(np.abs(a).sum() + np.abs(d).sum())
     if reach == 0.0 or min(abs(s[0]), abs(s[3]), abs(s[4])) < _LEAST_SINE:
         return None
-    bent, turned = float(np.abs(beta).max()), abs(float(s[1]))
+    bent, rotated = float(np.abs(beta).max()), abs(float(s[1]))
     found: list[tuple[Structure, float, float]] = [
-        ("parallel axes 2-3-4", max(bent, turned, abs(float(s[2]))), float(np.abs(a[4:]).max())),
-        ("spherical wrist", max(bent, turned), float(max(abs(a[3]), abs(a[4]), abs(d[4])))),
+        ("parallel axes 2-3-4", max(bent, rotated, abs(float(s[2]))), float(np.abs(a[4:]).max())),
+        ("spherical wrist", max(bent, rotated), float(max(abs(a[3]), abs(a[4]), abs(d[4])))),
     ]
     for name, angle, length in found:
         second = abs(a[2]) if name == "parallel axes 2-3-4" else math.hypot(a[2], d[3] * s[2])

@@ -97,8 +97,8 @@ def rotations_of(quaternions: ArrayLike) -> Array:
     known = np.isfinite(quaternions).all(axis=-1)
     rotations = np.full((*known.shape, 3, 3), np.nan)
     if known.any():  # some versions of scipy refuse an empty batch
-        turns = scipy.spatial.transform.Rotation.from_quat(quaternions[known], scalar_first=True)
-        rotations[known] = turns.as_matrix()
+        found = scipy.spatial.transform.Rotation.from_quat(quaternions[known], scalar_first=True)
+        rotations[known] = found.as_matrix()
     return rotations
 
 
@@ -107,8 +107,8 @@ def quaternions_of(rotations: Array) -> Array:
     known = np.isfinite(rotations).all(axis=(-2, -1))
     quaternions = np.full((*known.shape, 4), np.nan)
     if known.any():
-        turns = scipy.spatial.transform.Rotation.from_matrix(rotations[known])
-        quaternions[known] = turns.as_quat(canonical=True, scalar_first=True)
+        found = scipy.spatial.transform.Rotation.from_matrix(rotations[known])
+        quaternions[known] = found.as_quat(canonical=True, scalar_first=True)
     return quaternions
 
 
@@ -151,7 +151,7 @@ def apply(T_A_B: Array, p_B: Array) -> Array:
     return result
 
 
-def turned_rows(R_M_S: Array | None) -> NDArray[np.bool_] | None:
+def angular_rows(R_M_S: Array | None) -> NDArray[np.bool_] | None:
     """Return the mask (n,) of rows with a measured orientation (n, 3, 3), not NaN; None if ``R_M_S`` is None."""
     return None if R_M_S is None else np.asarray(np.isfinite(R_M_S[:, 0, 0]))
 

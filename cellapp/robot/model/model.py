@@ -20,10 +20,10 @@ from cellapp.ground.results import plain_data
 from cellapp.robot.effects import (
     EFFECTS,
     Displacement,
-    DriverVariable,
     EffectColumn,
     EffectContext,
     EffectTerm,
+    InputVariable,
     MeasurementConditions,
     displacement,
     term_from_json,
@@ -77,7 +77,7 @@ class ResidualNetwork:
         Scale of the outputs [m].
     members : tuple of layers
         For each member and layer: weights (out, in) and offsets (out,).
-    turning : ResidualNetwork or None
+    rotation : ResidualNetwork or None
         Correction of the flange's rotation in the same frame, as rotation vectors [rad]; None where positions alone
         were measured, or it did not help.
     """
@@ -89,7 +89,7 @@ class ResidualNetwork:
     rotates_with_joint_1: bool
     scale: float
     members: tuple[Layers, ...]
-    turning: ResidualNetwork | None = None
+    rotation: ResidualNetwork | None = None
 
     def correct(self, q: Array) -> Array:
         """Compute the correction (n, 3) [m] of SMR positions at ``q`` (n, N) [rad], in the frame of its training."""
@@ -125,9 +125,9 @@ def network_to_json(network: ResidualNetwork) -> dict[str, Any]:
     content = plain_data(vars(network))
     content["turning_with_joint_1"], content["scale_m"] = content.pop("rotates_with_joint_1"), content.pop("scale")
     members = [[{"weights": one, "offsets": other} for one, other in layers] for layers in content.pop("members")]
-    del content["turning"]
-    turning = {} if network.turning is None else {"turning": network_to_json(network.turning)}
-    return {**content, "activation": "tanh", "members": members, **turning}
+    del content["rotation"]
+    rotation = {} if network.rotation is None else {"turning": network_to_json(network.rotation)}
+    return {**content, "activation": "tanh", "members": members, **rotation}
 
 
 def network_from_json(content: Mapping[str, Any]) -> ResidualNetwork:
@@ -144,7 +144,7 @@ def network_from_json(content: Mapping[str, Any]) -> ResidualNetwork:
         rotates_with_joint_1=bool(content["turning_with_joint_1"]),
         scale=float(content["scale_m"]),
         members=tuple(tuple(one) for one in members),
-        turning=network_from_json(content["turning"]) if "turning" in content else None,
+        rotation=network_from_json(content["turning"]) if "turning" in content else None,
     )
 
 
@@ -267,7 +267,7 @@ class ArmModel:
         actual = replace(context, q_actual=q + moved.joints)
         again = [
             one
-            if EFFECTS[term.slug].variables == {DriverVariable.JOINT_ANGLE} and not one.shift_M.any()
+            if EFFECTS[term.slug].variables == {InputVariable.JOINT_ANGLE} and not one.shift_M.any()
             else displacement([term], EFFECTS, actual)
             for term, one in zip(self.effects, each, strict=True)
         ]
@@ -304,8 +304,8 @@ class ArmModel:
         if self.network is None:
             return p_M
         correction_M = self.network.correct(q) @ self.geometry.T_M_B()[:3, :3].T
-        if conditions.turned is not None:
-            correction_M[conditions.turned] = self.turning_M(q[conditions.turned])
+        if conditions.angular is not None:
+            correction_M[conditions.angular] = self.angles_M(q[conditions.angular])
         return np.asarray(p_M + correction_M)
 
     def orientation(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
@@ -315,25 +315,25 @@ class ArmModel:
         """
         q = configurations(q, self.geometry.joints)
         rotations = probe_rotations(self.geometry, self.true_joints(q, conditions=conditions))
-        return self.turns(q, conditions) @ rotations if self.turns_flange else rotations
+        return self.rotations(q, conditions) @ rotations if self.rotates_flange else rotations
 
     @property
-    def turns_flange(self) -> bool:
+    def rotates_flange(self) -> bool:
         """Whether effects or the network may turn the flange."""
-        return bool(self.effects) or (self.network is not None and self.network.turning is not None)
+        return bool(self.effects) or (self.network is not None and self.network.rotation is not None)
 
-    def turning_M(self, q: Array) -> Array:
+    def angles_M(self, q: Array) -> Array:
         """Return the network's rotation vectors (n, 3) [rad] of the flange in the tracker frame."""
-        if self.network is None or self.network.turning is None:
+        if self.network is None or self.network.rotation is None:
             return np.zeros((len(q), 3))
-        return np.asarray(self.network.turning.correct(q) @ self.geometry.T_M_B()[:3, :3].T)
+        return np.asarray(self.network.rotation.correct(q) @ self.geometry.T_M_B()[:3, :3].T)
 
-    def turns(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
+    def rotations(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
         """Compute flange rotations (n, 3, 3), in the tracker frame, by deflection of links, bearings and base, and by
         the network."""
-        turned = replace(conditions or MeasurementConditions(), R_M_S=np.tile(np.eye(3), (len(q), 1, 1)))
-        turn_M = self.effect_displacement(q, turned).shift_M + self.turning_M(q)  # both are milliradians
-        return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(turn_M).as_matrix())
+        rotated = replace(conditions or MeasurementConditions(), R_M_S=np.tile(np.eye(3), (len(q), 1, 1)))
+        angle_M = self.effect_displacement(q, rotated).shift_M + self.angles_M(q)  # both are milliradians
+        return np.asarray(scipy.spatial.transform.Rotation.from_rotvec(angle_M).as_matrix())
 
     def uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
         """Compute the standard deviation (n,) [m] of a predicted coordinate at ``q`` (n, N) [rad], without noise.
@@ -344,15 +344,15 @@ class ArmModel:
         """
         q = configurations(q, self.geometry.joints)
         variance = np.zeros(len(q))
-        turned = None if conditions is None else conditions.turned
+        angular = None if conditions is None else conditions.angular
         if self.posterior is not None:
             moved = self.posterior.displacements(self.geometry, self.effects, self.context(q, conditions=conditions))
             variance += np.mean(moved**2, axis=(0, 2))
         if self.network is not None:
             of_network = np.mean(self.network.spread(q) ** 2, axis=1)
-            turning = self.network.turning
-            of_turns = 0.0 if turned is None or turning is None else np.mean(turning.spread(q) ** 2, axis=1)
-            variance += of_network if turned is None else np.where(turned, of_turns, of_network)
+            rotation = self.network.rotation
+            of_rotations = 0.0 if angular is None or rotation is None else np.mean(rotation.spread(q) ** 2, axis=1)
+            variance += of_network if angular is None else np.where(angular, of_rotations, of_network)
         return np.asarray(np.sqrt(variance))
 
     def measured_uncertainty(self, q: Array, conditions: MeasurementConditions | None = None) -> Array:
@@ -361,9 +361,9 @@ class ArmModel:
         For a measured orientation it is that of a component of the rotation [rad].
         """
         noise = self.noise(q)
-        if conditions is not None and conditions.turned is not None:
-            of_turns = None if self.posterior is None else self.posterior.noise_rad
-            noise[conditions.turned] = of_turns or 0.0
+        if conditions is not None and conditions.angular is not None:
+            of_rotations = None if self.posterior is None else self.posterior.noise_rad
+            noise[conditions.angular] = of_rotations or 0.0
         return np.asarray(np.hypot(self.uncertainty(q, conditions), noise))
 
     def noise(self, q: Array) -> Array:
@@ -383,12 +383,12 @@ class ArmModel:
     def flange(self, q: Array, conditions: MeasurementConditions | None = None) -> tuple[Array, Array]:
         """Compute flange rotations (n, 3, 3) and origins (n, 3) [m] in the tracker frame.
 
-        Rotations include ``turns`` only if the model has a probe: only measured orientations can confirm them.
+        Rotations include ``rotations`` only if the model has a probe: only measured orientations can confirm them.
         """
         rotations, origins = flange_poses(self.geometry, self.true_joints(q, conditions=conditions))
-        if self.geometry.probe is None or not self.turns_flange:
+        if self.geometry.probe is None or not self.rotates_flange:
             return rotations, origins
-        return self.turns(q, conditions) @ rotations, origins
+        return self.rotations(q, conditions) @ rotations, origins
 
     def of_positions(self) -> ArmModel:
         """Return the arm without the rotation of a probe, for positions alone."""

@@ -189,7 +189,7 @@ class Blend:
 
 _CORNER_RAD = 1e-3
 """Change of direction above which two pieces meet in a corner, at which the arm stops."""
-_TURN_CORNER_RAD_M = 0.02
+_ROTATION_CORNER_RAD_M = 0.02
 """Change of the rotation per length that counts as a corner: 2 mrad/s at 100 mm/s."""
 _VERTEX_M = 2e-4
 """Spacing of the vertices from which distances are computed; on an arc of 50 mm the chord is wrong by 0.1 um."""
@@ -251,10 +251,10 @@ class CartesianPath:
 
     def poses(self, s: Array) -> tuple[Array, Array]:
         """Points (n, 3) [m] and flange rotations (n, 3, 3)."""
-        turned = np.empty((len(s), 3, 3))
+        rotated = np.empty((len(s), 3, 3))
         for course, rows, x in self._on_courses(s):
-            turned[rows] = self._rotations(course, course.piece.along(x))
-        return self.positions(s), turned
+            rotated[rows] = self._rotations(course, course.piece.along(x))
+        return self.positions(s), rotated
 
     def wanted_speed(self, s: Array) -> Array:
         """Wanted speed (n,) [m/s]."""
@@ -313,10 +313,10 @@ class CartesianPath:
         """Compute rotations of one segment, extended beyond its ends at its constant rate."""
         start = scipy.spatial.transform.Rotation.from_matrix(self.rotations[number])
         return start * scipy.spatial.transform.Rotation.from_rotvec(
-            np.multiply.outer(sigma - self.corners[number], self._turn_rate(number))
+            np.multiply.outer(sigma - self.corners[number], self._rotation_rate(number))
         )
 
-    def _turn_rate(self, number: int) -> Array:
+    def _rotation_rate(self, number: int) -> Array:
         """Compute the rotation vector per length of a segment in the rotating frame, (3,) [rad/m]."""
         start, end = scipy.spatial.transform.Rotation.from_matrix(self.rotations[number : number + 2])
         return np.asarray((start.inv() * end).as_rotvec() / (self.corners[number + 1] - self.corners[number]))
@@ -325,8 +325,8 @@ class CartesianPath:
         ends = before.piece.tangents(np.array([before.piece.length]))[0], after.piece.tangents(np.zeros(1))[0]
         if np.linalg.norm(ends[1] - ends[0]) > _CORNER_RAD:
             return True
-        change = self._turn_rate(after.before) - self._turn_rate(before.after)
-        return bool(np.linalg.norm(change) > _TURN_CORNER_RAD_M)
+        change = self._rotation_rate(after.before) - self._rotation_rate(before.after)
+        return bool(np.linalg.norm(change) > _ROTATION_CORNER_RAD_M)
 
 
 def cartesian_path(

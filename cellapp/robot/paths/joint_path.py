@@ -283,9 +283,9 @@ def _with_turns_at_stops(arm: ArmModel, stretches: list[Stretch], conditions: Co
     """Add to each stretch the reversals of joints at the stop before it."""
     found = stretches[:1]
     for before, after in pairwise(stretches):
-        turned = np.flatnonzero(before.end_signs != after.signs)
+        rotated = np.flatnonzero(before.end_signs != after.signs)
         at = float(after.s[0])
-        plays = [(int(j), *_play(arm, after.q[:1], conditions, int(j))) for j in turned]
+        plays = [(int(j), *_play(arm, after.q[:1], conditions, int(j))) for j in rotated]
         more = tuple(
             Reversal(j + 1, at, abs(jump) * lever, 0.0) for j, jump, lever in plays if abs(jump) >= _NO_PLAY_RAD
         )
@@ -297,7 +297,7 @@ def _with_turns_at_stops(arm: ArmModel, stretches: list[Stretch], conditions: Co
 
 
 _COARSE_M = 0.01
-_COARSE_TURN_RAD = 0.05
+_COARSE_ROTATION_RAD = 0.05
 """Spacing of the samples along which a branch is followed: close enough that Newton stays on it."""
 _LARGEST_STEP_RAD = 0.35
 """Largest step of a joint between samples: a larger one means another branch or a singularity."""
@@ -362,7 +362,7 @@ def _samples(path: CartesianPath) -> Array:
         trial = np.linspace(begin, end, max(9, int(np.ceil((end - begin) / _COARSE_M)) + 1))
         turns = path.poses(np.minimum(trial, np.nextafter(end, begin)))[1]
         angle = np.arccos(np.clip(0.5 * (np.einsum("nij,nij->n", turns[1:], turns[:-1]) - 1.0), -1.0, 1.0))
-        finer = max(1, int(np.ceil(angle.max() / _COARSE_TURN_RAD)))
+        finer = max(1, int(np.ceil(angle.max() / _COARSE_ROTATION_RAD)))
         found.append(np.linspace(begin, end, (len(trial) - 1) * finer + 1)[1:])
     return np.concatenate(found)
 
@@ -504,8 +504,8 @@ def _profile(path: CartesianPath, stretch: Stretch, rates: Rates, share: float) 
     first, second = np.abs(spline(s, 1)), np.abs(spline(s, 2))
     tiny = 1e-12
     by_speed = _USED * rates.speed / np.maximum(first, tiny)
-    by_turning = np.sqrt(0.5 * _USED * rates.acceleration / np.maximum(second, tiny))
-    by_joint = np.minimum(by_speed, by_turning)
+    by_curvature = np.sqrt(0.5 * _USED * rates.acceleration / np.maximum(second, tiny))
+    by_joint = np.minimum(by_speed, by_curvature)
     joint = np.argmin(by_joint, axis=1)
     wanted = path.wanted_speed(np.minimum(s, np.nextafter(end, begin)))
     by_curve = np.sqrt(0.5**0.5 * rates.tool_acceleration / np.maximum(_curvature(path, s), tiny))

@@ -165,11 +165,11 @@ TARGETS = load_targets(PROFILES / "targets" / "twin.yaml", small_twin())
 SOME = (*TARGETS[:6], *TARGETS[20:26])
 
 
-def away(pose: Pose | None, by: tuple[float, float, float], turn: tuple[float, float, float]) -> Pose:
-    """A pose moved by ``by`` [m], and turned by ``turn`` [rad] of roll, pitch and yaw."""
+def away(pose: Pose | None, by: tuple[float, float, float], rotation: tuple[float, float, float]) -> Pose:
+    """A pose moved by ``by`` [m], and turned by ``rotation`` [rad] of roll, pitch and yaw."""
     assert pose is not None
     x, y, z = (a + b for a, b in zip(pose.position, by, strict=True))
-    roll, pitch, yaw = (a + b for a, b in zip(pose.rpy, turn, strict=True))
+    roll, pitch, yaw = (a + b for a, b in zip(pose.rpy, rotation, strict=True))
     return Pose(position=(x, y, z), rpy=(roll, pitch, yaw))
 
 

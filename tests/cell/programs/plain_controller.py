@@ -59,8 +59,8 @@ class PlainController:
 
         def off(q: Array) -> Array:
             T = forward(self.rows, q)
-            turn = Rotation.from_matrix(T[:3, :3].T @ wanted[:3, :3]).as_rotvec()
-            return np.concatenate([T[:3, 3] - wanted[:3, 3], turn])
+            rotation = Rotation.from_matrix(T[:3, :3].T @ wanted[:3, :3]).as_rotvec()
+            return np.concatenate([T[:3, 3] - wanted[:3, 3], rotation])
 
         found = least_squares(off, start, xtol=1e-15, ftol=1e-15, gtol=1e-15)
         assert np.abs(found.fun).max() < 1e-9, f"the controller does not reach {pose}"

@@ -364,8 +364,8 @@ def joints(result: CorrectedTarget) -> ArrayOfSolving:
 class Waves:
     """A correction in the base frame that varies with the joints, as a residual network's does."""
 
-    def __init__(self, turning: Waves | None = None) -> None:
-        self.turning = turning
+    def __init__(self, rotation: Waves | None = None) -> None:
+        self.rotation = rotation
 
     def correct(self, q: ArrayOfSolving) -> ArrayOfSolving:
         return 3e-4 * np.sin(q[:, :3])
@@ -405,10 +405,10 @@ def test_the_branch_is_the_one_the_controller_takes() -> None:
     (near_home,) = solved(source, place(arm, **wide))
     assert near_home.nearest_to == "home"
     np.testing.assert_allclose(joints(near_home), HOME, atol=0.02)
-    turned = HOME + np.array([0, 0, 0, 0, 0, -2.0 * np.pi])
-    first, second = solved(f"movej({turned.tolist()})\n{source}", place(arm, **wide))
+    rotated = HOME + np.array([0, 0, 0, 0, 0, -2.0 * np.pi])
+    first, second = solved(f"movej({rotated.tolist()})\n{source}", place(arm, **wide))
     assert second.nearest_to == "line 1"
-    np.testing.assert_allclose(joints(second), turned, atol=0.02)
+    np.testing.assert_allclose(joints(second), rotated, atol=0.02)
     (asked,) = solved(f"movej(get_inverse_kin({pose_text(other)}, qnear={other.tolist()}))", place(arm, **wide))
     assert asked.nearest_to == "qnear"
     np.testing.assert_allclose(joints(asked), other, atol=0.02)

@@ -541,8 +541,8 @@ def test_every_quantity_comes_back_bit_for_bit(tmp_path: Path) -> None:
     assert_same(stored, left)
     assert_same(again["left"], left)
     assert joined([left.take([0]), left.take([1, 2])]).smr == left.smr
-    turning = replace(left, turning_covariance_M=np.tile(1e-9 * np.eye(3), (len(left), 1, 1)))
-    both = joined([turning.take([0]), left.take([1, 2])]).turning_covariance_M
+    rotation = replace(left, rotation_covariance_M=np.tile(1e-9 * np.eye(3), (len(left), 1, 1)))
+    both = joined([rotation.take([0]), left.take([1, 2])]).rotation_covariance_M
     assert both is not None
     np.testing.assert_array_equal(np.isfinite(both[:, 0, 0]), [True, False, False])
 

@@ -303,11 +303,11 @@ def test_position_and_rotation_are_as_good_as_their_covariances_say(
         assert len(one) == STOPS
         assert one.smr is None
         assert one.quaternion_M is not None
-        assert one.turning_covariance_M is not None
+        assert one.rotation_covariance_M is not None
         found = Rotation.from_quat(one.quaternion_M, scalar_first=True).as_matrix()
         mounted = Rotation.from_matrix(truth.R_M.swapaxes(1, 2) @ found).mean().as_matrix()  # S in F
         off = rotation_vectors(found @ (truth.R_M @ mounted).swapaxes(1, 2))
-        chi_of_turns.append(in_sigmas(off, one.turning_covariance_M))
+        chi_of_turns.append(in_sigmas(off, one.rotation_covariance_M))
         if more:
             assert one.covariance_M is not None
             true_M = truth.p_M + truth.R_M @ np.array(PLACES_S[names[0]])
@@ -333,7 +333,7 @@ def test_what_was_made_is_said_stored_and_taken_again(tmp_path: Path) -> None:
     assert "1 stop left out; smr.offset of the profile is that of A" in note
     with import_csv(left_alone(), tmp_path / "out.csv", tmp_path / "again") as run:
         again = run.readings("left")
-    for name in ("p_M", "covariance_M", "quaternion_M", "turning_covariance_M", "time_s"):
+    for name in ("p_M", "covariance_M", "quaternion_M", "rotation_covariance_M", "time_s"):
         np.testing.assert_array_equal(getattr(again, name), getattr(one, name))
 
 

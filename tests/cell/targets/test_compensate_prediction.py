@@ -42,8 +42,8 @@ def configurations(n: int) -> np.ndarray:
 def test_95_percent_of_normal_errors_are_within_the_bound(second: float, third: float, seed: int) -> None:
     """Against 400 000 draws, whose share is known to 0.035 %; for any shape and direction of the covariance."""
     sizes = np.array([1.0, second, second * third])
-    turn = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))[0]
-    low, high = (bound[0] for bound in length_bounds((turn * sizes**2 @ turn.T)[None] * 1e-10))
+    rotation = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))[0]
+    low, high = (bound[0] for bound in length_bounds((rotation * sizes**2 @ rotation.T)[None] * 1e-10))
     lengths = np.linalg.norm(NORMAL * sizes, axis=1) * 1e-5
     assert np.mean(lengths <= high) == pytest.approx(0.95, abs=0.003)
     assert np.mean(lengths <= low) <= 0.0515

@@ -21,7 +21,7 @@ from cellapp.cell.targets.records import VerifyResult
 from cellapp.cell.targets.targets import FramePoint, WorkFrame, load_targets, same_target
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.certificate.view import certificate_sections, certificate_tables
-from cellapp.commands.compensate.tables import measured_turn_tables, turn_tables
+from cellapp.commands.compensate.tables import angle_tables, measured_angle_tables
 from cellapp.commands.compensate.target_list import target_states
 from cellapp.commands.compensate.view import view as compensated_view
 from cellapp.commands.discover.run import discover_run
@@ -114,18 +114,18 @@ def verified(run: RunFile) -> VerifyResult:
 
 
 def test_what_is_predicted_of_the_rotation_holds_when_it_is_measured(run: RunFile, verified: VerifyResult) -> None:
-    turns = [one.orientation for one in verified.targets]
-    assert all(turn is not None for turn in turns)
-    kept = [turn.final_mrad <= turn.within_mrad for turn in turns if turn and turn.final_mrad and turn.within_mrad]
+    rotations = [one.orientation for one in verified.targets]
+    assert all(rotation is not None for rotation in rotations)
+    kept = [its.final_mrad <= its.within_mrad for its in rotations if its and its.final_mrad and its.within_mrad]
     assert len(kept) == len(LEFT)
     assert np.mean(kept) >= 0.85  # of 20 bounds of 95 %, fewer than 17 hold in 1 of 400 cases
     arm = verified.arms["left"]
     assert arm.nominal_mrad is not None
     assert arm.compensated_mrad is not None
     assert arm.nominal_mrad.mean > 10.0 * arm.compensated_mrad.mean
-    assert {turn.verdict for turn in turns if turn is not None} == {"in"}
+    assert {rotation.verdict for rotation in rotations if rotation is not None} == {"in"}
     assert verified.complaints() == []
-    (table,) = measured_turn_tables(verified)
+    (table,) = measured_angle_tables(verified)
     assert len(table.rows) == len(LEFT)
 
 
@@ -136,7 +136,7 @@ def test_the_nominal_command_is_off_by_what_was_predicted(run: RunFile, verified
         assert command.orientation is not None
         assert measured.orientation is not None
         assert command.orientation.nominal_mrad == pytest.approx(measured.orientation.nominal_mrad, abs=0.3)
-    assert turn_tables(stored)
+    assert angle_tables(stored)
     assert any("95 % bound of the measured rotation" in str(part) for part in compensated_view(stored).parts)
 
 
@@ -145,13 +145,13 @@ def test_verdicts_follow_the_one_rule(run: RunFile, model: CellModel) -> None:
     named = [one.model_copy(update={"name": f"t{k}"}) for k, one in enumerate(tight)]
     named.append(LEFT[0].model_copy(update={"name": "free", "rpy": None, "orientation_tolerance": None}))
     found = compensate_result(compensate(run.profile, model, named)).targets
-    turns = [one.orientation for one in found]
-    assert turns[0] is not None
-    assert turns[1] is not None
-    assert turns[2] is not None
-    assert (turns[0].verdict, turns[1].verdict, turns[2].verdict) == ("in", "not decided", "")
-    assert turns[2].nominal_mrad is None
-    assert turns[2].within_mrad > 0.0
+    rotations = [one.orientation for one in found]
+    assert rotations[0] is not None
+    assert rotations[1] is not None
+    assert rotations[2] is not None
+    assert (rotations[0].verdict, rotations[1].verdict, rotations[2].verdict) == ("in", "not decided", "")
+    assert rotations[2].nominal_mrad is None
+    assert rotations[2].within_mrad > 0.0
 
 
 def test_a_stored_measurement_is_judged_by_another_tolerance(run: RunFile, verified: VerifyResult) -> None:

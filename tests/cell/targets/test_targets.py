@@ -122,8 +122,8 @@ DRAWS = PosteriorDraws((0,), np.zeros((4, 1)), (), 1e-5, float(np.sqrt(np.mean(A
 
 def test_angles_of_several_smrs_keep_their_bound() -> None:
     rng = np.random.default_rng(1)
-    turns = Rotation.random(4000, random_state=2)
-    angles = np.linalg.norm(turns.apply(AXES * rng.standard_normal((4000, 3))), axis=1)
+    rotations = Rotation.random(4000, random_state=2)
+    angles = np.linalg.norm(rotations.apply(AXES * rng.standard_normal((4000, 3))), axis=1)
     true = 1e-12 * np.eye(3)[None]
     by_axis = length_bounds(_with_noise(true, DRAWS))[1][0]
     alike = length_bounds(_with_noise(true, replace(DRAWS, noise_axes_rad=None)))[1][0]
@@ -136,10 +136,10 @@ def test_the_noise_by_axis_is_stored_and_stated_where_it_differs() -> None:
     assert again is not None
     np.testing.assert_array_equal(again, AXES)
     assert "noise_axes_rad" not in posterior_to_json(replace(DRAWS, noise_axes_rad=None))
-    turned = np.array([False, True])
+    angular = np.array([False, True])
     sigma = np.array([1e-10 * np.eye(3), np.diag(AXES**2)])
-    axes_rad = readings_noise(sigma, turned).axes_rad
+    axes_rad = readings_noise(sigma, angular).axes_rad
     assert axes_rad is not None
     np.testing.assert_allclose(axes_rad, AXES)
-    assert readings_noise(np.array([1e-5, 4e-5]), turned).axes_rad is None
-    assert readings_noise(np.array([1e-10 * np.eye(3)] * 2), turned).axes_rad is None
+    assert readings_noise(np.array([1e-5, 4e-5]), angular).axes_rad is None
+    assert readings_noise(np.array([1e-10 * np.eye(3)] * 2), angular).axes_rad is None

@@ -175,8 +175,8 @@ def test_pairs_are_judged_and_both_arms_count() -> None:
         position=1e-3,
         decision="simple",
     )
-    turned = found["cooperative_orientation", "left and right"]
-    assert (turned.value_mrad, turned.unit, turned.conformity, turned.n) == (0.4, "mrad", "does not conform", 1)
+    rotated = found["cooperative_orientation", "left and right"]
+    assert (rotated.value_mrad, rotated.unit, rotated.conformity, rotated.n) == (0.4, "mrad", "does not conform", 1)
     both = found["cooperative", "left and right"]
     own = [found["position", arm].expanded_mm for arm in ("left", "right")]
     assert (both.value_mm, both.n) == (0.06, 2)

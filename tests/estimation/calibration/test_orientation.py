@@ -238,8 +238,8 @@ def slipped(readings, angle):
     """The left probe turned in its mount by ``angle`` [rad] from configuration 43 on."""
     own = readings["left"]
     rotations = Rotation.from_quat(own.quaternion_M, scalar_first=True)
-    turned = rotations * Rotation.from_rotvec((own.configuration >= 43)[:, None] * np.full(3, angle / np.sqrt(3.0)))
-    return {**readings, "left": replace(own, quaternion_M=turned.as_quat(scalar_first=True))}
+    angular = rotations * Rotation.from_rotvec((own.configuration >= 43)[:, None] * np.full(3, angle / np.sqrt(3.0)))
+    return {**readings, "left": replace(own, quaternion_M=angular.as_quat(scalar_first=True))}
 
 
 def exchanged(readings, *names):

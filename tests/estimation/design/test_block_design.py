@@ -228,5 +228,5 @@ def test_a_part_without_candidates_is_left_and_the_rest_is_covered() -> None:
 
 def test_whole_turns_do_not_count() -> None:
     _, q, _, chosen = clustered()
-    turned = q[chosen] + 2.0 * np.pi * np.random.default_rng(0).integers(-1, 2, (COUNT_OF_GAPS, 2))
-    np.testing.assert_allclose(without_turns(turned, q), q[chosen], atol=1e-12)
+    angular = q[chosen] + 2.0 * np.pi * np.random.default_rng(0).integers(-1, 2, (COUNT_OF_GAPS, 2))
+    np.testing.assert_allclose(without_turns(angular, q), q[chosen], atol=1e-12)

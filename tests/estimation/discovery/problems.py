@@ -19,7 +19,7 @@ from cellapp.estimation.discovery.outcome import CellDiscovery
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import Channel, EffectColumn, LawForm
+from cellapp.robot.effects import ActsOn, EffectColumn, LawForm
 from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel
@@ -69,7 +69,7 @@ def problem(seed: int) -> Problem:
 
 
 def column(name: str, block: str, *, refines: bool = False) -> EffectColumn:
-    return EffectColumn(name, "rad", block, -1.0, 1.0, Channel.BASE, refines=refines)
+    return EffectColumn(name, "rad", block, -1.0, 1.0, ActsOn.BASE, refines=refines)
 
 
 def refining_law(rng: np.random.Generator, main: np.ndarray) -> CandidateLaw:

@@ -400,8 +400,8 @@ def test_the_last_joint_shows_by_orientation_only(both):
 def test_stated_intervals_of_orientations_hold(both):
     readings, found = both
     its = measured_quantities(readings, measurement_conditions(readings))
-    assert its.turned is not None
-    model, rows = found["both"].model, its.turned & np.isin(its.reading, readings.in_split("validate"))
+    assert its.angular is not None
+    model, rows = found["both"].model, its.angular & np.isin(its.reading, readings.in_split("validate"))
     left = its.readings.p_M - model.predict(its.readings.q, conditions=its.conditions)
     sd = model.measured_uncertainty(its.readings.q, its.conditions)
     assert 0.90 < np.mean(np.abs(left[rows]) < 1.96 * sd[rows, None]) < 0.99

@@ -31,7 +31,7 @@ from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import Review, possible_score
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import Channel, EffectColumn
+from cellapp.robot.effects import ActsOn, EffectColumn
 from drivers.no_driver import NoDriver
 from tests.estimation.discovery.problems import PLAIN, calibrated_and_searched, problem, proposed
 from tests.program import app
@@ -293,7 +293,7 @@ def test_data_driven_terms_are_effects_of_their_own_and_not_among_the_names():
 
 
 def bounded(name, block):
-    return EffectColumn(name, "rad", block, 0.0, 1.0e3, Channel.BASE)
+    return EffectColumn(name, "rad", block, 0.0, 1.0e3, ActsOn.BASE)
 
 
 def test_impossible_values_are_no_evidence():

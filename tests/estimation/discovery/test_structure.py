@@ -42,7 +42,7 @@ from cellapp.estimation.discovery.process import (
 )
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.verdict import CHANCE, has_structure, pearson3_tail, structure_left
-from cellapp.robot.effects import Channel, EffectColumn, LawForm
+from cellapp.robot.effects import ActsOn, EffectColumn, LawForm
 from cellapp.robot.effects.context import Wave
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model.model import network_to_json
@@ -58,7 +58,7 @@ def fitted(n, bend=None, *, noise=None, seed=5, stated=True, times=True) -> tupl
     """Geometry fitted to random stops with joint offsets ``bend(q, approach, time)`` [rad]."""
     rng = np.random.default_rng(seed)
     q, time_s = rng.uniform(-2.0, 2.0, (n, 6)), 60.0 * np.arange(n, dtype=np.float64)
-    approach = rng.choice([-1, 1], (n, 6)).astype(np.int8)
+    approach = rng.choice([-1.0, 1.0], (n, 6))
     offset = np.zeros((n, 6)) if bend is None else bend(q, approach, time_s)
     scatter = rng.normal(0.0, SIGMA_M, (n, 3)) if noise is None else noise(rng, q)
     p_M = smr_positions(arm_of(PROFILE).geometry, q + offset) + scatter
@@ -316,7 +316,7 @@ FORM = LawForm("smooth", "smooth")
 
 
 def columns(cycles):
-    return tuple(EffectColumn(f"c{k}", "rad", "", -1.0, 1.0, Channel.BASE, wave=Wave(int(k), False)) for k in cycles)
+    return tuple(EffectColumn(f"c{k}", "rad", "", -1.0, 1.0, ActsOn.BASE, wave=Wave(int(k), False)) for k in cycles)
 
 
 def curve(rng):

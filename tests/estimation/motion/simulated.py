@@ -89,9 +89,9 @@ def true_arm(rng, nominal=UR10, *, tool=(0.05, 0.03, 0.08), length=3e-4, angle=6
     for joint in range(n - 1):
         if abs(np.sin(nominal[joint, 3])) < 0.1:
             rows[joint, 4] = rng.normal(0.0, angle)
-    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    rotation, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     base = np.eye(4)
-    base[:3, :3] = turn * np.sign(np.linalg.det(turn))
+    base[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
     base[:3, 3] = rng.normal(0.0, 2.0, 3)
     play = np.zeros(n) if half_play is None else np.asarray(half_play)
     return Arm(rows, np.asarray(tool), base, play)

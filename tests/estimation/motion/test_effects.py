@@ -129,9 +129,9 @@ def test_two_cycles_beside_much_more_of_one_are_of_the_same_disc():
     assert set(of_disc) >= set(lines[:2])
     value, q = dict(zip(disc.names, disc.values.tolist(), strict=True)), rng.uniform(-1.0, 1.0, (20, 6))
     context = EffectContext(q, MeasurementConditions(), NOMINAL, BODIES, np.array([0.0, 0.0, 1.0]))
-    turned = displacement([disc.term()], EFFECTS, context).joints[:, 0]
+    angular = displacement([disc.term()], EFFECTS, context).joints[:, 0]
     waves = [value[f"{w}{n}q1"] * of(n * q[:, 0]) for n in (1, 2) for w, of in (("cos", np.cos), ("sin", np.sin))]
-    np.testing.assert_allclose(turned, sum(waves), rtol=1e-9)
+    np.testing.assert_allclose(angular, sum(waves), rtol=1e-9)
     assert np.hypot(value["cos2q1"], value["sin2q1"]) == pytest.approx(15e-6, abs=5e-6)
 
 

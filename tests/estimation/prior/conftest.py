@@ -17,7 +17,7 @@ from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.transforms import rotation_from_vector, transform
 from cellapp.robot.model import ArmModel
-from tests.arms import measured_turns, true_geometry
+from tests.arms import measured_rotations, true_geometry
 from tests.twin import PROFILES
 
 SIGMA_M, SIGMA_RAD = 1e-5, 2e-5
@@ -40,7 +40,7 @@ class SimulatedArm:
         learn = count - 1 if learn is None else learn
         quaternion_M = None
         if self.model.geometry.probe is not None:
-            quaternion_M = measured_turns(self.model, q, SIGMA_RAD, rng)
+            quaternion_M = measured_rotations(self.model, q, SIGMA_RAD, rng)
         return Readings(
             quaternion_M=quaternion_M,
             sigma_rad=None if quaternion_M is None else np.full(count, SIGMA_RAD),

@@ -19,13 +19,13 @@ from cellapp.estimation.uncertainty.budget import (
     TRACKER,
     Evidence,
     MeasuredConditions,
+    angle_budget,
     combined_mm,
     distance_budget,
     expanded_mm,
     expanded_mrad,
     not_given,
     position_budget,
-    turn_budget,
 )
 from cellapp.estimation.uncertainty.records import UncertaintyContribution
 from cellapp.ground.profile.sections import Probe
@@ -133,7 +133,7 @@ def test_an_orientation_counts_probe_scatter_beyond_it_and_model(
 ) -> None:
     twin = small_twin()
     profile = with_arm(twin, "left", smr=twin.arms["left"].smr.model_copy(update={"probe": probe}))
-    found = turn_budget(profile, "left", 0.1, noise_mrad)
+    found = angle_budget(profile, "left", 0.1, noise_mrad)
     assert [one.standard_mrad for one in found] == [one and pytest.approx(one) for one in expected]
     whole = None if None in expected else pytest.approx(2.0 * math.hypot(*(one or 0.0 for one in expected)))
     assert expanded_mrad(found) == whole

@@ -68,9 +68,9 @@ def make_case(name: str, configurations: int, seed: int) -> Case:
     rows = NOMINAL_ROWS + rng.normal(size=(6, 4)) * size
     tool = NOMINAL_TOOL + rng.normal(0.0, _TOOL_M, 3)
     beta = np.zeros(6)
-    turned = rng.normal(0.0, _ANGLE_RAD, len(_PARALLEL_ROWS))  # drawn in both cases, so that these differ in beta only
+    rotated = rng.normal(0.0, _ANGLE_RAD, len(_PARALLEL_ROWS))  # drawn in both cases, so that these differ in beta only
     if name == "hayati":
-        beta[list(_PARALLEL_ROWS)] = turned
+        beta[list(_PARALLEL_ROWS)] = rotated
     T_M_B = np.eye(4)
     T_M_B[:3, :3] = Rotation.from_euler("ZYX", rng.uniform([-3.0, -0.3, -0.3], [3.0, 0.3, 0.3])).as_matrix()
     direction = rng.uniform(-math.pi, math.pi)

@@ -77,13 +77,13 @@ def measured_by(
         others = {other: rows for other, rows in plan.items() if other != name}
         exact = plant.smr_positions(name, q, approach=approach.astype(np.float64), others=others)
         points, covariance = plant.measure_positions(exact, np.random.default_rng([seed, place]))
-        turns: dict[str, Any] = {}
+        rotations: dict[str, Any] = {}
         if configs[name].probe is not None:
             R_M_S = plant.probe_rotations(name, q, approach=approach.astype(np.float64), others=others)
             sigma_rad = np.full(len(q), configs[name].probe_sigma)
             off = noise * sigma_rad[:, None] * np.random.default_rng([seed, place, 6]).standard_normal((len(q), 3))
             R_M_S = Rotation.from_rotvec(off).as_matrix() @ R_M_S
-            turns = {"quaternion_M": quaternions_of(R_M_S), "sigma_rad": sigma_rad}
+            rotations = {"quaternion_M": quaternions_of(R_M_S), "sigma_rad": sigma_rad}
         readings[name] = Readings(
             configuration=np.arange(len(q)),
             time_s=np.full(len(q), np.nan),
@@ -91,7 +91,7 @@ def measured_by(
             approach=approach,
             p_M=points if noise else exact,
             covariance_M=covariance,
-            **turns,
+            **rotations,
         )
     return readings
 

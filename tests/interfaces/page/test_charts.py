@@ -80,10 +80,10 @@ def with_obstacles(**obstacles: dict[str, Any]) -> Profile:
 
 
 def stops(count: int = 3) -> list[PlannedStop]:
-    turned = [HOME + 0.6 * k * np.eye(6)[0] for k in range(count)]
+    rotated = [HOME + 0.6 * k * np.eye(6)[0] for k in range(count)]
     return [
         PlannedStop(configuration=k, measured=False, q={"left": tuple(q), "right": tuple(q)})
-        for k, q in enumerate(turned)
+        for k, q in enumerate(rotated)
     ]
 
 

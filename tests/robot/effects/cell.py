@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.robot.effects import EffectColumn, EffectContext, Law, MeasurementConditions, TemperatureRecord
-from cellapp.robot.effects.data_driven import DataChannel, Variable, channels
+from cellapp.robot.effects.data_driven import ActedOn, Variable, acted_on
 from cellapp.robot.effects.unknown import PAIR_ORDER, curve_families, pair_families
 from cellapp.robot.kinematics.transforms import rotation_from_vector, rotation_x, rotation_y, rotation_z, transform
 from cellapp.robot.model.nominal import bodies_of, nominal_arm, pose_matrix, up_in_tracker
@@ -109,8 +109,8 @@ def chain(
             along = np.array([a, 0.0, d]) * (1.0 + strain[i - 1])
             pose = pose @ transform(rotation_z(q[i - 1] + theta), np.zeros(3))
             pose = pose @ transform(EYE, along) @ transform(rotation_x(alpha) @ rotation_y(beta), np.zeros(3))
-        turned = rotation_from_vector((twist or {}).get(i, np.zeros(3)))
-        pose = pose @ transform(turned, (shift or {}).get(i, np.zeros(3)))
+        rotated = rotation_from_vector((twist or {}).get(i, np.zeros(3)))
+        pose = pose @ transform(rotated, (shift or {}).get(i, np.zeros(3)))
         frames.append(pose)
     offset = geometry.tool + (0.0 if tool is None else tool)
     return Chain(frames, pose[:3, :3] @ offset + pose[:3, 3])
@@ -145,9 +145,9 @@ def offsets(column: EffectColumn) -> Array:
 def curve_laws(context: EffectContext) -> list[Law]:
     """Laws of all functions of one variable, in every channel."""
     families = curve_families(context)
-    return [family.law(channel) for channel in channels(context.joints) for family in families]
+    return [family.law(acts_on) for acts_on in acted_on(context.joints) for family in families]
 
 
-def pair_laws(context: EffectContext, channel: DataChannel, among: Collection[Variable] | None = None) -> list[Law]:
+def pair_laws(context: EffectContext, acts_on: ActedOn, among: Collection[Variable] | None = None) -> list[Law]:
     """Laws of all functions of two variables, of those ``among`` them if given, in one channel."""
-    return [family.law(channel) for family in pair_families(context, among, (PAIR_ORDER,))]
+    return [family.law(acts_on) for family in pair_families(context, among, (PAIR_ORDER,))]

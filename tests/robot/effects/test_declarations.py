@@ -1,4 +1,4 @@
-"""What every effect declares: words for people, tunable constants, drivers; and the JSON form of its terms."""
+"""What every effect declares: words for people, tunable constants, inputs; and the JSON form of its terms."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import pytest
 from cellapp.robot.effects import (
     EFFECTS,
     FIXED,
-    Channel,
+    ActsOn,
     Constant,
-    DriverVariable,
     Effect,
     EffectColumn,
     EffectContext,
     EffectTerm,
+    InputVariable,
     Law,
     LawForm,
     Linear,
@@ -31,7 +31,7 @@ from cellapp.robot.effects import (
     term_from_json,
     term_to_json,
 )
-from cellapp.robot.effects.data_driven import Quantity, Variable, channels, form_of
+from cellapp.robot.effects.data_driven import Quantity, Variable, acted_on, form_of
 from tests.interfaces.plugins.installed import add_example, installed
 from tests.robot.effects.cell import context_of
 
@@ -72,7 +72,7 @@ def test_a_term_without_a_name_has_checks_by_channel_and_stops_by_variable() -> 
     )
     assert "base plate" in meaning.check[0]
     assert meaning.settle[0] == "Move joint 3 of the other arm at random between stops, then park it for 20 stops."
-    every = [form_of(channel, (Variable(quantity, 1),)) for channel in channels(6) for quantity in Quantity]
+    every = [form_of(acts_on, (Variable(quantity, 1),)) for acts_on in acted_on(6) for quantity in Quantity]
     for form in every:
         words = unknown.meaning_of(form.law({"order": 1.0})).at("it")
         assert not any("{" in text for text in (words.cause, *words.check, *words.settle))
@@ -99,7 +99,7 @@ class Silent(Effect):
 
     slug = "silent"
     title = "silent"
-    variables = frozenset({DriverVariable.TIME})
+    variables = frozenset({InputVariable.TIME})
     forms = (LawForm("quiet", ""),)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
@@ -206,7 +206,7 @@ def test_a_law_of_joints_has_a_parameter_for_each() -> None:
     columns = effect.columns(here, laws[1])
     assert [column.name for column in columns] == [f"drag{j + 1}" for j in range(6)]
     for j, column in enumerate(columns):
-        assert column.channel is Channel.JOINT
+        assert column.acts_on is ActsOn.JOINT
         assert column.offset == pytest.approx(np.tanh(here.q[:, j]))
     assert cable.slug == "cable"
     assert effect.missing_data(here) == ""

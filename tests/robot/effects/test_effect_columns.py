@@ -119,9 +119,9 @@ def own_moment(row):
     return sum(np.cross(center - origin, -mass * GRAVITY * CONTEXT.up_M) for mass, center in loads)
 
 
-def about(point, turn):
-    """The arm as a whole turned by a small ``turn`` (3,) about a ``point`` (3,), both in the tracker frame."""
-    R = rotation_from_vector(turn)
+def about(point, rotation):
+    """The arm as a whole turned by a small ``rotation`` (3,) about a ``point`` (3,), both in the tracker frame."""
+    R = rotation_from_vector(rotation)
     return transform(R, point - R @ point)
 
 
@@ -139,10 +139,10 @@ def test_a_pedestal_tilts_with_the_arms_moment():
     )
 
 
-@pytest.mark.parametrize("turn", [rotation_x(np.pi), rotation_x(np.pi / 2.0), rotation_y(np.pi / 2.0)])
-def test_a_pedestal_on_a_wall_or_under_a_ceiling(turn):
+@pytest.mark.parametrize("rotation", [rotation_x(np.pi), rotation_x(np.pi / 2.0), rotation_y(np.pi / 2.0)])
+def test_a_pedestal_on_a_wall_or_under_a_ceiling(rotation):
     """The whole moment counts, for any mounting of the arm."""
-    up = turn.T @ CONTEXT.geometry.T_M_B()[:3, 2]
+    up = rotation.T @ CONTEXT.geometry.T_M_B()[:3, 2]
     context = replace(CONTEXT, up_M=up)
     origin = context.geometry.T_M_B()[:3, 3]
     moments = context.loads.beyond(0)[1]
@@ -339,11 +339,11 @@ def test_two_slopes_meet_at_the_knee():
     law = found[2]
     parts = columns_of_joints("joint_compliance", law)
     torque, knee = CONTEXT_OF_JOINTS.torques[:, 1], law.constants["knee2"]
-    turned = 1e-5 * offsets(parts["compliance2"]) + 4e-6 * offsets(parts["soft2"])
+    rotated = 1e-5 * offsets(parts["compliance2"]) + 4e-6 * offsets(parts["soft2"])
     inside = np.abs(torque) < knee
     assert 0 < np.count_nonzero(inside) < len(torque)
-    np.testing.assert_allclose(turned[inside], 1.4e-5 * torque[inside])
-    np.testing.assert_allclose(turned[~inside], (1e-5 * torque + 4e-6 * knee * np.sign(torque))[~inside])
+    np.testing.assert_allclose(rotated[inside], 1.4e-5 * torque[inside])
+    np.testing.assert_allclose(rotated[~inside], (1e-5 * torque + 4e-6 * knee * np.sign(torque))[~inside])
 
 
 def test_eccentricity_is_one_cycle_and_ovality_two():
@@ -456,10 +456,10 @@ def further_out(lever: np.ndarray) -> EffectContext:
 def test_every_column_turns_the_probe_as_it_moves_points_of_it(slug):
     effect = EFFECTS[slug]
     for law in every_law(effect, CONTEXT):
-        here, turned = (by_name(effect.columns(context, law)) for context in (CONTEXT, TURNED))
-        assert list(here) == list(turned)
+        here, rotated = (by_name(effect.columns(context, law)) for context in (CONTEXT, TURNED))
+        assert list(here) == list(rotated)
         levers = [by_name(effect.columns(further_out(lever), law)) for lever in EYE]
-        for name, column in turned.items():
+        for name, column in rotated.items():
             if column.joint is not None:
                 np.testing.assert_array_equal(column.offset, here[name].offset)
                 continue
@@ -483,9 +483,9 @@ def test_readings_of_both_kinds_stand_side_by_side():
     R_M_S[::2] = np.nan
     both = replace(CONTEXT, conditions=replace(CONTEXT.conditions, R_M_S=R_M_S))
     law = EFFECTS["pedestal_compliance"].law("general")
-    mixed, alone, turned = (
+    mixed, alone, rotated = (
         np.array([one.shift_M for one in EFFECTS["pedestal_compliance"].columns(context, law)])
         for context in (both, CONTEXT, TURNED)
     )
     np.testing.assert_array_equal(mixed[:, ::2], alone[:, ::2])
-    np.testing.assert_array_equal(mixed[:, 1::2], turned[:, 1::2])
+    np.testing.assert_array_equal(mixed[:, 1::2], rotated[:, 1::2])

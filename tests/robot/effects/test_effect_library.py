@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cellapp.robot.effects import EFFECTS, Channel, EffectTerm, Law, MeasurementConditions, displacement
-from cellapp.robot.effects.data_driven import channels, variables
+from cellapp.robot.effects import EFFECTS, ActsOn, EffectTerm, Law, MeasurementConditions, displacement
+from cellapp.robot.effects.data_driven import acted_on, variables
 from tests.robot.effects.cell import NOTHING, by_name, chain, context_of, curve_laws, pair_laws, rows_of, under
 
 CONTEXT = context_of()
@@ -32,19 +32,19 @@ GEAR = PERIODIC.law("gear", {"ratio": 50.0}, 209)
 NAMED += [("transmission_error", CURVE), ("transmission_error", GEAR)]
 WHOLE = [law for law in curve_laws(CONTEXT) if "period_s" not in law.constants]
 OSCILLATIONS = [law for law in curve_laws(CONTEXT) if "period_s" in law.constants]
-CHANNELS = {channel.name: channel for channel in channels(6)}
+ACTED_ON = {acts_on.name: acts_on for acts_on in acted_on(6)}
 VARIABLES = {variable.name: variable for variable in variables(CONTEXT)}
 
 
 def data_driven_laws():
     """Every channel with one variable, every variable with one channel, a few periods, pairs of every kind."""
-    ways, names = list(CHANNELS), list(VARIABLES)
+    ways, names = list(ACTED_ON), list(VARIABLES)
     meeting = {f"{ways[k % len(ways)]}|{names[k % len(names)]}" for k in range(max(len(ways), len(names)))}
     sampled = [law for law in WHOLE if law.name in meeting]
     sampled += OSCILLATIONS[::173]
     several = [VARIABLES[name] for name in ("q2", "other q3", "time", "torque2", "payload", "azimuth")]
-    sampled += pair_laws(CONTEXT, CHANNELS["tool y"], several)[::2]
-    sampled += pair_laws(CONTEXT, CHANNELS["base shift"], [VARIABLES[name] for name in ("q1", "q5", "elevation")])
+    sampled += pair_laws(CONTEXT, ACTED_ON["tool y"], several)[::2]
+    sampled += pair_laws(CONTEXT, ACTED_ON["base shift"], [VARIABLES[name] for name in ("q1", "q5", "elevation")])
     return [("unknown", law) for law in sampled]
 
 
@@ -92,8 +92,8 @@ def columns_are_well_formed(slug, law):
         assert column.block
         assert column.where.split()[0] in ("joint", "link", "all", "base", "tool", "tracker")
         assert (column.index is None) == (column.where in ("all links", "all joints", "base", "tool", "tracker"))
-        assert (column.channel is Channel.JOINT) == (column.joint is not None) == (column.offset is not None)
-        assert (column.channel is Channel.JOINT) == (column.shift_M is None)
+        assert (column.acts_on is ActsOn.JOINT) == (column.joint is not None) == (column.offset is not None)
+        assert (column.acts_on is ActsOn.JOINT) == (column.shift_M is None)
         assert column.lower < column.upper
         assert column.lower <= 0.0 <= column.upper
         values = values_of(column)

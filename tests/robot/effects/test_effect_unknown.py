@@ -10,7 +10,7 @@ import pytest
 
 from cellapp.robot.effects import (
     EFFECTS,
-    Channel,
+    ActsOn,
     EffectTerm,
     MeasurementConditions,
     displacement,
@@ -23,15 +23,15 @@ from cellapp.robot.effects.data_driven import (
     POSITION,
     DataDrivenForm,
     Quantity,
+    acted_on,
     box_of,
-    channels,
     field_functions,
     form_named,
     position_in_base,
     variables,
 )
 from cellapp.robot.effects.law import AMPLITUDE
-from cellapp.robot.effects.modulation import OWN_SIZE, FreeDriver, modulations, with_modulations
+from cellapp.robot.effects.modulation import OWN_SIZE, TermInput, modulations, with_modulations
 from cellapp.robot.kinematics.transforms import rotation_z
 from tests.robot.effects.cell import EYE, NOTHING, by_name, chain, context_of, curve_laws, offsets, shifts, slope, under
 
@@ -48,16 +48,16 @@ EVERY = (
 
 
 VECTORS = ("base shift", "tool")
-CHANNELS = tuple(channel.name for channel in channels(6))
+ACTED_ON = tuple(acts_on.name for acts_on in acted_on(6))
 
 
 def names_of(variables):
     return tuple(one.name for one in variables)
 
 
-def law_of(channel, variable, context=CONTEXT):
+def law_of(acts_on, variable, context=CONTEXT):
     *_, law = [
-        law for law in curve_laws(context) if law.name == f"{channel}|{variable}" and "period_s" not in law.constants
+        law for law in curve_laws(context) if law.name == f"{acts_on}|{variable}" and "period_s" not in law.constants
     ]
     return law
 
@@ -66,18 +66,18 @@ def columns(law, context=CONTEXT):
     return by_name(UNKNOWN.columns(context, law))
 
 
-@pytest.mark.parametrize("channel", CHANNELS)
-def test_a_form_is_read_back_from_its_name(channel):
+@pytest.mark.parametrize("acts_on", ACTED_ON)
+def test_a_form_is_read_back_from_its_name(acts_on):
     """The name is what JSON holds; channel and variables come back typed."""
     for name in EVERY:
-        form = form_named(f"{channel}|{name}")
+        form = form_named(f"{acts_on}|{name}")
         assert isinstance(form, DataDrivenForm)
-        assert (form.channel.name, names_of(form.drivers)) == (channel, (name,))
-        assert form.words == f"{channel} as a function of {name}"
-    pair = form_named(f"{channel}|q2|time")
+        assert (form.acts_on.name, names_of(form.inputs)) == (acts_on, (name,))
+        assert form.words == f"{acts_on} as a function of {name}"
+    pair = form_named(f"{acts_on}|q2|time")
     assert pair is not None
-    assert names_of(pair.drivers) == ("q2", "time")
-    assert (pair.channel.channel is Channel.JOINT) == (pair.channel.joint is not None)
+    assert names_of(pair.inputs) == ("q2", "time")
+    assert (pair.acts_on.acts_on is ActsOn.JOINT) == (pair.acts_on.joint is not None)
 
 
 def test_a_variable_that_is_unknown_or_constant_is_not_tried():
@@ -91,9 +91,9 @@ def test_a_variable_that_is_unknown_or_constant_is_not_tried():
     assert "payload" not in names_of(variables(under(CONTEXT, known)))
 
 
-def moved_of(channel, context, row):
+def moved_of(acts_on, context, row):
     """SMR position of one stop as a function of the channel's amplitude."""
-    kind, *rest = channel.split()
+    kind, *rest = acts_on.split()
     axis = EYE["xyz".index(rest[-1])] if rest[-1] in ("x", "y", "z") else None
     if kind == "joint":
         return lambda h: chain(context, row, joints=h * np.eye(6)[int(rest[0]) - 1]).smr
@@ -113,22 +113,22 @@ def moved_of(channel, context, row):
     return lambda h: rho * np.array([np.cos(el + h) * np.cos(az), np.cos(el + h) * np.sin(az), np.sin(el + h)])
 
 
-@pytest.mark.parametrize("channel", [channel for channel in CHANNELS if channel not in VECTORS])
-def test_a_channel_moves_the_smr_as_declared(channel):
-    law = law_of(channel, "q5")
+@pytest.mark.parametrize("acts_on", [acts_on for acts_on in ACTED_ON if acts_on not in VECTORS])
+def test_a_channel_moves_the_smr_as_declared(acts_on):
+    law = law_of(acts_on, "q5")
     found = columns(law)
-    prefix = channel.replace(" ", "_")
+    prefix = acts_on.replace(" ", "_")
     assert list(found) == [f"{prefix}.{wave}{m}_q5" for m in range(1, 5) for wave in ("cos", "sin")]
     column = found[f"{prefix}.sin3_q5"]
-    assert {one.block for one in found.values()} == {channel}
-    assert column.unit == ("m" if channel.split()[0] == "tool" or "shift" in channel or "radial" in channel else "rad")
+    assert {one.block for one in found.values()} == {acts_on}
+    assert column.unit == ("m" if acts_on.split()[0] == "tool" or "shift" in acts_on or "radial" in acts_on else "rad")
     wave = np.sin(3.0 * CONTEXT.q[:, 4])
-    if channel.startswith("joint"):
-        assert column.joint == int(channel[-1]) - 1
+    if acts_on.startswith("joint"):
+        assert column.joint == int(acts_on[-1]) - 1
         np.testing.assert_allclose(offsets(column), wave)
         return
     for row in range(5):
-        expected = wave[row] * slope(moved_of(channel, CONTEXT, row))
+        expected = wave[row] * slope(moved_of(acts_on, CONTEXT, row))
         np.testing.assert_allclose(shifts(column)[row], expected, atol=1e-8)
 
 
@@ -142,10 +142,10 @@ def test_beyond_its_range_a_variable_is_held_at_its_limit():
 def test_azimuth_has_no_jump_where_the_tracker_counts_from_half_a_turn():
     """The same cell seen by a tracker that is turned about its own axis gives the same columns."""
     law = law_of("joint 2", "azimuth")
-    turned = np.eye(4)
+    rotated = np.eye(4)
     middle = np.arctan2(CONTEXT.p_M[:, 1].mean(), CONTEXT.p_M[:, 0].mean())
-    turned[:3, :3] = rotation_z(np.pi - middle)
-    geometry = CONTEXT.geometry.with_T_M_B(turned @ CONTEXT.geometry.T_M_B())
+    rotated[:3, :3] = rotation_z(np.pi - middle)
+    geometry = CONTEXT.geometry.with_T_M_B(rotated @ CONTEXT.geometry.T_M_B())
     across = replace(CONTEXT, geometry=geometry)
     azimuth = np.arctan2(across.p_M[:, 1], across.p_M[:, 0])
     assert np.ptp(azimuth) > 6.0, "the readings lie on both sides of the jump"
@@ -169,7 +169,7 @@ STIFF = [column for column in COMPLIANCE.columns(CONTEXT_OF_MODULATION, COMPLIAN
 
 def term() -> EffectTerm:
     own, load = (
-        modulations(driver, STIFF[:1], CONTEXT_OF_MODULATION)[0] for driver in (OWN_SIZE, FreeDriver(Quantity.PAYLOAD))
+        modulations(driver, STIFF[:1], CONTEXT_OF_MODULATION)[0] for driver in (OWN_SIZE, TermInput(Quantity.PAYLOAD))
     )
     return EffectTerm(
         slug="joint_compliance",

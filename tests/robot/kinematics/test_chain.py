@@ -294,10 +294,10 @@ def test_a_wanted_rotation_half_a_turn_from_the_start_is_solved_or_reported(axis
     geometry = at_station(UR10, OFF_AXIS)
     q = np.random.default_rng(2).uniform(-1.5, 1.5, (30, 6))
     rotation, wanted = flange_poses(geometry, q)[0], smr_positions(geometry, q)
-    turned = rotation @ rotation_from_vector(np.pi * np.array(axis))
-    found = solve_pose(geometry, wanted, turned, q)
+    rotated = rotation @ rotation_from_vector(np.pi * np.array(axis))
+    found = solve_pose(geometry, wanted, rotated, q)
     there = found.q[found.reached]
-    np.testing.assert_allclose(flange_poses(geometry, there)[0], turned[found.reached], atol=1e-9)
+    np.testing.assert_allclose(flange_poses(geometry, there)[0], rotated[found.reached], atol=1e-9)
     np.testing.assert_allclose(smr_positions(geometry, there), wanted[found.reached], atol=1e-9)
     assert found.reached.mean() > 0.3
 
@@ -489,12 +489,12 @@ def test_what_is_out_of_reach_has_no_solution() -> None:
 @given(st.floats(-20.0, 20.0), st.floats(-7.0, 2.0), st.floats(0.0, 9.0), st.floats(-7.0, 7.0))
 def test_whole_turns(q: float, low: float, width: float, to: float) -> None:
     limits = np.array([[low, low + width]])
-    turned, beyond = turned_into(np.array([[q]]), limits, np.array([to]))
-    turns = (turned[0, 0] - q) / (2.0 * np.pi)
-    assert abs(turns - round(turns)) < 1e-9
+    rotated, beyond = turned_into(np.array([[q]]), limits, np.array([to]))
+    rotations = (rotated[0, 0] - q) / (2.0 * np.pi)
+    assert abs(rotations - round(rotations)) < 1e-9
     every = q + 2.0 * np.pi * np.arange(-6, 7)
     outside = np.maximum(np.maximum(low - every, every - low - width), 0.0)
     assert beyond[0, 0] == pytest.approx(outside.min(), abs=2e-9)
     if beyond[0, 0] == 0.0:
         inside = every[outside == 0.0]
-        assert abs(turned[0, 0] - to) <= np.abs(inside - to).min(initial=np.inf) + 1e-6
+        assert abs(rotated[0, 0] - to) <= np.abs(inside - to).min(initial=np.inf) + 1e-6

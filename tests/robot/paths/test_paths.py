@@ -103,10 +103,10 @@ def test_an_arc_goes_through_its_three_points(numbers: list[float]) -> None:
 def test_rotations_follow_without_jumps_and_reach_the_given_ones() -> None:
     path = square()
     s = np.linspace(0.0, path.length, 5001)
-    _, turned = path.poses(s)
-    np.testing.assert_allclose(turned @ turned.transpose(0, 2, 1), np.tile(np.eye(3), (len(s), 1, 1)), atol=1e-12)
-    np.testing.assert_allclose(turned[[0, -1]], path.rotations[[0, -1]], atol=1e-12)
-    assert np.abs(np.diff(turned, axis=0)).max() < 2.0 * 0.5 / 5000
+    _, rotated = path.poses(s)
+    np.testing.assert_allclose(rotated @ rotated.transpose(0, 2, 1), np.tile(np.eye(3), (len(s), 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(rotated[[0, -1]], path.rotations[[0, -1]], atol=1e-12)
+    assert np.abs(np.diff(rotated, axis=0)).max() < 2.0 * 0.5 / 5000
 
 
 # -- joint paths ------------------------------------------------------------------------------------------------------
@@ -162,18 +162,18 @@ coordinates = st.floats(-0.12, 0.12)
 @settings(max_examples=8)
 @given(
     corner=st.tuples(coordinates, coordinates, coordinates),
-    turn=st.floats(-0.3, 0.3),
+    rotation=st.floats(-0.3, 0.3),
     speed=st.floats(0.02, 0.4),
     blend=st.sampled_from([0.0, 5.0]),
 )
 def test_random_small_paths_keep_tolerance_and_limits(
-    profile: Profile, model: CellModel, corner: tuple[float, float, float], turn: float, speed: float, blend: float
+    profile: Profile, model: CellModel, corner: tuple[float, float, float], rotation: float, speed: float, blend: float
 ) -> None:
     base = np.array([0.0, -0.7, 0.6])
     middle = base + np.array(corner) + np.array([0.02, 0.0, 0.02])
     poses = [
         {"position": base.tolist(), "rpy": ["90 deg", 0, 0]},
-        {"position": middle.tolist(), "rpy": [np.pi / 2.0 + turn, 0, turn], "blend": f"{blend} mm"},
+        {"position": middle.tolist(), "rpy": [np.pi / 2.0 + rotation, 0, rotation], "blend": f"{blend} mm"},
         {"position": (base + np.array([0.0, 0.05, -0.08])).tolist()},
     ]
     try:

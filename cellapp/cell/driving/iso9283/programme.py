@@ -304,7 +304,7 @@ class CubeSearch:
         while len(chosen) < min(_SEEDS, len(best)):
             away = np.minimum(away, np.abs(liked[best] - liked[chosen[-1]]).max(axis=1))
             chosen.append(int(best[np.argmax(away)]))
-        return [(liked[k], _turned(normal[k], to_tracker[k]) @ rotations[k]) for k in chosen]
+        return [(liked[k], _rotated(normal[k], to_tracker[k]) @ rotations[k]) for k in chosen]
 
     def _region(self, q: Array, rotation_M: Array) -> Region | None:
         """Return what is reached from a seed with its rotation; None if the seed itself violates a constraint."""
@@ -403,7 +403,7 @@ def _solve(region: Region, position_B: Array, start: Array) -> tuple[Array, NDAr
     return found.q, found.reached & usable
 
 
-def _turned(direction: Array, to: Array) -> Array:
+def _rotated(direction: Array, to: Array) -> Array:
     """Return the smallest rotation (3, 3) from one unit vector to another."""
     axis = np.cross(direction, to)
     sine = float(np.linalg.norm(axis))

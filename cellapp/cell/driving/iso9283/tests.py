@@ -714,7 +714,7 @@ class _Session:
                 time_s=first.time_s,
                 temperature_c=first.temperature_c,
                 group=group,
-                turned={name: its for name, point in points.items() if (its := point.orientation) is not None},
+                orientations={name: its for name, point in points.items() if (its := point.orientation) is not None},
             )
         )
 

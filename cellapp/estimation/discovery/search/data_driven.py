@@ -1,4 +1,4 @@
-"""Data-driven terms for what no effect of the library explains: a function of one or two variables in one channel."""
+"""Data-driven terms for what no effect of the library explains: a function of one or two variables in one place."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cellapp.estimation.discovery.arm_data import (
 from cellapp.estimation.discovery.joint_fit import JointFit, cross_validated_gain
 from cellapp.estimation.discovery.posterior import (
     COORDINATES_EACH,
-    ChannelScan,
+    DirectionScan,
     Families,
     fitted_parameters,
     is_free_function,
@@ -39,8 +39,8 @@ from cellapp.estimation.discovery.search.state import (
     floor_reached,
     scatter,
 )
-from cellapp.robot.effects import EFFECTS, DriverVariable
-from cellapp.robot.effects.data_driven import DataChannel, channels, data_driven_form
+from cellapp.robot.effects import EFFECTS, InputVariable
+from cellapp.robot.effects.data_driven import ActedOn, acted_on, data_driven_form
 from cellapp.robot.effects.effect import imitation, is_borrowed, place_in_words
 from cellapp.robot.effects.law import AMPLITUDE
 from cellapp.robot.effects.unknown import FunctionFamily, curve_families, own_angles, pair_families
@@ -81,7 +81,7 @@ def in_place_of_names(problem: SearchProblem, start: SearchState, best: SearchSt
     """Return data-driven terms on the geometry alone if one of them promises about as much as ``best``; else None.
 
     Several names, or a free function, can imitate one law that the library lacks. ``start`` is the geometry alone. A
-    law replaces nothing if a named effect of its channel and variable has a free function of its own.
+    law replaces nothing if a named effect of its place and variable has a free function of its own.
     """
     if not best.fit.terms:
         return None
@@ -96,17 +96,17 @@ def in_place_of_names(problem: SearchProblem, start: SearchState, best: SearchSt
 
 
 def _has_free_form(state: SearchState, number: int, score: LawScore) -> bool:
-    """Return whether a named term has a data-driven law's channel and variable, and its effect has a free function.
+    """Return whether a named term has a data-driven law's place and variable, and its effect has a free function.
 
     Such a law is the effect in a shape that its other laws lack: a drift to and fro is a drift.
     """
     term, form = state.fit.terms[number], data_driven_form(score.candidate.law)
     if not term.is_library_effect or not any(AMPLITUDE in one.constants for one in EFFECTS[term.slug].forms):
         return False
-    joint = form.channel.joint
-    moves = {(column.channel, column.index) for column in state.fit.term_columns(number)}
-    own = all(one.joint in (None, joint) for one in form.drivers)
-    return own and moves == {(form.channel.channel, joint)} and EFFECTS[term.slug].variables == form.variables
+    joint = form.acts_on.joint
+    moves = {(column.acts_on, column.index) for column in state.fit.term_columns(number)}
+    own = all(one.joint in (None, joint) for one in form.inputs)
+    return own and moves == {(form.acts_on.acts_on, joint)} and EFFECTS[term.slug].variables == form.variables
 
 
 def without_imitations(problem: SearchProblem, state: SearchState) -> SearchState:
@@ -121,11 +121,11 @@ def without_imitations(problem: SearchProblem, state: SearchState) -> SearchStat
     unknown = {
         column.joint
         for number, term in enumerate(terms)
-        if term.slug == UNKNOWN and not is_borrowed(term.law) and DriverVariable.JOINT_ANGLE in term.law.form.variables
+        if term.slug == UNKNOWN and not is_borrowed(term.law) and InputVariable.JOINT_ANGLE in term.law.form.variables
         for column in fit.term_columns(number)
     } - {None}
     for number, term in enumerate(terms):
-        if term.slug == UNKNOWN or EFFECTS[term.slug].variables != {DriverVariable.JOINT_ANGLE}:
+        if term.slug == UNKNOWN or EFFECTS[term.slug].variables != {InputVariable.JOINT_ANGLE}:
             continue
         moved = [column.joint for column in fit.term_columns(number)]
         if not (
@@ -149,7 +149,7 @@ def _with_term(problem: SearchProblem, state: SearchState, scores: Sequence[LawS
         return None
     law = score.candidate.law
     choices: list[ModelTerms] = [(*fit.terms, ModelTerm(UNKNOWN, law, score.names))]
-    # The term is a general function of its variables in its channel: named effects that described a part may go.
+    # The term is a general function of its variables in its place: named effects that described a part may go.
     where = score.candidate.columns[0].where
     others = tuple(term for term in fit.terms if not _acts_only_on(data, term, where))
     if len(others) < len(fit.terms):
@@ -185,15 +185,15 @@ def _share_beyond_noise(state: SearchState, score: LawScore) -> float:
 def _best_scores(problem: SearchProblem, state: SearchState) -> list[LawScore]:
     """Return the best laws of two variables and of one that pass the threshold, the preferred one first."""
     context = state.data.context
-    scan, every = ChannelScan.of(state.data, state.fit), channels(context.joints)
+    scan, every = DirectionScan.of(state.data, state.fit), acted_on(context.joints)
     one = _best_law(state, _Tried.of(state, scan, curve_families(context), every))
     of_angles = pair_families(context, own_angles(context))
     tried = _Tried.of(state, scan, of_angles, every)
     if one is not None:
-        known = {family.drivers for family in of_angles}
-        others = [family for family in pair_families(context) if family.drivers not in known]
-        channel = data_driven_form(one.candidate.law).channel
-        tried = tried.with_others(_Tried.of(state, scan, others, (channel,)))
+        known = {family.inputs for family in of_angles}
+        others = [family for family in pair_families(context) if family.inputs not in known]
+        acts_on = data_driven_form(one.candidate.law).acts_on
+        tried = tried.with_others(_Tried.of(state, scan, others, (acts_on,)))
     two = _best_law(state, tried)
     found = [score for score in (two, one) if score is not None and score.value > problem.threshold]
     if len(found) == 2 and found[0].value <= found[1].value + SCORE_MARGIN:
@@ -203,14 +203,14 @@ def _best_scores(problem: SearchProblem, state: SearchState) -> list[LawScore]:
 
 @dataclass(frozen=True, eq=False)
 class _Tried:
-    """Best laws of families in channels, in decreasing order of score, and the number of laws tried."""
+    """Best laws of families in places, in decreasing order of score, and the number of laws tried."""
 
-    best: tuple[tuple[float, FunctionFamily, DataChannel], ...]
+    best: tuple[tuple[float, FunctionFamily, ActedOn], ...]
     count: int
 
     @classmethod
     def of(
-        cls, state: SearchState, scan: ChannelScan, families: Sequence[FunctionFamily], chosen: Sequence[DataChannel]
+        cls, state: SearchState, scan: DirectionScan, families: Sequence[FunctionFamily], chosen: Sequence[ActedOn]
     ) -> _Tried:
         """Score the laws that the readings can determine, except those whose subject already has a term."""
         data, fit = state.data, state.fit
@@ -221,9 +221,9 @@ class _Tried:
         }
         evaluated = Families.of(data, families)
         possible = np.array(
-            [[(channel.subject, family.drivers) not in taken for family in families] for channel in chosen], dtype=bool
+            [[(acts_on.subject, family.inputs) not in taken for family in families] for acts_on in chosen], dtype=bool
         ).reshape(len(chosen), len(families))
-        columns = np.array([max(len(channel.parts), 1) for channel in chosen])[:, None] * evaluated.sizes
+        columns = np.array([max(len(acts_on.parts), 1) for acts_on in chosen])[:, None] * evaluated.sizes
         few = COORDINATES_EACH * (columns + fitted_parameters(fit)) <= 3 * len(data)
         values = np.where(possible & few, scan.scores(evaluated, chosen), -np.inf)
         order = np.argsort(-values, axis=None, kind="stable")[:_SELECTED]
@@ -240,7 +240,7 @@ class _Tried:
 def _best_law(state: SearchState, tried: _Tried) -> LawScore | None:
     """Return the best of many data-driven laws without invisible columns, less the price of choosing."""
     data, fit = state.data, state.fit
-    candidates = [fit.candidate(data, UNKNOWN, family.law(channel)) for _, family, channel in tried.best]
+    candidates = [fit.candidate(data, UNKNOWN, family.law(acts_on)) for _, family, acts_on in tried.best]
     ranked = LawScan.of(candidates, fit.projector).ranked(fit.projected_residual)
     if not ranked:
         return None

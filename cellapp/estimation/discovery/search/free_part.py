@@ -35,7 +35,7 @@ from cellapp.robot.effects import EFFECTS, EffectColumn
 from cellapp.robot.effects.data_driven import FIELD, FIELD_LENGTH, position_in_base
 from cellapp.robot.effects.law import AMPLITUDE
 from cellapp.robot.effects.modulation import HALF_CYCLES, HARMONICS, OWN_HALF_CYCLES, Modulation, closes, modulations
-from cellapp.robot.effects.unknown import channel_directions
+from cellapp.robot.effects.unknown import acted_directions
 from cellapp.robot.kinematics.transforms import Array
 
 SHARES = (0.03, 0.1, 0.3)
@@ -74,7 +74,7 @@ def possible_free_parts(data: ArmData, fit: JointFit, number: int) -> list[FreeP
     sizes = _sizes(fit, number)
     columns = [column for column in columns if sizes[column.name] > 0.0]
     found = []
-    for driver in effect.free_drivers:
+    for driver in effect.discrepancy_inputs:
         ones = _lowest_orders(modulations(driver, columns, data.context))
         if ones:
             found.append(_free_part(data, fit, columns, ones, sizes))
@@ -345,7 +345,7 @@ class BesideField:
         if cls not in fit.derived:
             unit = [
                 np.einsum("acn,nc->an", fit.white, moved).ravel()
-                for moved in channel_directions(data.context, FIELD.channel)
+                for moved in acted_directions(data.context, FIELD.acts_on)
             ]
             position = position_in_base(data.context)
             fit.derived[cls] = cls(fit, fields[0], np.stack(unit), scipy.spatial.distance.cdist(position, position))

@@ -30,7 +30,7 @@ from cellapp.estimation.discovery.search.state import (
     within_bounds,
 )
 from cellapp.ground.counting import counted
-from cellapp.robot.effects import EFFECTS, DriverVariable
+from cellapp.robot.effects import EFFECTS, InputVariable
 from cellapp.robot.effects.effect import form_without_bounds, sentence
 from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.kinematics.transforms import Array
@@ -88,7 +88,7 @@ def _rest_of_a_law(state: SearchState) -> int | None:
             if UNKNOWN in (term.slug, larger.slug) or number == other:
                 continue
             # all effects depend on the configuration: a common joint angle is no common cause
-            shared = (EFFECTS[term.slug].variables & EFFECTS[larger.slug].variables) - {DriverVariable.JOINT_ANGLE}
+            shared = (EFFECTS[term.slug].variables & EFFECTS[larger.slug].variables) - {InputVariable.JOINT_ANGLE}
             if shared and removed[number] < SAME_CAUSE * removed[other]:
                 return number
     return None
@@ -201,7 +201,7 @@ def _explains_beside(problem: SearchProblem, fit: JointFit, number: int, rival: 
 
 
 _TRIED = 6
-"""Number of best laws whose values are fitted in full: the law with the right drivers is among the first."""
+"""Number of best laws whose values are fitted in full: the law with the right inputs is among the first."""
 MOSTLY = 0.5
 """Share of the explained sum of squares that blocks with impossible values must hold: a negative value at one joint of
 many is an alias, and does not contradict the law."""

@@ -242,7 +242,7 @@ def scatter(data: ArmData, fit: JointFit) -> Scatter | None:
         return None
     squares = np.sum(np.einsum("acn,nc->an", whitening(data.stated), fit.identification.residuals) ** 2, axis=0)
     total, freedom = float(squares.sum()), 3.0 * len(data) - fit.projector.effective_parameters
-    for kind in () if data.turned is None else (data.turned, ~data.turned):
+    for kind in () if data.angular is None else (data.angular, ~data.angular):
         if states_nothing(data.stated[kind]):
             total -= float(squares[kind].sum())
             freedom -= 3.0 * np.count_nonzero(kind) - float(np.sum(fit.projector.basis[np.tile(kind, 3)] ** 2))

@@ -72,7 +72,7 @@ from cellapp.estimation.discovery.search.state import (
 from cellapp.estimation.discovery.search.unnamed import smooth_numbers, with_unnamed, without_names
 from cellapp.ground.counting import counted
 from cellapp.ground.progress import JobSteps
-from cellapp.robot.effects import EFFECTS, Channel, DriverVariable
+from cellapp.robot.effects import EFFECTS, ActsOn, InputVariable
 from cellapp.robot.effects.base_motion import BaseDrift
 from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.effects.thermal import JointDrift
@@ -126,7 +126,7 @@ def _acts_as_one_joint(state: SearchState, score: LawScore) -> bool:
     in both directions. A tilt in one direction only is an error of that joint that depends on its neighbour's angle.
     """
     rows = score.rows
-    axial = [column.channel is Channel.AXIS and column.wave is not None for column in score.candidate.columns]
+    axial = [column.acts_on is ActsOn.AXIS and column.wave is not None for column in score.candidate.columns]
     if not all(axial[place] for place in score.chosen):
         return False
     imitated = np.array([_is_joint_offset(state, score, k) for k in range(len(rows))])
@@ -512,7 +512,7 @@ def with_one_drift(problem: SearchProblem, state: SearchState) -> SearchState | 
     A wandering drift looks like a sequence of steps and warm-ups.
     """
     of_time = [
-        term.is_library_effect and DriverVariable.TIME in EFFECTS[term.slug].variables for term in state.fit.terms
+        term.is_library_effect and InputVariable.TIME in EFFECTS[term.slug].variables for term in state.fit.terms
     ]
     if sum(of_time) < 2 or has_smooth_terms(state.fit.terms):
         return None

@@ -23,9 +23,9 @@ from cellapp.estimation.discovery.search.review import review
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchResult, SearchState
 from cellapp.estimation.discovery.search.stepwise import addition, refinement, search
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import CancelToken, JobSteps
 from cellapp.robot.effects import EFFECTS
-from cellapp.robot.effects.data_driven import FIELD, channels
+from cellapp.robot.effects.data_driven import FIELD, acted_on
 from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.effects.unknown import curve_families, pair_families
 from cellapp.robot.kinematics.chain import smr_positions
@@ -80,7 +80,7 @@ def test_a_slow_drift_to_and_fro_keeps_its_name_and_a_sway_has_none(periods, slu
     phase = 2.0 * np.pi * periods * np.arange(200) / 200.0 + 0.8
     shift = 60e-6 * np.sin(phase)[:, None] * np.array([1.0, 0.6, -0.4])
     data, _ = readings_with(np.zeros_like, lambda p: shift)
-    found = search(data, tuple(slug for slug in EFFECTS if slug != UNKNOWN), CancelToken())
+    found = search(data, tuple(slug for slug in EFFECTS if slug != UNKNOWN), JobSteps())
     assert [term.slug for term in found.fit.terms] == [slug]
 
 
@@ -211,10 +211,10 @@ def test_one_cause_is_one_unknown(cycles, joints, beside, named):
     terms: tuple[ModelTerm, ...] = (lines(cycles, joints),)
     if beside is not None:
         family = next(
-            family.law(channel)
+            family.law(acts_on)
             for family in (*curve_families(data.context), *pair_families(data.context))
-            for channel in channels(6)
-            if family.law(channel).name == beside
+            for acts_on in acted_on(6)
+            if family.law(acts_on).name == beside
         )
         columns = tuple(column.name for column in data.columns(UNKNOWN, family))
         terms = (*terms, ModelTerm(UNKNOWN, family, columns))

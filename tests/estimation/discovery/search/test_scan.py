@@ -26,7 +26,7 @@ from cellapp.estimation.discovery.search.scan import (
 )
 from cellapp.estimation.discovery.search.state import Posteriors, Review, SearchProblem, SearchResult, SearchState
 from cellapp.ground.errors import NotConverged
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import CancelToken, JobSteps
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.estimation.discovery.problems import PLAIN, N, arm_of, data_of, problem, refining_law
@@ -114,7 +114,7 @@ def test_a_candidate_whose_fit_does_not_converge_is_dropped_and_named_and_is_no_
         raise NotConverged.of("fit of geometry and effects", "no reason")
 
     monkeypatch.setattr(stepwise, "apply_step", fails)
-    found = stepwise.search(data, ("encoder_eccentricity",), CancelToken())
+    found = stepwise.search(data, ("encoder_eccentricity",), JobSteps())
     assert not [term for term in found.fit.terms if term.smooth is None]
     assert found.not_fitted[0] == f"{EFFECTS['encoder_eccentricity'].title} added"
 
@@ -151,7 +151,7 @@ def searched(
         return Posteriors(tuple(here.get(term.slug, 1.0) for term in found.fit.terms), here)
 
     monkeypatch.setattr(stepwise, "posteriors_of", probable)
-    return stepwise.search(data, SLUGS, CancelToken())
+    return stepwise.search(data, SLUGS, JobSteps())
 
 
 def test_an_improbable_name_is_dropped_and_not_found_again(monkeypatch: pytest.MonkeyPatch) -> None:

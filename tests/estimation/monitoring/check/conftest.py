@@ -22,7 +22,7 @@ from cellapp.robot.kinematics.chain import Geometry
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.kinematics.transforms import rotation_from_vector, transform
 from cellapp.robot.model import ArmModel
-from tests.arms import OFF_AXIS, SEVEN, UR5, UR10, at_station, measured_turns, true_geometry
+from tests.arms import OFF_AXIS, SEVEN, UR5, UR10, at_station, measured_rotations, true_geometry
 
 Array = NDArray[np.float64]
 SIGMA_M = 1.5e-5
@@ -63,9 +63,9 @@ def readings_of(true: Geometry, q: Array, rng: np.random.Generator) -> Readings:
     """What a tracker measures of an arm without effects; of a probe its orientation too."""
     n = len(q)
     model = model_of(true, true)
-    turned: dict[str, Any] = {}
+    angular: dict[str, Any] = {}
     if true.probe is not None:
-        turned = {"quaternion_M": measured_turns(model, q, SIGMA_RAD, rng), "sigma_rad": np.full(n, SIGMA_RAD)}
+        angular = {"quaternion_M": measured_rotations(model, q, SIGMA_RAD, rng), "sigma_rad": np.full(n, SIGMA_RAD)}
     steps = np.diff(np.vstack([np.zeros(q.shape[1]), q]), axis=0)
     return Readings(
         configuration=np.arange(n),
@@ -74,7 +74,7 @@ def readings_of(true: Geometry, q: Array, rng: np.random.Generator) -> Readings:
         approach=np.sign(steps).astype(np.int8),
         p_M=model.predict(q) + rng.normal(0.0, SIGMA_M, (n, 3)),
         covariance_M=np.broadcast_to(SIGMA_M**2 * np.eye(3), (n, 3, 3)).copy(),
-        **turned,
+        **angular,
     )
 
 
@@ -106,9 +106,9 @@ def cell_of(arms: dict[str, Geometry], seed: int, readings: int = 150) -> Simula
     return SimulatedCell(true, CheckBelief(beliefs), candidates)
 
 
-def moved_base(true: Geometry, shift: list[float], turn: list[float]) -> Geometry:
+def moved_base(true: Geometry, shift: list[float], rotation: list[float]) -> Geometry:
     """The arm on a base that moved in the tracker frame."""
-    return true.with_T_M_B(transform(rotation_from_vector(turn), shift) @ true.T_M_B())
+    return true.with_T_M_B(transform(rotation_from_vector(rotation), shift) @ true.T_M_B())
 
 
 def with_parameter(true: Geometry, place: int, change: float) -> Geometry:

@@ -99,13 +99,13 @@ def test_orientation_names_a_joint_whose_axis_passes_near_the_probe(
 
 @pytest.mark.parametrize("size", [1e-4, 0.03], ids=["small", "large"])
 def test_moved_tracker_is_solved_for(pair: SimulatedCell, size: float) -> None:
-    shift, turn = [size, -2 * size, size], [0.5 * size, size, -size]
-    changed = {name: moved_base(true, shift, turn) for name, true in pair.true.items()}
+    shift, rotation = [size, -2 * size, size], [0.5 * size, size, -size]
+    changed = {name: moved_base(true, shift, rotation) for name, true in pair.true.items()}
     found, _ = checked(pair, changed)
     assert found.verdict == "tracker moved"
     assert found.T_new_old is not None
     points = pair.belief.arms["left"].measured.readings.p_M
-    true = apply(transform(rotation_from_vector(turn), shift), points)
+    true = apply(transform(rotation_from_vector(rotation), shift), points)
     assert np.linalg.norm(apply(np.array(found.T_new_old), points) - true, axis=1).max() < 6e-5
 
 
