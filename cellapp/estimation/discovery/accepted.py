@@ -658,24 +658,6 @@ def _standard_deviation(columns: Array, covariance: Array) -> Array:
 
 Axis = tuple[str, Array]
 """Label and values (n,)."""
-_LABELS = {
-    Quantity.JOINT_ANGLE: ("joint {} [deg]", np.degrees(1.0)),
-    Quantity.OTHER_JOINT_ANGLE: ("joint {} of the other arm [deg]", np.degrees(1.0)),
-    Quantity.TORQUE: ("gravity torque on joint {} [Nm]", 1.0),
-    Quantity.STEP: ("last step of joint {} [deg]", np.degrees(1.0)),
-    Quantity.TIME: ("time [h]", 1.0 / 3600.0),
-    Quantity.DWELL: ("dwell [s]", 1.0),
-    Quantity.PAYLOAD: ("payload [kg]", 1.0),
-    Quantity.TEMPERATURE: ("air temperature [degC]", 1.0),
-    Quantity.RANGE: ("distance from the tracker [m]", 1.0),
-    Quantity.AZIMUTH: ("azimuth seen by the tracker [deg]", np.degrees(1.0)),
-    Quantity.ELEVATION: ("elevation seen by the tracker [deg]", np.degrees(1.0)),
-    Quantity.INCIDENCE: ("incidence [deg]", np.degrees(1.0)),
-    Quantity.X: ("x in the base frame [m]", 1.0),
-    Quantity.Y: ("y in the base frame [m]", 1.0),
-    Quantity.Z: ("z in the base frame [m]", 1.0),
-}
-"""Label of a variable of data-driven terms, with a placeholder for the joint, and the factor from SI units."""
 _LOADED_JOINT = 1
 """Joint (from 0) whose gravity torque represents the load on the whole arm: the shoulder carries it on most arms."""
 
@@ -692,8 +674,8 @@ def axes_of(data: ArmData, term: ModelTerm, joint: int | None, beside: int | Non
 
 
 def _axis(data: ArmData, variable: Variable) -> Axis:
-    label, factor = _LABELS[variable.quantity]
-    return label.format((variable.joint or 0) + 1), variable.values(data.context) * factor
+    quantity = variable.quantity
+    return quantity.label.format((variable.joint or 0) + 1), variable.values(data.context) * quantity.factor
 
 
 def _axis_of_effect(data: ArmData, term: ModelTerm, joint: int | None, beside: int | None) -> Axis:
