@@ -47,7 +47,7 @@ from cellapp.estimation.design.block_design import (
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import CancelToken, JobSteps, Listener, Progress, ignore
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.kinematics.transforms import Array
 
@@ -238,13 +238,13 @@ def select_stops(
     done, total = dict.fromkeys(pools, 0), 2 * count * len(pools)
     arms = " and ".join(f"arm {name}" for name in pools)
 
-    def tell(name: str, number: int) -> None:
+    def tell(name: str, number: int, words: str = "") -> None:
         done[name] = number
         listener(Progress("select", min(sum(done.values()), total), total, arms))
 
     def choose(name: str, own_rng: np.random.Generator) -> Rows:
         own = None if kept is None else kept.get(name)
-        return _select(profile, name, q, count, own, own_rng, cancel, partial(tell, name))
+        return _select(profile, name, q, count, own, own_rng, JobSteps(partial(tell, name), cancel))
 
     tell(next(iter(pools)), 0)
     chosen = of_each_arm(choose, pools, rng)
@@ -259,8 +259,7 @@ def _select(
     count: int,
     kept: Array | None,
     rng: np.random.Generator,
-    cancel: CancelToken,
-    told: Callable[[int], object],
+    steps: JobSteps,
 ) -> Rows:
     """Choose candidates of one arm; ``pools`` are the configurations of all arms."""
     q, others = pools[name], {other: q for other, q in pools.items() if other != name}
@@ -276,9 +275,9 @@ def _select(
         reference_errors(candidates.mean_information, count, candidates.prior, model.wanted),
         model.prediction_rows(targets, even_conditions(profile, name, targets, others, rng)),
     )
-    chosen = choose_blocks(candidates, count, criterion, rng, cancel=cancel, told=told)
+    chosen = choose_blocks(candidates, count, criterion, rng, steps)
     limits = gap_limits(q, len(chosen) + len(kept), profile.plan.largest_gap)
-    chosen = close_gaps(candidates, q, chosen, criterion, limits, without_turns(kept, q), rng, cancel)
+    chosen = close_gaps(candidates, q, chosen, criterion, limits, without_turns(kept, q), rng, steps)
     return least_informative_last(candidates, chosen, criterion)
 
 

@@ -192,15 +192,16 @@ _FRAMES: dict[str, Callable[[Array], Array]] = {
     "they fit as those of the tracker in the probe's frame: give the inverse, quat_x, quat_y and quat_z with the"
     " opposite sign": lambda rotations: np.swapaxes(rotations, 1, 2),
     "they fit with the scalar last: the first column must be quat_w": _of_quaternions((3, 0, 1, 2), (1.0,) * 4),
-    "they fit in a mirrored frame (x against y and z): the probe's or the tracker's frame is left-handed": (
-        _of_quaternions((0, 1, 2, 3), (1.0, 1.0, -1.0, -1.0))
-    ),
-    "they fit in a mirrored frame (y against x and z): the probe's or the tracker's frame is left-handed": (
-        _of_quaternions((0, 1, 2, 3), (1.0, -1.0, 1.0, -1.0))
-    ),
-    "they fit in a mirrored frame (z against x and y): the probe's or the tracker's frame is left-handed": (
-        _of_quaternions((0, 1, 2, 3), (1.0, -1.0, -1.0, 1.0))
-    ),
+    **{
+        f"they fit in a mirrored frame ({axes}): the probe's or the tracker's frame is left-handed": (
+            _of_quaternions((0, 1, 2, 3), (1.0, *signs))
+        )
+        for axes, signs in {
+            "x against y and z": (1.0, -1.0, -1.0),
+            "y against x and z": (-1.0, 1.0, -1.0),
+            "z against x and y": (-1.0, -1.0, 1.0),
+        }.items()
+    },
 }
 
 

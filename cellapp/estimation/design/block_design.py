@@ -19,36 +19,26 @@ are updated by matrices of rank three (Woodbury). From time to time all are comp
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import inverse_psd
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import UNTOLD, JobSteps
 from cellapp.robot.kinematics.transforms import Array
 
 WORST_POWER = 12.0
 """h: with it the largest of some hundred uncertainties dominates, and those within a few per cent of it count too."""
+SHARES = (1.0, 1.0, 3.0)
+"""Exponents a, b, c of the three errors in the criterion. A larger share improves the worst point while the two others
+hardly lose: at 1 a design of 100 stops is worth 205 random ones there, at 3 or more 245, with the parameters at 142
+throughout."""
 _ROWS_AT_ONCE = 6000
 """Batch size of rows for conversion of precision and products."""
 Rows = NDArray[np.intp]
 """Indices of candidates."""
-
-
-class Shares(NamedTuple):
-    """Exponents a, b, c of the three errors in the criterion.
-
-    A larger share improves the worst point while the two others hardly lose: at 1 a design of 100 stops is worth 205
-    random ones there, at 3 or more 245, with the parameters at 142 throughout.
-    """
-
-    parameters: float = 1.0
-    mean: float = 1.0
-    worst: float = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,12 +51,10 @@ class Criterion:
         Standard errors of the first k of p parameters with a random design; the others are nuisance parameters.
     points : array, shape (s, 3, p)
         Derivatives of predictions with respect to the parameters.
-    shares : Shares
     """
 
     reference: Array
     points: Array
-    shares: Shares = field(default_factory=Shares)
 
     def value(self, covariance: Array) -> float:
         """Return J; the difference between two designs does not depend on units."""
@@ -74,18 +62,19 @@ class Criterion:
         largest = points.max()
         worst = math.log(largest) + math.log(np.mean((points / largest) ** WORST_POWER)) / WORST_POWER
         terms = (math.log(np.mean(ratios)), math.log(np.mean(points)), worst)
-        return sum(share * term for share, term in zip(self.shares, terms, strict=True))
+        return sum(share * term for share, term in zip(SHARES, terms, strict=True))
 
     def weights(self, covariance: Array) -> Array:
         """Return W = dJ / dC (p, p)."""
+        by_parameters, by_mean, by_worst = SHARES
         ratios, points = self.parts(covariance)
         high = (points / points.max()) ** (WORST_POWER - 1.0)
         # ds = dC_kk / (2 s) of a standard error, du = tr(F dC F^T) / (2 u) of a prediction
-        by_point = (self.shares.mean / points.sum() + self.shares.worst * high / (high @ points)) / (2.0 * points)
+        by_point = (by_mean / points.sum() + by_worst * high / (high @ points)) / (2.0 * points)
         rows = self.points.reshape(-1, len(covariance))
         W = (rows * np.repeat(by_point, 3)[:, None]).T @ rows
         wanted = np.arange(len(self.reference))
-        W[wanted, wanted] += self.shares.parameters / (2.0 * ratios.sum() * ratios * self.reference**2)
+        W[wanted, wanted] += by_parameters / (2.0 * ratios.sum() * ratios * self.reference**2)
         return np.asarray(W)
 
     def parts(self, covariance: Array) -> tuple[Array, Array]:
@@ -188,6 +177,10 @@ def trace_of_solution(V: Array, U: Array, sign: float) -> Array:
 #
 # Candidates are screened to first order; the best of them are updated in double precision after each change.
 
+SUBSET = 1000
+"""Number of candidates looked at for each batch of the first choice."""
+PASSES = 3
+"""Largest number of passes of exchanges, each with new weights W: as with the subset, the result improves slowly."""
 _BATCHES = 20
 """Number of batches of the first choice; each draws a new subset."""
 _SMALLEST_BATCH = 20
@@ -242,30 +235,19 @@ class Candidates:
 
 
 def choose_blocks(
-    candidates: Candidates,
-    count: int,
-    criterion: Criterion,
-    rng: np.random.Generator,
-    cancel: CancelToken | None = None,
-    *,
-    subset: int = 1000,
-    passes: int = 3,
-    told: Callable[[int], object] = int,
+    candidates: Candidates, count: int, criterion: Criterion, rng: np.random.Generator, steps: JobSteps = UNTOLD
 ) -> Rows:
     """Choose ``count`` candidates by greedy selection and exchange; return their indices, all if there are no more.
 
-    ``subset`` candidates are looked at for each batch of the first choice. ``passes`` is the largest number of passes
-    of exchanges, each with new weights W. Both cost time, and the result improves slowly with them. ``told`` is called
-    with how many were chosen so far, then with ``count`` more for those whose exchange was tried.
+    ``steps`` are told how many were chosen so far, then ``count`` more for those whose exchange was tried.
     """
-    cancel = cancel or CancelToken()
     if count >= len(candidates):
         return np.arange(len(candidates))
     random = candidates.prior + candidates.mean_information * count
-    chosen = _greedy(candidates, count, criterion.weights(inverse_psd(random)), rng, subset, cancel, told)
+    chosen = _greedy(candidates, count, criterion.weights(inverse_psd(random)), rng, steps)
     best = criterion.value(candidates.covariance(chosen))
-    for _ in range(passes):
-        exchanged = _exchanged(candidates, chosen, criterion, cancel, told)
+    for _ in range(PASSES):
+        exchanged = _exchanged(candidates, chosen, criterion, steps)
         value = criterion.value(candidates.covariance(exchanged))
         if value >= best:  # only the linear criterion improved
             break
@@ -283,23 +265,15 @@ def least_informative_last(candidates: Candidates, chosen: Rows, criterion: Crit
     return np.concatenate([chosen[outside == 0.0], chosen[last[::-1]]])
 
 
-def _greedy(
-    candidates: Candidates,
-    count: int,
-    W: Array,
-    rng: np.random.Generator,
-    subset: int,
-    cancel: CancelToken,
-    told: Callable[[int], object],
-) -> Rows:
+def _greedy(candidates: Candidates, count: int, W: Array, rng: np.random.Generator, steps: JobSteps) -> Rows:
     """Choose stop by stop the largest gain in a subset."""
     free = np.ones(len(candidates), dtype=bool)
     size = max(_SMALLEST_BATCH, -(-count // _BATCHES))
     information, before = candidates.prior, 0
     while before < count:
-        cancel.check()
+        steps.check()
         design = BlockDesign(information, W)
-        among = rng.permutation(np.flatnonzero(free))[: max(subset, 2 * size)]
+        among = rng.permutation(np.flatnonzero(free))[: max(SUBSET, 2 * size)]
         among = among[design.screened(candidates.rows[among], max(_FOLLOWED, 2 * size))]
         rows, outside = candidates.rows[among], np.zeros(len(among))
         design.track(rows)
@@ -311,14 +285,12 @@ def _greedy(
         come = among[outside < 0.0]
         free[come] = False
         before += len(come)
-        told(before)
+        steps(before, "choice")
         information = information + information_of(candidates.rows[come])
     return np.flatnonzero(~free)
 
 
-def _exchanged(
-    candidates: Candidates, chosen: Rows, criterion: Criterion, cancel: CancelToken, told: Callable[[int], object]
-) -> Rows:
+def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, steps: JobSteps) -> Rows:
     """Exchange each chosen stop, that of least information first, for the best other candidate or itself."""
     design = candidates.design(chosen, criterion)
     queue = chosen[np.argsort(design.gains(-1.0), kind="stable")][:_MOST_EXCHANGED]
@@ -326,8 +298,8 @@ def _exchanged(
     free[chosen] = False
     promising = np.sort(design.screened(candidates.rows, _PROMISING + len(chosen)))
     for first in range(0, len(queue), _EXCHANGED_AT_ONCE):
-        cancel.check()
-        told(len(chosen) + first)
+        steps.check()
+        steps(len(chosen) + first, "exchange")
         leaving = queue[first : first + _EXCHANGED_AT_ONCE]
         coming = promising[free[promising]]
         coming = coming[design.screened(candidates.rows[coming], _FOLLOWED)]
@@ -400,7 +372,7 @@ def close_gaps(
     limits: Array,
     kept: Array,
     rng: np.random.Generator,
-    cancel: CancelToken,
+    steps: JobSteps,
 ) -> Rows:
     """Exchange stops until no candidate can close another gap.
 
@@ -423,7 +395,7 @@ def close_gaps(
     hopeless = set[tuple[int, float]]()
     ends = np.stack([q.min(axis=0), q.max(axis=0)])
     for _ in range(len(chosen)):
-        cancel.check()
+        steps.check()
         stops = np.concatenate([q[chosen[staying]], q[added], kept])
         inside = _closing(q, np.concatenate([stops, ends]), limits, hopeless)
         if inside is None:

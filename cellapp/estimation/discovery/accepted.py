@@ -412,9 +412,7 @@ _BAND = (0.1, 0.9)
 """Shares of the cumulative power that bound the dominant cycles: the middle 80 %."""
 
 
-def dominant_cycles(
-    columns: Sequence[EffectColumn], values: Array, covariance: Array | None = None
-) -> dict[str, CycleBand]:
+def dominant_cycles(columns: Sequence[EffectColumn], values: Array, covariance: Array) -> dict[str, CycleBand]:
     """Return the dominant cycles per revolution by joint (key: its number), from wave columns with values (m,) [rad].
 
     ``covariance`` (m, m) of the values gives the standard error of each joint's rms.
@@ -424,10 +422,8 @@ def dominant_cycles(
         if column.cycles is not None and column.joint is not None:
             of_joint = power.setdefault(column.joint, {})
             of_joint[column.cycles] = of_joint.get(column.cycles, 0.0) + 0.5 * value**2
-    found = {str(joint + 1): _band(power[joint]) for joint in sorted(power) if any(power[joint].values())}
-    if covariance is None:
-        return found
-    return {joint: _with_error(band, int(joint) - 1, columns, values, covariance) for joint, band in found.items()}
+    found = {joint: _band(power[joint]) for joint in sorted(power) if any(power[joint].values())}
+    return {str(n + 1): _with_error(band, n, columns, values, covariance) for n, band in found.items()}
 
 
 def _with_error(
@@ -548,16 +544,9 @@ class _TermPictures:
             own = list(view.columns)
             offsets = np.array([columns[k].offset for k in own]).reshape(-1, n)
             band = _standard_deviation(offsets, covariance[np.ix_(own, own)])
-            found.append(
-                make_picture(
-                    f"{self._title}, joint {joint + 1}{view.title}",
-                    fit.terms[self.number].slug,
-                    view.x_label,
-                    f"offset of joint {joint + 1} [urad]",
-                    PictureData(view.x, rest, values[own] @ offsets, band, shown),
-                    view.curve,
-                )
-            )
+            title, labels = f", joint {joint + 1}{view.title}", (view.x_label, f"offset of joint {joint + 1} [urad]")
+            arrays = (view.x, rest, values[own] @ offsets, band, shown)
+            found.append(self._picture(title, labels, *arrays, view.curve))
         return found
 
     def _joint_views(self, joint: int) -> list[_JointView]:
@@ -605,11 +594,8 @@ class _TermPictures:
 
     def of_shift(self, axis: int | None) -> list[Picture]:
         """Draw the shift of the SMR by the columns that act on the axis of joint ``axis`` (from 0), by all if None."""
-        term, columns, here = (
-            self.fit.terms[self.number],
-            self.fit.term_columns(self.number),
-            self.fit.identification.positions,
-        )
+        term, columns = self.fit.terms[self.number], self.fit.term_columns(self.number)
+        here = self.fit.identification.positions
         own = [k for k, one in enumerate(columns) if one.shift_M is not None and axis in (None, one.index)]
         shifts = np.array([columns[k].shift_M for k in own]).reshape(-1, len(self.data), 3)[:, here]
         shift_M = np.einsum("k,kna->na", self.fit.term_values(self.number)[own], shifts)
@@ -619,11 +605,43 @@ class _TermPictures:
         along_columns = np.einsum("kna,na->kn", shifts, direction_M)
         band = _standard_deviation(along_columns, self._covariance[np.ix_(own, own)])
         shown = np.asarray(direction_M.any(axis=1))
-        title = f"{self._title}{along}" if axis is None else f"{self._title}, joint {axis + 1}{along}"
+        title = along if axis is None else f", joint {axis + 1}{along}"
         return [
-            make_picture(title, term.slug, x_label, y_label, PictureData(x[here], rest, computed, band, shown))
+            self._picture(title, (x_label, y_label), x[here], rest, computed, band, shown)
             for x_label, x in axes_of(self.data, term, None, axis)
         ]
+
+    def _picture(
+        self,
+        title: str,
+        labels: tuple[str, str],
+        x: Array,
+        rest: Array,
+        computed: Array,
+        band: Array,
+        shown: NDArray[np.bool_],
+        curve: CurveRecord | None = None,
+    ) -> Picture:
+        """Sort by ``x``, thin out, and convert to micrometres or microradians.
+
+        ``rest`` (n,) is the residual, ``band`` the standard deviation of ``computed``, ``shown`` a mask of the
+        readings; all in SI units in the order of the readings.
+        """
+        places = np.flatnonzero(shown & np.isfinite(x))
+        places = places[np.argsort(x[places], kind="stable")]
+        if len(places) > _MOST_POINTS:
+            places = places[np.linspace(0, len(places) - 1, _MOST_POINTS).astype(np.intp)]
+        return Picture(
+            title=f"{self._title}{title}",
+            effect=self.fit.terms[self.number].slug,
+            x_label=labels[0],
+            y_label=labels[1],
+            x=rounded(x[places]),
+            measured=rounded((rest + computed)[places] * 1e6),
+            computed=rounded(computed[places] * 1e6),
+            band=rounded(band[places] * 1e6),
+            curve=curve,
+        )
 
 
 def _shift_direction(shift_M: Array) -> tuple[Array, str, str]:
@@ -653,24 +671,6 @@ def _standard_deviation(columns: Array, covariance: Array) -> Array:
 
 Axis = tuple[str, Array]
 """Label and values (n,)."""
-_LABELS = {
-    Quantity.JOINT_ANGLE: ("joint {} [deg]", np.degrees(1.0)),
-    Quantity.OTHER_JOINT_ANGLE: ("joint {} of the other arm [deg]", np.degrees(1.0)),
-    Quantity.TORQUE: ("gravity torque on joint {} [Nm]", 1.0),
-    Quantity.STEP: ("last step of joint {} [deg]", np.degrees(1.0)),
-    Quantity.TIME: ("time [h]", 1.0 / 3600.0),
-    Quantity.DWELL: ("dwell [s]", 1.0),
-    Quantity.PAYLOAD: ("payload [kg]", 1.0),
-    Quantity.TEMPERATURE: ("air temperature [degC]", 1.0),
-    Quantity.RANGE: ("distance from the tracker [m]", 1.0),
-    Quantity.AZIMUTH: ("azimuth seen by the tracker [deg]", np.degrees(1.0)),
-    Quantity.ELEVATION: ("elevation seen by the tracker [deg]", np.degrees(1.0)),
-    Quantity.INCIDENCE: ("incidence [deg]", np.degrees(1.0)),
-    Quantity.X: ("x in the base frame [m]", 1.0),
-    Quantity.Y: ("y in the base frame [m]", 1.0),
-    Quantity.Z: ("z in the base frame [m]", 1.0),
-}
-"""Label of a variable of data-driven terms, with a placeholder for the joint, and the factor from SI units."""
 _LOADED_JOINT = 1
 """Joint (from 0) whose gravity torque represents the load on the whole arm: the shoulder carries it on most arms."""
 
@@ -687,8 +687,8 @@ def axes_of(data: ArmData, term: ModelTerm, joint: int | None, beside: int | Non
 
 
 def _axis(data: ArmData, variable: Variable) -> Axis:
-    label, factor = _LABELS[variable.quantity]
-    return label.format((variable.joint or 0) + 1), variable.values(data.context) * factor
+    quantity = variable.quantity
+    return quantity.label.format((variable.joint or 0) + 1), variable.values(data.context) * quantity.factor
 
 
 def _axis_of_effect(data: ArmData, term: ModelTerm, joint: int | None, beside: int | None) -> Axis:
@@ -731,42 +731,6 @@ _MOST_POINTS = 600
 """Most points of one picture: as many as a figure of that width in pixels can show."""
 _DIGITS = 5
 """Significant digits of its numbers: far finer than a figure, and a third of the size in JSON."""
-
-
-@dataclass(frozen=True, eq=False)
-class PictureData:
-    """Values (n,) for a picture in the order of the readings, in SI units.
-
-    ``rest`` is the residual, ``band`` the standard deviation of ``computed``, ``shown`` a mask of the readings.
-    """
-
-    x: Array
-    rest: Array
-    computed: Array
-    band: Array
-    shown: NDArray[np.bool_]
-
-
-def make_picture(
-    title: str, effect: str, x_label: str, y_label: str, data: PictureData, curve: CurveRecord | None = None
-) -> Picture:
-    """Sort by x, thin out, and convert to micrometres or microradians."""
-    places = np.flatnonzero(data.shown & np.isfinite(data.x))
-    places = places[np.argsort(data.x[places], kind="stable")]
-    if len(places) > _MOST_POINTS:
-        places = places[np.linspace(0, len(places) - 1, _MOST_POINTS).astype(np.intp)]
-    x, rest, computed, band = data.x[places], data.rest[places], data.computed[places], data.band[places]
-    return Picture(
-        title=title,
-        effect=effect,
-        x_label=x_label,
-        y_label=y_label,
-        x=rounded(x),
-        measured=rounded((rest + computed) * 1e6),
-        computed=rounded(computed * 1e6),
-        band=rounded(band * 1e6),
-        curve=curve,
-    )
 
 
 def rounded(values: Array) -> tuple[float, ...]:

@@ -5,9 +5,8 @@ Clauses and titles are those of the standard's table of contents, which is publi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, NORM_CYCLES, NORM_DRIFT_MIN, NORM_SPEEDS, IsoTest
 from cellapp.estimation.iso9283.records import ArmIso9283, CommandedTests, IsoConditions, IsoLine, IsoStatus
@@ -21,66 +20,43 @@ POSES_ONLY = "orientation is evaluated in the pose test only"
 NOT_OFFERED = "this program does not test it"
 
 
-class _Counted(Protocol):
-    @property
-    def n(self) -> int:
-        """Number of cycles."""
-
-
-_Values = Callable[[CommandedTests], Sequence[_Counted]]
-
-
 @dataclass(frozen=True)
 class _Asked:
     """Characteristic of the standard that ``test`` measures; ``never`` says why if this program does not measure it.
 
-    ``without`` says why a test that was made does not show it.
+    ``part`` of the results of the test has its number of cycles; ``without`` says why a test that was made does not
+    show it.
     """
 
     clause: str
     words: str
     test: IsoTest | None = None
-    values: _Values = lambda tests: ()
+    part: str = "accuracy"
     never: str = NOT_OFFERED
     without: str = ""
 
+    def cycles(self, made: CommandedTests) -> list[int]:
+        """Return the numbers of cycles of what was measured."""
+        results = [] if self.test is None else getattr(made, self.test)
+        parts = [getattr(one, self.part) for one in (results if isinstance(results, tuple) else [results]) if one]
+        return [one.n for one in parts if one is not None]
+
 
 _ASKED: tuple[_Asked, ...] = (
-    _Asked("7.2", "pose accuracy AP, repeatability RP", "pose", lambda made: [one.accuracy for one in made.pose]),
-    _Asked(
-        "7.2",
-        "AP, RP of the orientation",
-        "pose",
-        lambda made: [one.orientation for one in made.pose if one.orientation is not None],
-        without=ONE_SMR,
-    ),
-    _Asked(
-        "7.2.3",
-        "multi-directional variation vAP",
-        "multidirectional",
-        lambda made: [one.variation for one in made.multidirectional],
-    ),
-    _Asked(
-        "7.3",
-        "distance accuracy AD, repeatability RD",
-        "distance",
-        lambda made: [one.accuracy for one in made.distance],
-    ),
+    _Asked("7.2", "pose accuracy AP, repeatability RP", "pose"),
+    _Asked("7.2", "AP, RP of the orientation", "pose", "orientation", without=ONE_SMR),
+    _Asked("7.2.3", "multi-directional variation vAP", "multidirectional", "variation"),
+    _Asked("7.3", "distance accuracy AD, repeatability RD", "distance"),
     _Asked("7.3", "AD, RD of the orientation", never=POSES_ONLY),
     _Asked("7.4", "position stabilisation time"),
     _Asked("7.5", "position overshoot OV"),
-    _Asked("7.6", "drift dAP, dRP", "drift", lambda made: () if made.drift is None else [made.drift.accuracy]),
+    _Asked("7.6", "drift dAP, dRP", "drift"),
     _Asked("7.7", "exchangeability E"),
-    _Asked("8.2, 8.3", "path accuracy AT, repeatability RT", "path", lambda made: [one.accuracy for one in made.path]),
+    _Asked("8.2, 8.3", "path accuracy AT, repeatability RT", "path"),
     _Asked("8.2, 8.3", "AT, RT of the orientation", never=POSES_ONLY),
     _Asked("8.4", "path accuracy on reorientation"),
     _Asked("8.5", "cornering deviations CR, CO"),
-    _Asked(
-        "8.6",
-        "path velocity AV, RV, FV",
-        "path",
-        lambda made: [one.accuracy for one in made.path if one.velocity is not None],
-    ),
+    _Asked("8.6", "path velocity AV, RV, FV", "path", "velocity"),
     _Asked("9", "minimum posing time"),
     _Asked("10", "static compliance"),
     _Asked("11", "weaving deviations WS, WF"),
@@ -116,14 +92,14 @@ def not_done(lines: Sequence[IsoLine]) -> dict[str, tuple[str, ...]]:
 def _of_arm(asked: _Asked, tests: Sequence[IsoTest], arm: ArmIso9283, stopped: str) -> tuple[IsoStatus, str]:
     if asked.test is None:
         return "not done", asked.never
-    found = {kind: values for kind in ISO_COMMANDS if kind in arm.tests and (values := asked.values(arm.tests[kind]))}
+    found = {kind: values for kind in ISO_COMMANDS if kind in arm.tests and (values := asked.cycles(arm.tests[kind]))}
     refused = arm.refused.get(asked.test, "")
     if not found:
         if asked.test not in tests:
             return "not done", NOT_ASKED
         return "not done", refused or stopped or asked.without or NOT_MEASURED
     norm = NORM_CYCLES[asked.test]
-    n = min(value.n for values in found.values() for value in values)
+    n = min(min(cycles) for cycles in found.values())
     words = f"{n} of {counted(norm, 'cycle')}" if n < norm else counted(n, "cycle")
     short = n < norm
     if asked.test == "drift":

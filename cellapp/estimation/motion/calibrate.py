@@ -366,13 +366,6 @@ def _points(fit: MotionFit, one: RecordingFit, *, held_out: bool) -> _Residuals:
 # -- Discovery --------------------------------------------------------------------------------------------------------
 
 
-TITLES = {
-    Law.LAG.value: "delay of a joint behind the others",
-    Law.TIME_CONSTANT.value: "first-order lag of a joint behind its encoder",
-    Law.INERTIA.value: "twist of a joint under its own acceleration",
-    Law.VIBRATION.value: "vibration of a joint after changes of acceleration",
-}
-"""Titles of effects that act in motion only."""
 _AS_IN_MOTION = 1.25
 """Ratio of errors up to which a model at rest predicts as well as that in motion: no search of readings is needed."""
 _SURE = 3.0
@@ -616,7 +609,7 @@ def _before_after(effect: MotionEffect) -> BeforeAfter:
 def _result(effect: MotionEffect) -> MotionEffectResult:
     return MotionEffectResult(
         effect=effect.slug,
-        title=EFFECTS[effect.slug].title if effect.slug in EFFECTS else TITLES[effect.slug],
+        title=EFFECTS[effect.slug].title if effect.slug in EFFECTS else Law(effect.slug).title,
         joints=effect.joints,
         parameters={
             name: Estimate(value=value, standard_error=error, unit=unit)

@@ -26,7 +26,7 @@ Time constants, frequencies and dampings are not linear: their terms are lineari
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property, partial
@@ -430,31 +430,55 @@ _OWN_INERTIA = 0.02
 
 
 class Law(Enum):
-    """Law of one joint; the value is the slug of its effect."""
+    """Law of one joint; the value is the slug of its effect.
 
-    PLAY = "backlash"
-    WINDUP = "friction_windup"
-    LINE = "transmission_error"
-    ONE_CYCLE = "encoder_eccentricity"
-    LAG = "tracking_lag"
-    COMPLIANCE = "joint_compliance"
-    INERTIA = "inertia"
-    TIME_CONSTANT = "time_constant"
-    VIBRATION = "vibration"
+    Attributes
+    ----------
+    word, unit : str
+        Of its parameter; lines are named by their cycles, a vibration has several parameters.
+    sd : float
+        Prior standard deviation, several times the values of arms of this kind (handbook, chapter "effects").
+    title : str
+        Of an effect that the library of effects at rest does not have.
+    only_motion : str
+        Why stops cannot show it.
+    """
+
+    PLAY = "backlash", "half_play", "rad", 1e-4
+    WINDUP = "friction_windup", "windup", "rad/Nm", 1e-5
+    LINE = "transmission_error", "", "rad", 3e-4
+    ONE_CYCLE = "encoder_eccentricity", "", "rad", 3e-4
+    LAG = (
+        *("tracking_lag", "lag", "s", 5e-3),
+        *("delay of a joint behind the others", "a delay moves nothing at rest"),
+    )
+    COMPLIANCE = "joint_compliance", "compliance", "rad/Nm", 2e-5
+    INERTIA = (
+        *("inertia", "inertia", "s^2", 1e-3),
+        *("twist of a joint under its own acceleration", "nothing accelerates at rest"),
+    )
+    TIME_CONSTANT = (
+        *("time_constant", "time_constant", "s", 3e-2),
+        *("first-order lag of a joint behind its encoder", "a time constant moves nothing at rest"),
+    )
+    VIBRATION = (
+        *("vibration", "", "", 0.0),
+        *("vibration of a joint after changes of acceleration", "an arm at rest does not swing"),
+    )
+
+    word: str
+    unit: str
+    sd: float
+    title: str
+    only_motion: str
+
+    def __new__(cls, value: str, word: str = "", unit: str = "", sd: float = 0.0, *texts: str) -> Law:
+        made = object.__new__(cls)
+        made._value_, made.word, made.unit, made.sd = value, word, unit, sd
+        made.title, made.only_motion = texts or ("", "")
+        return made
 
 
-_OF_LAW: Mapping[Law, tuple[str, str, float]] = {
-    Law.PLAY: ("half_play", "rad", 1e-4),
-    Law.WINDUP: ("windup", "rad/Nm", 1e-5),
-    Law.LINE: ("", "rad", 3e-4),
-    Law.ONE_CYCLE: ("", "rad", 3e-4),
-    Law.LAG: ("lag", "s", 5e-3),
-    Law.COMPLIANCE: ("compliance", "rad/Nm", 2e-5),
-    Law.INERTIA: ("inertia", "s^2", 1e-3),
-    Law.TIME_CONSTANT: ("time_constant", "s", 3e-2),
-}
-"""Name and unit of the parameter of a law, and its prior standard deviation, several times the values of arms of this
-kind (handbook, chapter "effects"); lines are named by their cycles."""
 _SIDE_SD = 3e-5
 """Prior standard deviation of the modulation of a line: part of its amplitude [rad]."""
 _VIBRATION = (("gain", "s^2"), ("frequency", "Hz"), ("damping", "1"))
@@ -520,7 +544,7 @@ class JointTerm:
             return f"{'sin' if self.sine else 'cos'}{self.cycles}q{number}"
         if self.law is Law.VIBRATION:
             return f"{_VIBRATION[self.part][0]}{number}"
-        word = _OF_LAW[self.law][0] if self.knee is None else SOFTER[self.knee.constant]
+        word = self.law.word if self.knee is None else SOFTER[self.knee.constant]
         return f"{'fresh_' if self.fading else ''}{word}{number}"
 
     @property
@@ -528,7 +552,7 @@ class JointTerm:
         """Unit of the parameter."""
         if isinstance(self.law, MotionLaw):
             return self.law.parameters[self.parameter].unit
-        return _VIBRATION[self.part][1] if self.law is Law.VIBRATION else _OF_LAW[self.law][1]
+        return _VIBRATION[self.part][1] if self.law is Law.VIBRATION else self.law.unit
 
     @property
     def start(self) -> float:
@@ -547,7 +571,7 @@ class JointTerm:
             return self.law.parameters[self.parameter].most
         if self.law is Law.VIBRATION:
             return _SHAPE_SD * self.start if self.part else _GAIN_SD
-        return _SIDE_SD if self.side else _OF_LAW[self.law][2]
+        return _SIDE_SD if self.side else self.law.sd
 
     @property
     def needs_torques(self) -> bool:

@@ -36,13 +36,8 @@ _LEAST_LOG = math.log(_LEAST)
 _POSITIVE = (Law.COMPLIANCE, Law.INERTIA, Law.TIME_CONSTANT, Law.VIBRATION)
 AT_REST = {Law.PLAY: "constant", Law.WINDUP: "load", Law.LINE: "lines", Law.ONE_CYCLE: "", Law.COMPLIANCE: "linear"}
 """Forms of the laws at rest that describe the same effect, without refining parts; a lag has none."""
-ONLY_MOTION = {
-    Law.LAG: "a delay moves nothing at rest",
-    Law.TIME_CONSTANT: "a time constant moves nothing at rest",
-    Law.INERTIA: "nothing accelerates at rest",
-    Law.VIBRATION: "an arm at rest does not swing",
-}
-"""Reason why stops cannot show a law."""
+ONLY_MOTION = {law for law in Law if law.only_motion}
+"""Laws that stops cannot show."""
 _REACHES = {(False, False): REACH, (False, True): BELL, (True, False): LOAD_REACH, (True, True): LOAD_BELL}
 """Constants of laws at rest by (under load, as a bell curve)."""
 OF_SPEEDS = "it depends on speeds, which readings at rest do not have"
@@ -277,7 +272,7 @@ def _effect_of(
         values += all_values[places].tolist()
         errors += np.sqrt(np.diag(covariance))[places].tolist()
     own = [step for step in steps if set(step.terms) & set(terms)]
-    only = OF_SPEEDS if isinstance(law, MotionLaw) else ONLY_MOTION.get(law, "")
+    only = OF_SPEEDS if isinstance(law, MotionLaw) else law.only_motion
     if law is Law.LINE and all(term.cycles >= DENSE for term in terms):
         only = "lines as dense as these are aliased by the few hundred stops of a plan"
     log_p, statistic = min(step.log_p for step in own), sum(step.statistic for step in own)

@@ -149,10 +149,7 @@ class Column:
             length = np.linalg.norm(matrix, axis=1, keepdims=True)
             return np.where(np.abs(length - 1.0) > _ROUNDED, matrix / length, matrix)
         if self.shape == "symmetric":
-            values: NDArray[Any] = np.empty((len(matrix), 3, 3), dtype=self.dtype)
-            values[:, _UPPER[0], _UPPER[1]] = matrix
-            values[:, _UPPER[1], _UPPER[0]] = matrix
-            return values
+            return _symmetric(matrix)
         return matrix[:, 0] if self.shape == "scalar" else matrix
 
     def is_given(self, values: Values | None) -> bool:
@@ -160,6 +157,13 @@ class Column:
         if values is None or self.fill is None or isinstance(values, tuple):
             return values is not None
         return bool(np.any(~np.isnan(values) if math.isnan(self.fill) else values != self.fill))
+
+
+def _symmetric(triangles: NDArray[Any]) -> NDArray[Any]:
+    """Return the matrices (n, 3, 3) of upper triangles (n, 6), row by row."""
+    matrices: NDArray[Any] = np.empty((len(triangles), 3, 3), dtype=triangles.dtype)
+    matrices[:, _UPPER[0], _UPPER[1]] = matrices[:, _UPPER[1], _UPPER[0]] = triangles
+    return matrices
 
 
 def _in_reach(points: NDArray[Any]) -> Fault | None:
@@ -170,15 +174,17 @@ def _in_reach(points: NDArray[Any]) -> Fault | None:
     return Fault(row, axis, f"expected metres, got {points[row, axis]:g}; no tracker reaches {_FURTHEST_M:g} m")
 
 
-def _within(low: float, high: float, unit: str) -> Callable[[NDArray[Any]], Fault | None]:
-    """Return a check that finds values outside the range of this kind of measurement; missing values pass."""
+def _within(low: float, high: float, unit: str, guess: str = "") -> Callable[[NDArray[Any]], Fault | None]:
+    """Return a check that finds values outside the range of this kind of measurement; missing values pass. ``guess``
+    says what a larger one may be."""
 
     def check(values: NDArray[Any]) -> Fault | None:
         wrong = np.argwhere((values < low) | (values > high))
         if not len(wrong):
             return None
         row, place = wrong[0].tolist()
-        return Fault(row, place, f"expected {low:g} to {high:g} {unit}, got {values[row, place]:g}")
+        meant = guess if values[row, place] > high else ""
+        return Fault(row, place, f"expected {low:g} to {high:g} {unit}, got {values[row, place]:g}{meant}")
 
     return check
 
@@ -202,14 +208,8 @@ def beyond_limits(q: NDArray[Any], limits: NDArray[Any], guess: str = "degrees?"
             continue
         value = float(values[wrong[0]])
         meant = f"; {guess}" if low <= math.radians(value) <= high else ""
-        faults.append(
-            Fault(
-                int(wrong[0]),
-                joint,
-                f"expected {low:.4g} to {high:.4g} rad (limits of the joint) or one revolution more,"
-                f" got {value:g}{meant}",
-            )
-        )
+        limited = f"expected {low:.4g} to {high:.4g} rad (limits of the joint) or one revolution more"
+        faults.append(Fault(int(wrong[0]), joint, f"{limited}, got {value:g}{meant}"))
     return faults
 
 
@@ -227,23 +227,19 @@ def _positive(sigma: NDArray[Any]) -> Fault | None:
     return Fault(int(wrong[0]), 0, f"expected an uncertainty above 0 m, got {sigma[wrong[0], 0]:g}")
 
 
-def _positive_angle(sigma: NDArray[Any]) -> Fault | None:
-    wrong = np.flatnonzero((sigma[:, 0] < _LEAST_SIGMA_RAD) | (sigma[:, 0] > _LARGEST_SIGMA_RAD))
-    if not len(wrong):
+def _incomplete(values: NDArray[Any], what: str) -> Fault | None:
+    """Find a row that has some of its values, and not all."""
+    missing = np.isnan(values)
+    rows = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
+    if not len(rows):
         return None
-    value = sigma[wrong[0], 0]
-    guess = "; degrees or mrad?" if value > _LARGEST_SIGMA_RAD else ""
-    text = f"expected {_LEAST_SIGMA_RAD:g} to {_LARGEST_SIGMA_RAD:g} rad, got {value:g}{guess}"
-    return Fault(int(wrong[0]), 0, text)
+    return Fault(int(rows[0]), int(np.argmax(missing[rows[0]])), f"the value is missing; give all {what} or none")
 
 
 def _of_unit_length(quaternions: NDArray[Any]) -> Fault | None:
     """Check quaternions (n, 4), scalar first."""
-    missing = np.isnan(quaternions)
-    incomplete = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
-    if len(incomplete):
-        row = int(incomplete[0])
-        return Fault(row, int(np.argmax(missing[row])), "the value is missing; give all four of the quaternion or none")
+    if (incomplete := _incomplete(quaternions, "four of the quaternion")) is not None:
+        return incomplete
     length = np.linalg.norm(quaternions, axis=1)
     wrong = np.flatnonzero(np.abs(length - 1.0) > _UNIT_LENGTH)
     if not len(wrong):
@@ -259,12 +255,8 @@ def _positive_definite(triangles: NDArray[Any], low: float, high: float, unit: s
 
     ``low`` and ``high`` are the least and largest standard uncertainty, ``unit`` is that of their squares.
     """
-    missing = np.isnan(triangles)
-    incomplete = np.flatnonzero(missing.any(axis=1) & ~missing.all(axis=1))
-    if len(incomplete):
-        row = int(incomplete[0])
-        place = int(np.argmax(missing[row]))
-        return Fault(row, place, "the value is missing; give all six of the covariance or none")
+    if (incomplete := _incomplete(triangles, "six of the covariance")) is not None:
+        return incomplete
     least, largest = low**2, high**2
     variances = triangles[:, _VARIANCES]
     absurd = np.argwhere((variances > largest) | ((variances > 0.0) & (variances < least)))
@@ -272,12 +264,10 @@ def _positive_definite(triangles: NDArray[Any], low: float, high: float, unit: s
         row, place = absurd[0].tolist()
         text = f"expected a variance of {least:g} to {largest:g} {unit}, got {variances[row, place]:g}"
         return Fault(row, _VARIANCES[place], text)
-    given = np.flatnonzero(~missing.any(axis=1))
+    given = np.flatnonzero(~np.isnan(triangles).any(axis=1))
     if not len(given):
         return None
-    matrices = np.empty((len(given), 3, 3))
-    matrices[:, _UPPER[0], _UPPER[1]] = triangles[given]
-    matrices[:, _UPPER[1], _UPPER[0]] = triangles[given]
+    matrices = _symmetric(triangles[given])
     variance = np.einsum("nii->ni", matrices)
     positive = np.all(variance > 0.0, axis=1)
     scale = np.sqrt(np.where(positive[:, np.newaxis], variance, 1.0))
@@ -306,6 +296,7 @@ def _places(sequence: NDArray[Any]) -> Fault | None:
     return Fault(int(again[0]), 0, f"{sequence[again[0], 0]:g} is the place of another row of the arm already")
 
 
+_SIGMA_RAD = _within(_LEAST_SIGMA_RAD, _LARGEST_SIGMA_RAD, "rad", "; degrees or mrad?")
 _DEGREES_C = _within(-100.0, 200.0, "degC, not kelvin or Fahrenheit")
 
 CONFIGURATION = Column("configuration", "", ("configuration",), dtype=np.int64, required=True)
@@ -350,7 +341,7 @@ COLUMNS: tuple[Column, ...] = (
         check=partial(_positive_definite, low=_LEAST_SIGMA_M, high=_LARGEST_SIGMA_M, unit="m^2"),
     ),
     Column("quaternion_M", "", ("quat_w", "quat_x", "quat_y", "quat_z"), "quaternion", check=_of_unit_length, since=8),
-    Column("sigma_rad", "rad", ("sigma_rad",), check=_positive_angle, since=8),
+    Column("sigma_rad", "rad", ("sigma_rad",), check=_SIGMA_RAD, since=8),
     Column(
         "rotation_covariance_M",
         "rad^2",

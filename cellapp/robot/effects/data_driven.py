@@ -7,7 +7,7 @@ In JSON such a law is named ``place|variable`` or ``place|variable|variable``; a
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property, lru_cache
@@ -172,45 +172,96 @@ def acted_on(joints: int) -> tuple[ActedOn, ...]:
     )
 
 
-class Quantity(Enum):
-    """What a variable of a data-driven law measures."""
+def position_in_base(context: EffectContext) -> Array:
+    """SMR positions in the base frame (n, 3) [m]."""
+    rotations, origins = context.frames
+    return np.asarray(np.einsum("nba,nb->na", rotations[0], context.p_M - origins[0]))
 
-    JOINT_ANGLE = "q"
-    OTHER_JOINT_ANGLE = "other q"
-    TIME = "time"
-    TORQUE = "torque"
-    STEP = "step"
-    DWELL = "dwell"
-    PAYLOAD = "payload"
-    TEMPERATURE = "temperature"
-    RANGE = "range"
-    AZIMUTH = "azimuth"
-    ELEVATION = "elevation"
-    INCIDENCE = "incidence"
-    X = "x"
-    Y = "y"
-    Z = "z"
+
+def _incidence(context: EffectContext) -> Array | None:
+    """Angle between the SMR's axis and the direction back to the tracker (n,) [rad]."""
+    if context.smr_normal is None:
+        return None
+    back = -np.einsum("na,na->n", context.frames[0][-1] @ context.smr_normal, context.beam[1])
+    return np.asarray(np.arccos(np.clip(back, -1.0, 1.0)))
+
+
+_DEG = float(np.degrees(1.0))
+
+
+class Quantity(Enum):
+    """What a variable of a data-driven law measures.
+
+    Attributes
+    ----------
+    value : str
+    input : InputVariable
+        What effects that depend on it share.
+    of : callable
+        Takes it from a context: (n,), or (n, N) where there is one per joint; None if it is not known.
+    label : str
+        Axis of a figure, with a placeholder for the joint.
+    factor : float
+        From SI units to those of the label.
+    words : str
+        How people call it, if not by its value.
+    """
+
+    JOINT_ANGLE = "q", InputVariable.JOINT_ANGLE, lambda its: its.q, "joint {} [deg]", _DEG
+    OTHER_JOINT_ANGLE = (
+        *("other q", InputVariable.OTHER_ARM, lambda its: its.conditions.other_q),
+        *("joint {} of the other arm [deg]", _DEG),
+    )
+    TIME = "time", InputVariable.TIME, lambda its: its.conditions.time_s, "time [h]", 1.0 / 3600.0
+    TORQUE = "torque", InputVariable.TORQUE, lambda its: its.torques, "gravity torque on joint {} [Nm]"
+    STEP = "step", InputVariable.STEP, lambda its: its.step, "last step of joint {} [deg]", _DEG
+    DWELL = "dwell", InputVariable.DWELL, lambda its: its.conditions.dwell_s, "dwell [s]", 1.0, "the dwell"
+    PAYLOAD = "payload", InputVariable.PAYLOAD, lambda its: its.payload_kg, "payload [kg]", 1.0, "the payload"
+    TEMPERATURE = (
+        *("temperature", InputVariable.AIR_TEMPERATURE, lambda its: its.conditions.air_c),
+        *("air temperature [degC]", 1.0, "the air temperature"),
+    )
+    RANGE = (
+        *("range", InputVariable.BEAM, lambda its: its.beam[0]),
+        *("distance from the tracker [m]", 1.0, "the distance from the tracker"),
+    )
+    AZIMUTH = (
+        *("azimuth", InputVariable.BEAM, lambda its: its.across[0]),
+        *("azimuth seen by the tracker [deg]", _DEG, "the tracker's azimuth"),
+    )
+    ELEVATION = (
+        *("elevation", InputVariable.BEAM, lambda its: its.across[1]),
+        *("elevation seen by the tracker [deg]", _DEG, "the tracker's elevation"),
+    )
+    INCIDENCE = "incidence", InputVariable.INCIDENCE, _incidence, "incidence [deg]", _DEG, "the angle of incidence"
+    # where the SMR is, seen from the base or from the tracker
+    X = "x", InputVariable.BEAM, lambda its: position_in_base(its)[:, 0].copy(), "x in the base frame [m]"
+    Y = "y", InputVariable.BEAM, lambda its: position_in_base(its)[:, 1].copy(), "y in the base frame [m]"
+    Z = "z", InputVariable.BEAM, lambda its: position_in_base(its)[:, 2].copy(), "z in the base frame [m]"
+
+    input: InputVariable
+    of: Callable[[EffectContext], Array | None]
+    label: str
+    factor: float
+    words: str
+
+    def __new__(
+        cls,
+        value: str,
+        input: InputVariable,
+        of: Callable[[EffectContext], Array | None],
+        label: str,
+        factor: float = 1.0,
+        words: str = "",
+    ) -> Quantity:
+        made = object.__new__(cls)
+        made._value_, made.input, made.of, made.label, made.factor = value, input, of, label, factor
+        made.words = words or value
+        return made
 
 
 PER_JOINT = frozenset({Quantity.JOINT_ANGLE, Quantity.OTHER_JOINT_ANGLE, Quantity.TORQUE, Quantity.STEP})
 """Quantities of which there is one per joint."""
-_INPUTS = {
-    Quantity.JOINT_ANGLE: InputVariable.JOINT_ANGLE,
-    Quantity.OTHER_JOINT_ANGLE: InputVariable.OTHER_ARM,
-    Quantity.TIME: InputVariable.TIME,
-    Quantity.TORQUE: InputVariable.TORQUE,
-    Quantity.STEP: InputVariable.STEP,
-    Quantity.DWELL: InputVariable.DWELL,
-    Quantity.PAYLOAD: InputVariable.PAYLOAD,
-    Quantity.TEMPERATURE: InputVariable.AIR_TEMPERATURE,
-    Quantity.RANGE: InputVariable.BEAM,
-    Quantity.AZIMUTH: InputVariable.BEAM,
-    Quantity.ELEVATION: InputVariable.BEAM,
-    Quantity.INCIDENCE: InputVariable.INCIDENCE,
-    Quantity.X: InputVariable.BEAM,  # where the SMR is, seen from the base or from the tracker
-    Quantity.Y: InputVariable.BEAM,
-    Quantity.Z: InputVariable.BEAM,
-}
 
 
 @dataclass(frozen=True)
@@ -226,11 +277,6 @@ class Variable:
         return self.quantity.value if self.joint is None else f"{self.quantity.value}{self.joint + 1}"
 
     @property
-    def input(self) -> InputVariable:
-        """What effects that depend on it share."""
-        return _INPUTS[self.quantity]
-
-    @property
     def is_joint_angle(self) -> bool:
         """Whether it is a joint angle, of this arm or the other: functions of it are periodic."""
         return self.quantity in (Quantity.JOINT_ANGLE, Quantity.OTHER_JOINT_ANGLE)
@@ -242,53 +288,14 @@ class Variable:
 
     def values(self, context: EffectContext) -> Array:
         """Values (n,); NaN where unknown."""
-        conditions, unknown = context.conditions, np.full(len(context), np.nan)
-        match self.quantity:
-            case Quantity.JOINT_ANGLE:
-                return np.asarray(context.q[:, self.joint])
-            case Quantity.OTHER_JOINT_ANGLE:
-                return unknown if conditions.other_q is None else np.asarray(conditions.other_q[:, self.joint])
-            case Quantity.TORQUE:
-                return np.asarray(context.torques[:, self.joint])
-            case Quantity.STEP:
-                return np.asarray(context.step[:, self.joint])
-            case Quantity.PAYLOAD:
-                return context.payload_kg
-            case Quantity.RANGE:
-                return context.beam[0]
-            case Quantity.AZIMUTH:
-                return context.across[0]
-            case Quantity.ELEVATION:
-                return context.across[1]
-            case Quantity.INCIDENCE:
-                return _incidence(context)
-            case Quantity.X | Quantity.Y | Quantity.Z:
-                return np.ascontiguousarray(position_in_base(context)[:, "xyz".index(self.quantity.value)])
-            case Quantity.TIME:
-                logged = conditions.time_s
-            case Quantity.DWELL:
-                logged = conditions.dwell_s
-            case Quantity.TEMPERATURE:
-                logged = conditions.air_c
-        return unknown if logged is None else logged
+        found = self.quantity.of(context)
+        if found is None:
+            return np.full(len(context), np.nan)
+        return np.asarray(found if self.joint is None else found[:, self.joint])
 
 
 POSITION = (Variable(Quantity.X), Variable(Quantity.Y), Variable(Quantity.Z))
 """Where in the workspace the SMR is, in the base frame."""
-
-
-def position_in_base(context: EffectContext) -> Array:
-    """SMR positions in the base frame (n, 3) [m]."""
-    rotations, origins = context.frames
-    return np.asarray(np.einsum("nba,nb->na", rotations[0], context.p_M - origins[0]))
-
-
-def _incidence(context: EffectContext) -> Array:
-    """Angle between the SMR's axis and the direction back to the tracker (n,) [rad]; NaN where unknown."""
-    if context.smr_normal is None:
-        return np.full(len(context), np.nan)
-    back = -np.einsum("na,na->n", context.frames[0][-1] @ context.smr_normal, context.beam[1])
-    return np.asarray(np.arccos(np.clip(back, -1.0, 1.0)))
 
 
 def variables(context: EffectContext) -> tuple[Variable, ...]:
@@ -361,7 +368,7 @@ def form_of(acts_on: ActedOn, inputs: tuple[Variable, ...]) -> DataDrivenForm:
         name="|".join([acts_on.name, *names]),
         words=f"{acts_on.name} as a function of {of}",
         constants=FIELD_CONSTANTS if inputs == POSITION else FIRST_CONSTANTS + SECOND_CONSTANTS,
-        variables=frozenset(_INPUTS[one.quantity] for one in inputs),
+        variables=frozenset(one.quantity.input for one in inputs),
         acts_on=acts_on,
         inputs=inputs,
     )

@@ -128,20 +128,9 @@ def error_motions(
             own = f"{name}_{'sin' if wave.sine else 'cos'}{n}"
             if names is not None and own not in names:
                 continue
-            columns.append(
-                shift_column(
-                    own,
-                    unit,
-                    ActsOn.AXIS,
-                    moved * wave(context.q[:, joint])[:, None],
-                    -largest,
-                    largest,
-                    block,
-                    index=joint,
-                    wave=wave,
-                    refines=n in refining,
-                )
-            )
+            by_angle = moved * wave(context.q[:, joint])[:, None]
+            made = shift_column(own, unit, ActsOn.AXIS, by_angle, -largest, largest, block, index=joint, wave=wave)
+            columns.append(replace(made, refines=n in refining))
     return columns
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from cellapp.robot.effects.context import EffectColumn, EffectContext, joint_column, varies
 from cellapp.robot.effects.data_driven import Quantity
 from cellapp.robot.effects.effect import Effect, ImpossibleValues, Meaning
-from cellapp.robot.effects.law import AMPLITUDE, SCALED, Constant, InputVariable, Law, LawForm, SmoothLaw, with_prior_sd
+from cellapp.robot.effects.law import AMPLITUDE, SCALED, Constant, InputVariable, Law, LawForm, SmoothLaw
 from cellapp.robot.effects.modulation import OWN_SIZE, TermInput
 from cellapp.robot.kinematics.transforms import Array
 
@@ -115,12 +115,11 @@ class JointCompliance(Effect):
         loads = context.loads.torques_of(-1)
         for j, stiff in enumerate(_compliances("compliance", context.torques)):
             columns += [stiff, _correction(f"load{j + 1}", j, loads[:, j], f"load {j + 1}")]
-            assert stiff.offset is not None
-            columns += [
-                _softer(f"{name}{j + 1}", j, stiff.offset, law.constants.get(knee.key(j), 0.0))
-                for knee, name in SOFTER.items()
-                if knee in law.form.constants
-            ]
+            for knee, name in SOFTER.items():
+                if knee in law.form.constants:
+                    most = law.constants.get(knee.key(j), 0.0)
+                    below = np.clip(context.torques[:, j], -most, most)
+                    columns.append(_correction(f"{name}{j + 1}", j, below, f"knee {j + 1}", _MOST_COMPLIANCE))
         return columns
 
 
@@ -177,18 +176,9 @@ def _by_center_of_load(context: EffectContext) -> list[EffectColumn]:
     weight = loads.masses[-1][:, None, None] * loads.gravity
     moments = np.cross(rotations[-1].swapaxes(1, 2), weight)  # (n, 3 axes of the flange, 3)
     torques = np.einsum("jna,nka->jkn", rotations[:-1, :, :, 2], moments)
-    largest = _MOST_COMPLIANCE * _MOST_AWAY
+    most = _MOST_COMPLIANCE * _MOST_AWAY
     return [
-        joint_column(
-            f"center_{letter}{j + 1}",
-            "rad/N",
-            j,
-            _without_rounding(torques[j, k]),
-            -largest,
-            largest,
-            f"center of load {j + 1}",
-            refines=True,
-        )
+        _correction(f"center_{letter}{j + 1}", j, torques[j, k], f"center of load {j + 1}", most, "rad/N")
         for j in range(context.joints)
         for k, letter in enumerate("xyz")
     ]
@@ -200,13 +190,6 @@ def _compliances(name: str, torques: Array) -> list[EffectColumn]:
         joint_column(f"{name}{j + 1}", "rad/Nm", j, _without_rounding(torques[:, j]), 0.0, _MOST_COMPLIANCE)
         for j in range(torques.shape[1])
     ]
-
-
-def _softer(name: str, joint: int, torque: Array, knee: float) -> EffectColumn:
-    """What a joint turns more below a knee torque."""
-    below = np.clip(torque, -knee, knee)
-    bound = _MOST_COMPLIANCE
-    return joint_column(name, "rad/Nm", joint, below, -bound, bound, f"knee {joint + 1}", refines=True)
 
 
 def _corrections_by_body(context: EffectContext, names: Collection[str] | None) -> list[EffectColumn]:
@@ -231,7 +214,8 @@ def _torques_of_unit_masses(
 ) -> list[EffectColumn]:
     """``unit{j}_{i}``: torque about joint j [Nm] of 1 kg at the origin of each later frame i (the last: SMR).
 
-    ``bent{j}_{i}`` is its odd square over that of 1 kg at half a metre, where masses or the load are unknown.
+    ``bent{j}_{i}`` is its odd square over that of 1 kg at half a metre, where masses or the load are unknown;
+    ``aside_x{j}``, ``aside_y{j}`` are torques by 1 kg that stands 0.5 m off the last axis.
 
     Without ``names`` those that are more than rounding: a single posture may have none about a joint of the model.
     """
@@ -252,33 +236,26 @@ def _torques_of_unit_masses(
                 offsets[f"bent{j + 1}_{i}"] = torque * np.abs(torque) / _UNIT_TORQUE
             for name, offset in offsets.items():
                 if names is None or name in names:
-                    column = joint_column(name, "rad/Nm", j, offset, -_MOST_COMPLIANCE, _MOST_COMPLIANCE)
-                    columns.append(with_prior_sd(column, amplitude))
-        if nobody_stated or names is not None:
-            columns += _by_center_of_unknown_tool(context, j, amplitude, names)
+                    columns.append(_small(name, j, offset, amplitude))
+        for k, letter in enumerate("xy") if nobody_stated or names is not None else ():
+            if names is None or f"aside_{letter}{j + 1}" in names:
+                moment = np.cross(0.5 * rotations[-1][:, :, k], weight_M)
+                offset = _without_rounding(np.einsum("na,na->n", axis, moment))
+                columns.append(_small(f"aside_{letter}{j + 1}", j, offset, amplitude))
     return columns
 
 
-def _by_center_of_unknown_tool(
-    context: EffectContext, joint: int, amplitude: float, names: Collection[str] | None
-) -> list[EffectColumn]:
-    """``aside_x{j}``, ``aside_y{j}``: torque about a joint [Nm] by 1 kg that stands 0.5 m off the last axis."""
-    rotations = context.frames[0]
-    columns = []
-    for axis, letter in enumerate("xy"):
-        name = f"aside_{letter}{joint + 1}"
-        if names is None or name in names:
-            moment = np.cross(0.5 * rotations[-1][:, :, axis], -_GRAVITY * context.up_M)
-            offset = _without_rounding(np.einsum("na,na->n", rotations[joint][:, :, 2], moment))
-            column = joint_column(name, "rad/Nm", joint, offset, -_MOST_COMPLIANCE, _MOST_COMPLIANCE)
-            columns.append(with_prior_sd(column, amplitude))
-    return columns
+def _small(name: str, joint: int, offset: Array, amplitude: float) -> EffectColumn:
+    """A torque that is small by prior."""
+    most = _MOST_COMPLIANCE
+    return joint_column(name, "rad/Nm", joint, offset, -most, most, prior_sd=amplitude)
 
 
-def _correction(name: str, joint: int, torque: Array, block: str) -> EffectColumn:
+def _correction(
+    name: str, joint: int, torque: Array, block: str, most: float = _MOST_CORRECTION, unit: str = "rad/Nm"
+) -> EffectColumn:
     """A part of the torque that counts more or less than the rest."""
-    offset = _without_rounding(torque)
-    return joint_column(name, "rad/Nm", joint, offset, -_MOST_CORRECTION, _MOST_CORRECTION, block, refines=True)
+    return joint_column(name, unit, joint, _without_rounding(torque), -most, most, block, refines=True)
 
 
 def _without_rounding(torque: Array) -> Array:

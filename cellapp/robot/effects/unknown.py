@@ -139,22 +139,11 @@ def _to_settle(variable: Variable) -> str:
 def _variable_in_words(variable: Variable) -> str:
     """``joint 2``, ``joint 3 of the other arm``, ``the torque on joint 2``, ``time``."""
     if variable.joint is None:
-        return _NAMES.get(variable.quantity, variable.quantity.value)
+        return variable.quantity.words
     joint = f"joint {variable.joint + 1}"
     if variable.quantity is Quantity.OTHER_JOINT_ANGLE:
         return f"{joint} of the other arm"
     return joint if variable.quantity in (Quantity.JOINT_ANGLE, Quantity.STEP) else f"the torque on {joint}"
-
-
-_NAMES = {
-    Quantity.DWELL: "the dwell",
-    Quantity.PAYLOAD: "the payload",
-    Quantity.TEMPERATURE: "the air temperature",
-    Quantity.RANGE: "the distance from the tracker",
-    Quantity.AZIMUTH: "the tracker's azimuth",
-    Quantity.ELEVATION: "the tracker's elevation",
-    Quantity.INCIDENCE: "the angle of incidence",
-}
 
 
 PAIRS = LawForm("pairs", "smoothly with neighbouring joints", (AMPLITUDE,))

@@ -7,18 +7,20 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cellapp.estimation.design import block_design
 from cellapp.estimation.design.block_design import (
     GAP_OF_EVEN_STOPS,
+    SHARES,
     BlockDesign,
     Candidates,
     Criterion,
-    Shares,
     choose_blocks,
     close_gaps,
     gap_limits,
@@ -27,7 +29,7 @@ from cellapp.estimation.design.block_design import (
     reference_errors,
     without_turns,
 )
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import UNTOLD
 
 P, M, COUNT = 8, 300, 20
 
@@ -71,7 +73,8 @@ def test_exchange_never_makes_a_choice_worse(seed: int) -> None:
     values = []
     for passes in range(4):
         rng = np.random.default_rng(seed)
-        chosen = choose_blocks(candidates, COUNT, criterion, rng, subset=60, passes=passes)
+        with patch.multiple(block_design, SUBSET=60, PASSES=passes):
+            chosen = choose_blocks(candidates, COUNT, criterion, rng)
         assert len(set(chosen.tolist())) == COUNT
         values.append(criterion.value(candidates.covariance(chosen)))
     assert values == sorted(values, reverse=True)
@@ -91,17 +94,19 @@ def test_a_choice_beats_random_ones_in_each_error() -> None:
     assert np.all(np.array(errors(chosen)) < np.min(draws, axis=0))
 
 
+@patch.object(block_design, "SUBSET", M)
 def test_a_choice_does_not_depend_on_units_nor_on_the_order_of_candidates() -> None:
     candidates, criterion = problem()
-    chosen = choose_blocks(candidates, COUNT, criterion, np.random.default_rng(2), subset=M)
+    chosen = choose_blocks(candidates, COUNT, criterion, np.random.default_rng(2))
     unit = 2.0 ** np.arange(-P, P, 2)  # exact in floating point
     other = Candidates(candidates.rows * unit, candidates.prior * unit * unit[:, None])
     in_units = Criterion(criterion.reference / unit[:6], criterion.points * unit)
-    assert set(choose_blocks(other, COUNT, in_units, np.random.default_rng(2), subset=M)) == set(chosen)
+    assert set(choose_blocks(other, COUNT, in_units, np.random.default_rng(2))) == set(chosen)
     order = np.random.default_rng(3).permutation(M)
     mixed = Candidates(candidates.rows[order], candidates.prior)
-    again = choose_blocks(mixed, COUNT, criterion, np.random.default_rng(2), subset=M, passes=0)
-    plain = choose_blocks(candidates, COUNT, criterion, np.random.default_rng(9), subset=M, passes=0)
+    with patch.object(block_design, "PASSES", 0):
+        again = choose_blocks(mixed, COUNT, criterion, np.random.default_rng(2))
+        plain = choose_blocks(candidates, COUNT, criterion, np.random.default_rng(9))
     assert set(order[again]) == set(plain)
 
 
@@ -195,7 +200,7 @@ def clustered() -> tuple[Candidates, np.ndarray, Criterion, np.ndarray]:
 def closed(q: np.ndarray, limits: np.ndarray, kept: np.ndarray = NONE) -> tuple[np.ndarray, float]:
     candidates, _, criterion, chosen = clustered()
     rng = np.random.default_rng(1)
-    found = close_gaps(candidates, q, chosen, criterion, limits, kept, rng, CancelToken())
+    found = close_gaps(candidates, q, chosen, criterion, limits, kept, rng, UNTOLD)
     assert len(set(found.tolist())) == COUNT_OF_GAPS
     lost = criterion.value(candidates.covariance(found)) - criterion.value(candidates.covariance(chosen))
     return found, lost
@@ -208,7 +213,7 @@ def test_gaps_are_closed_at_little_loss() -> None:
     assert largest_gaps(q[chosen])[0] > 2.0 * limits[0]
     found, lost = closed(q, limits)
     assert np.all(largest_gaps(q[found]) <= limits)
-    assert lost < 0.1 * sum(Shares())
+    assert lost < 0.1 * sum(SHARES)
     assert len(np.setdiff1d(found, chosen)) < COUNT_OF_GAPS / 2
 
 

@@ -191,10 +191,13 @@ def test_cycles_hold_the_middle_of_the_power():
     columns = [wave_column(1, k, sine) for k, sine in waves]
     amplitudes = {3: 1.0, 5: 10.0, 6: 12.0, 9: 8.0, 11: 1.0}
     values = [-amplitudes.get(k, 0.0) * 1e-6 if sine else 0.0 for k, sine in waves]
-    found = dominant_cycles([*columns, wave_column(0, 2, False)], np.array([*values, 4e-6]))
+    found = dominant_cycles(
+        [*columns, wave_column(0, 2, False)], np.array([*values, 4e-6]), 1e-14 * np.eye(len(columns) + 1)
+    )
     assert list(found) == ["1", "2"]
     written = json.loads(found["1"].model_dump_json(by_alias=True))
-    assert written == {"from": 2, "to": 2, "peak": 2, "rms_urad": pytest.approx(4.0 / math.sqrt(2.0))}
+    rms = {"rms_urad": pytest.approx(4.0 / math.sqrt(2.0)), "rms_standard_error_urad": pytest.approx(0.07071, rel=1e-3)}
+    assert written == {"from": 2, "to": 2, "peak": 2} | rms
     assert (found["2"].first, found["2"].last, found["2"].peak) == (5, 9, 6)
     assert found["2"].rms_urad == pytest.approx(math.sqrt((1 + 100 + 144 + 64 + 1) / 2.0))
 
