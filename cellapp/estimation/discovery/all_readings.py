@@ -32,6 +32,7 @@ from cellapp.estimation.discovery.process import (
     ProcessData,
     StructuredProcess,
     components,
+    most_evident,
     needed_components,
     process_terms,
 )
@@ -47,8 +48,6 @@ from cellapp.robot.model.model import PosteriorDraws
 
 _CHUNK = 1024
 """Readings in a chunk: 2000 columns of them take 50 MB."""
-_EVALUATIONS = 25
-"""Most evaluations of the evidence, starting from the values of the searched readings."""
 _MOST_STEPS = 20
 """Most Gauss-Newton steps, rejected ones included: usually four suffice."""
 _TOLERANCE = 0.1
@@ -119,8 +118,8 @@ def _process(found: SearchResult, data: ArmData, named: ModelTerms, needed: floa
         tuple(_length(one, had.get(one.slug)) for one in chosen),
         1.0,
     )
-    process = StructuredProcess(tuple(chosen), start, gram, -math.inf)
-    return needed_components(process.refitted(_EVALUATIONS).without_idle(), needed)
+    process = StructuredProcess(tuple(chosen), most_evident(chosen, gram, start), gram)
+    return needed_components(process.without_idle(), needed)
 
 
 def _amplitudes(component: Component, term: ModelTerm | None) -> Array:

@@ -265,13 +265,14 @@ _LOG_AMPLITUDE = (-7.0, 5.0)
 """Bounds of the log ratio of an amplitude to its first guess: from a thousandth to 150 times."""
 _LOG_NOISE = (-9.0, 0.5)
 """Bounds of the log ratio of the noise variance to that of the data: at most slightly above all of it."""
-_START_NOISE = 0.2
-"""First guess of the noise's share of the variance."""
 _LENGTH_STEP = 1e-4
 """Step of the log length scale for the derivative of its spectrum by forward difference."""
-_LEAST_GAIN = 1e-6
-"""Relative gain of the evidence at which the optimiser stops: 1e-3 on usual values, far below a score that counts."""
-_IMPOSSIBLE = 1e300
+_LEAST_GAIN = 0.05
+"""Gain of the log evidence by a step at which the iteration stops: far below a score that counts."""
+_MOST_STEPS, _LONGEST_STEP, _PARTS = 12, 2.0, (1.0, 0.5, 0.25, 0.1)
+"""Most steps, the longest step of a logarithm, and the parts of a step that are tried until the evidence rises."""
+_RIDGE = 1e-6
+"""Added to the information, relative to its largest diagonal element: idle amplitudes have none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,71 +322,74 @@ class Hyperparameters:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Log evidence, and its derivatives with respect to log v_k (m,) and to log s."""
+    """Log evidence at prior variances and a noise variance.
+
+    Attributes
+    ----------
+    value : float
+    active : array, shape (m,)
+        Indices of the columns whose prior matters.
+    root : array, shape (m,)
+        Roots of their prior variances.
+    lower : array, shape (m, m)
+        L of ``I + V^1/2 G V^1/2 / s = L L^T``, zero above the diagonal.
+    solution : array, shape (m,)
+        x of ``L L^T x = V^1/2 b / s``.
+    coordinates, misfit : float
+        Number of independent coordinates, and ``y^T K^-1 y`` with K their covariance.
+    """
 
     value: float
-    by_variance: Array
-    by_noise: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Factored:
-    """Indices of the active columns, the roots of their prior variances, and ``I + V^1/2 G V^1/2 / s = L L^T``."""
-
     active: NDArray[np.intp]
     root: Array
-    gram: Array
     lower: Array
+    solution: Array
+    coordinates: float
+    misfit: float
 
     @classmethod
-    def of(cls, data: ProcessData, variance: Array, noise: float) -> _Factored | None:
-        """Factor the matrix; None if it is not positive definite, as the noise is nearly zero."""
+    def of(cls, data: ProcessData, variance: Array, noise: float) -> Evidence | None:
+        """Compute the evidence; None if the matrix is not positive definite, as the noise is nearly zero."""
         active = np.flatnonzero(variance * np.diag(data.gram) > NEGLIGIBLE_COLUMN * noise)
         root = np.sqrt(variance[active])
         gram = data.gram if len(active) == len(variance) else data.gram[active].take(active, axis=1)
-        A = gram * (root / noise)
-        A *= root[:, None]
-        A.flat[:: len(A) + 1] += 1.0
-        if not len(active):
-            return cls(active, root, gram, A)
-        # transposed: in the order of LAPACK, without a copy
-        lower, failed = scipy.linalg.lapack.dpotrf(A.T, lower=1, overwrite_a=1)
-        return None if failed else cls(active, root, gram, lower)
+        lower = gram * (root / noise)
+        lower *= root[:, None]
+        lower.flat[:: len(lower) + 1] += 1.0
+        scaled = solution = root * data.moment[active] / noise
+        if len(active):
+            # transposed: in the order of LAPACK, without a copy
+            lower, failed = scipy.linalg.lapack.dpotrf(lower.T, lower=1, overwrite_a=1)
+            if failed:
+                return None
+            solution = scipy.linalg.lapack.dpotrs(lower, scaled, lower=1)[0]
+        misfit = data.square / noise - float(scaled @ solution)
+        log_determinant = 2.0 * float(np.log(np.diag(lower)).sum())
+        value = -0.5 * (data.coordinates * math.log(noise) + log_determinant + misfit)
+        return cls(value, active, root, lower, solution, data.coordinates, misfit)
 
-    def value(self, data: ProcessData, noise: float) -> tuple[float, Array]:
-        """Return the log evidence, and the solution of ``L L^T x = V^1/2 b / s``."""
-        scaled = self.root * data.moment[self.active] / noise
-        solution = scipy.linalg.lapack.dpotrs(self.lower, scaled, lower=1)[0] if len(scaled) else scaled
-        log_determinant = 2.0 * float(np.log(np.diag(self.lower)).sum())
-        left = data.square / noise - float(scaled @ solution)
-        return -0.5 * (data.coordinates * math.log(noise) + log_determinant + left), solution
+    def slope(self, by_parameter: Array) -> tuple[Array, Array]:
+        """Return the derivatives (h + 1,) of the value, and the expected information (h + 1, h + 1) about parameters.
 
-
-def log_evidence(data: ProcessData, variance: Array, noise: float) -> float:
-    """Return the log evidence at prior variances (m,) and a noise variance."""
-    factored = _Factored.of(data, variance, noise)
-    return -_IMPOSSIBLE if factored is None else factored.value(data, noise)[0]
-
-
-def evidence(data: ProcessData, variance: Array, noise: float) -> Evidence:
-    """Return the evidence at prior variances (m,) and a noise variance, with its derivatives."""
-    factored = _Factored.of(data, variance, noise)
-    if factored is None:  # this low value makes the optimiser step back
-        return Evidence(-_IMPOSSIBLE, np.zeros(len(variance)), 0.0)
-    value, solution = factored.value(data, noise)
-    active = factored.active
-    by_variance = np.zeros(len(variance))
-    inverse = np.zeros(0)
-    if len(active):
-        # single precision is enough for a gradient; zero above the diagonal, like the factor
-        triangle = scipy.linalg.lapack.strtri(factored.lower.astype(np.float32), lower=1)[0]
-        inverse = np.einsum("kl,kl->l", triangle, triangle).astype(np.float64)
-        by_variance[active] = 0.5 * (solution**2 + inverse - 1.0)
-    fitted = factored.root * solution
-    explained = float(fitted @ data.moment[active])
-    left = data.square - 2.0 * explained + float(fitted @ (factored.gram @ fitted))
-    by_noise = -0.5 * (data.coordinates - float(np.sum(1.0 - inverse))) + 0.5 * left / noise
-    return Evidence(value, by_variance, by_noise)
+        Of h parameters depend the log variances of all columns, with derivatives ``by_parameter``; the last one is the
+        log of the noise. ``C = (L L^T)^-1`` is computed in single precision, enough for a step.
+        """
+        T, inverse = by_parameter[self.active], self.lower.astype(np.float32)
+        if len(inverse):
+            inverse = scipy.linalg.lapack.spotri(inverse, lower=1, overwrite_c=1)[0]
+        own = inverse.diagonal().astype(np.float64)
+        inverse.flat[:: len(inverse) + 1] = 0.0
+        inverse *= inverse
+        half = np.asarray(T.T @ (inverse @ T.astype(np.float32)), dtype=np.float64)
+        square = own**2 + inverse.sum(axis=0) + inverse.sum(axis=1)
+        with_noise = T.T @ (own - square)
+        of_noise = self.coordinates - len(own) + square.sum()
+        information = np.block(
+            [[half + half.T + (T.T * (1.0 - own) ** 2) @ T, with_noise[:, None]], [with_noise[None], of_noise]]
+        )
+        by_variance = self.solution**2 + own - 1.0
+        by_noise = self.misfit - float(self.solution @ self.solution) - self.coordinates + len(own) - own.sum()
+        return 0.5 * np.append(by_variance @ T, by_noise), 0.5 * information
 
 
 def losses(data: ProcessData, variance: Array, noise: float, ends: Sequence[int]) -> Array:
@@ -394,13 +398,13 @@ def losses(data: ProcessData, variance: Array, noise: float, ends: Sequence[int]
     With x the solution of A x = b for all columns, and C = A^-1, the loss without the group g follows from its blocks:
     ``(ln det C_gg + x_g^T C_gg^-1 x_g) / 2`` (inverse of a partitioned matrix).
     """
-    factored = _Factored.of(data, variance, noise)
-    if factored is None:
+    at = Evidence.of(data, variance, noise)
+    if at is None:
         return np.full(len(ends), math.inf)
-    _, solution = factored.value(data, noise)
-    inverse = scipy.linalg.lapack.dpotri(factored.lower, lower=1)[0] if len(solution) else factored.lower
+    solution = at.solution
+    inverse = scipy.linalg.lapack.dpotri(at.lower, lower=1)[0] if len(solution) else at.lower
     found, first = np.zeros(len(ends)), 0
-    for group, end in enumerate(np.searchsorted(factored.active, ends).tolist()):
+    for group, end in enumerate(np.searchsorted(at.active, ends).tolist()):
         if end > first:
             block, x = inverse[first:end, first:end], solution[first:end]
             lower = scipy.linalg.lapack.dpotrf(block, lower=1)[0]
@@ -439,57 +443,60 @@ class _Packing:
         found += [(math.log(one.lengths.least), math.log(one.lengths.most)) for one in self.components if one.lengths]
         return [*found, (math.log(noise) + _LOG_NOISE[0], math.log(noise) + _LOG_NOISE[1])]
 
-    def gradient(self, values: Hyperparameters, found: Evidence) -> Array:
-        by_amplitude, by_length, at = [], [], 0
+    def by_parameter(self, values: Hyperparameters) -> Array:
+        """Return the derivatives of the columns' log variances with respect to all parameters but the noise."""
+        amplitudes, lengths = [], []
         for one, length in zip(self.components, values.lengths, strict=True):
-            here = found.by_variance[at : at + len(one.columns)]
-            at += len(one.columns)
-            by_amplitude.append(2.0 * np.bincount(one.groups, here, minlength=len(one.amplitude_keys)))
-            if one.lengths:
-                longer = one.relative_variances(length * math.exp(_LENGTH_STEP))
-                by_length.append(float(here @ np.log(longer / one.relative_variances(length))) / _LENGTH_STEP)
-        return np.concatenate([*by_amplitude, np.array([*by_length, found.by_noise])])
+            amplitudes.append(2.0 * (one.groups[:, None] == np.arange(len(one.amplitude_keys))))
+            longer = one.relative_variances(length * math.exp(_LENGTH_STEP))
+            of_length = np.log(longer / one.relative_variances(length))[:, None] / _LENGTH_STEP
+            lengths.append(of_length if one.lengths else of_length[:, :0])
+        return np.hstack([scipy.linalg.block_diag(*amplitudes), scipy.linalg.block_diag(*lengths)])
 
 
 def first_guess(components: Sequence[Component], data: ProcessData) -> Hyperparameters:
-    """Return start values of the hyperparameters."""
+    """Return start values of the hyperparameters: all variance is noise, as from less the evidence can rise to none."""
     return Hyperparameters(
         tuple(np.full(len(one.amplitude_keys), one.start) for one in components),
         tuple(one.lengths.start if one.lengths else 1.0 for one in components),
-        _START_NOISE * data.square / data.coordinates,
+        data.square / data.coordinates,
     )
 
 
-def most_evident(
-    components: Sequence[Component], data: ProcessData, start: Hyperparameters, evaluations: int
-) -> tuple[Hyperparameters, float]:
-    """Maximise the evidence near ``start``; return the hyperparameters and the log evidence there."""
+def most_evident(components: Sequence[Component], data: ProcessData, start: Hyperparameters) -> Hyperparameters:
+    """Maximise the evidence near ``start`` by Fisher scoring (Longford, Biometrika 74 (1987) 817)."""
     packing = _Packing(tuple(components))
+    low, high = np.array(packing.bounds(data.square / data.coordinates)).T
 
-    def objective(theta: Array) -> tuple[float, Array]:
+    def evidence(theta: Array) -> Evidence | None:
         values = packing.unpack(theta)
-        found = evidence(data, values.variances(components), values.noise)
-        return -found.value, -packing.gradient(values, found)
+        return Evidence.of(data, values.variances(components), values.noise)
 
-    bounds = packing.bounds(data.square / data.coordinates)
-    low, high = np.array(bounds).T
-    found = scipy.optimize.minimize(
-        objective,
-        np.clip(packing.pack(start), low, high),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=bounds,
-        options={"maxfun": evaluations, "ftol": _LEAST_GAIN},
-    )
-    return packing.unpack(found.x), -float(found.fun)
+    theta = np.clip(packing.pack(start), low, high)
+    best = evidence(theta)
+    for _ in range(_MOST_STEPS):
+        if best is None:
+            break
+        slope, information = best.slope(packing.by_parameter(packing.unpack(theta)))
+        free = ((theta > low) | (slope > 0.0)) & ((theta < high) | (slope < 0.0))
+        information.flat[:: len(theta) + 1] += _RIDGE * information.diagonal().max()
+        step = np.zeros(len(theta))
+        step[free] = np.linalg.solve(information[free][:, free], slope[free])
+        step = np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
+        trials = [np.clip(theta + part * step, low, high) for part in _PARTS]
+        tried = ((trial, found) for trial in trials if (found := evidence(trial)) is not None)
+        better = next(((trial, found) for trial, found in tried if found.value > best.value), None)
+        if better is None:
+            break
+        gain = better[1].value - best.value
+        theta, best = better
+        if gain < _LEAST_GAIN:
+            break
+    return packing.unpack(theta)
 
 
 LEAST_READINGS = 40
 """Least number of readings for a process: 120 coordinates for some 20 hyperparameters beside 30 of geometry."""
-_FIRST_EVALUATIONS = 25
-"""Most evaluations of the evidence with the first weights; it settles to a percent after some 20."""
-_NEXT_EVALUATIONS = 10
-"""Most evaluations after a change of weights or components, from the values found before."""
 _NOISE_STEPS, _LEAST_VARIANCE = 40, 1e-16
 """Corrections of the noise's variances, and the least variance [m^2, rad^2] of a coordinate."""
 _LEAST_SIGNAL = 0.03
@@ -508,23 +515,18 @@ class StructuredProcess:
     values : Hyperparameters
     gram : ProcessData
         Gram matrix of their columns.
-    log_evidence : float
     """
 
     components: tuple[Component, ...]
     values: Hyperparameters
     gram: ProcessData
-    log_evidence: float
 
     @classmethod
-    def fitted(
-        cls, fit: JointFit, chosen: Sequence[Component], start: Hyperparameters | None, evaluations: int
-    ) -> StructuredProcess:
+    def fitted(cls, fit: JointFit, chosen: Sequence[Component], start: Hyperparameters | None) -> StructuredProcess:
         """Find hyperparameters from ``start``; drop amplitudes that move the SMR by far less than the noise."""
         gram = gathered(fit, chosen)
         begin = first_guess(chosen, gram) if start is None else start
-        values, log_evidence = most_evident(chosen, gram, begin, evaluations)
-        return cls(tuple(chosen), values, gram, log_evidence).without_idle()
+        return cls(tuple(chosen), most_evident(chosen, gram, begin), gram).without_idle()
 
     def without_idle(self) -> StructuredProcess:
         """Return the process without amplitudes whose signal is negligible against the noise."""
@@ -542,7 +544,7 @@ class StructuredProcess:
             first += len(one.columns)
         taken = np.concatenate(places).astype(np.intp) if places else np.zeros(0, dtype=np.intp)
         values = Hyperparameters(tuple(amplitudes), tuple(lengths), self.values.noise)
-        return StructuredProcess(tuple(kept_components), values, self.gram.take(taken), self.log_evidence)
+        return StructuredProcess(tuple(kept_components), values, self.gram.take(taken))
 
     def without(self, component: int) -> StructuredProcess:
         """Return the process without one component, at the hyperparameters of the others."""
@@ -550,32 +552,26 @@ class StructuredProcess:
         count = len(self.components[component].columns)
         taken = np.delete(np.arange(len(self.gram.moment)), np.s_[first : first + count])
         rest = self.components[:component] + self.components[component + 1 :]
-        values, gram = self.values.without(component), self.gram.take(taken)
-        return StructuredProcess(rest, values, gram, log_evidence(gram, values.variances(rest), values.noise))
+        return StructuredProcess(rest, self.values.without(component), self.gram.take(taken))
 
     def expected(self) -> dict[tuple[str, str], float]:
         """Return the expected value of each column, by effect and name."""
         variances = self.values.variances(self.components)
-        factored = _Factored.of(self.gram, variances, self.values.noise)
-        if factored is None:
+        at = Evidence.of(self.gram, variances, self.values.noise)
+        if at is None:
             return {}
         values = np.zeros(len(variances))
-        values[factored.active] = factored.root * factored.value(self.gram, self.values.noise)[1]
+        values[at.active] = at.root * at.solution
         keys = [(one.slug, column.name) for one in self.components for column in one.columns]
         return dict(zip(keys, values.tolist(), strict=True))
 
     def without_hopeless(self, needed: float) -> StructuredProcess:
         """Remove components whose gain falls short by as much as they would need to stay, the weakest first."""
-        process, gains = self, self.gains()
+        process, gains = self, self.gains
         while gains and min(gains) <= -needed:
             process = process.without(gains.index(min(gains)))
-            gains = process.gains()
+            gains = process.gains
         return process
-
-    def refitted(self, evaluations: int) -> StructuredProcess:
-        """Fit the hyperparameters again from their present values."""
-        values, log_evidence = most_evident(self.components, self.gram, self.values, evaluations)
-        return replace(self, values=values, log_evidence=log_evidence)
 
     def price(self, component: int) -> float:
         """Return the price of a component: of its hyperparameters by the Bayesian information criterion, and a margin
@@ -583,6 +579,7 @@ class StructuredProcess:
         own = self.components[component]
         return own.hyperparameters * math.log(self.gram.coordinates) + (SCORE_MARGIN if own.slug == UNKNOWN else 0.0)
 
+    @cached_property
     def gains(self) -> list[float]:
         """Return each component's gain of the score at fixed hyperparameters: twice the log evidence less its price."""
         ends = np.cumsum([len(one.columns) for one in self.components])
@@ -610,7 +607,7 @@ def fit_process(
     candidates = components(data, fit) if candidates is None else candidates
     if not candidates:
         return None
-    screened = StructuredProcess.fitted(fit, [one.coarse() for one in candidates], None, _FIRST_EVALUATIONS)
+    screened = StructuredProcess.fitted(fit, [one.coarse() for one in candidates], None)
     screened = screened.without_hopeless(needed)
     if not screened.components:
         return None
@@ -633,7 +630,7 @@ def _fitted_anew(
     """Fit a process again after a change of weights, from the hyperparameters found ``before``."""
     fit = fit_terms(data, fit.terms)
     here = [replace(one, rows=fit.displacements(one.columns)) for one in chosen]
-    return fit, StructuredProcess.fitted(fit, here, replace(before.values, noise=1.0), _NEXT_EVALUATIONS)
+    return fit, StructuredProcess.fitted(fit, here, replace(before.values, noise=1.0))
 
 
 def _noise(data: ArmData, fit: JointFit, process: StructuredProcess) -> Excess:
@@ -702,7 +699,7 @@ def _whole(candidates: Sequence[Component], screened: Sequence[Component]) -> li
 def needed_components(process: StructuredProcess, needed: float) -> StructuredProcess:
     """Remove the components that the evidence does not need, the least needed first."""
     while process.components:
-        gains = process.gains()
+        gains = process.gains
         weakest = int(np.argmin(gains))
         if gains[weakest] > needed:
             break
@@ -715,7 +712,7 @@ def process_terms(process: StructuredProcess, scatter: Excess) -> ModelTerms:
     terms, first = [], 0
     variances = process.values.variances(process.components)
     power = np.diag(process.gram.gram) * variances / process.values.noise
-    gains = process.gains()
+    gains = process.gains
     for number, one in enumerate(process.components):
         here = power[first : first + len(one.columns)]
         first += len(one.columns)

@@ -32,12 +32,11 @@ from cellapp.estimation.discovery.plan_forecast import ArmDesign, PlannedReading
 from cellapp.estimation.discovery.process import (
     CURVE_LENGTHS,
     Component,
+    Evidence,
     Hyperparameters,
     ProcessData,
-    evidence,
     first_guess,
     fit_process,
-    log_evidence,
     most_evident,
 )
 from cellapp.estimation.discovery.search.scan import LawScan
@@ -378,8 +377,7 @@ def test_it_is_the_marginal_likelihood_of_the_readings():
     dense = multivariate_normal(np.zeros(N), (X * variance) @ X.T + TRUE.noise * np.eye(N))
     wanted = dense.logpdf(y) + 0.5 * N * math.log(2.0 * math.pi)
     # columns whose prior is below a thousandth of the noise are left out
-    assert log_evidence(gathered(parts, y), variance, TRUE.noise) == pytest.approx(wanted, abs=0.02)
-    assert evidence(gathered(parts, y), variance, TRUE.noise).value == pytest.approx(wanted, abs=0.02)
+    assert Evidence.of(gathered(parts, y), variance, TRUE.noise).value == pytest.approx(wanted, abs=0.02)
 
 
 def test_hyperparameters_of_a_simulated_curve_are_recovered():
@@ -388,7 +386,7 @@ def test_hyperparameters_of_a_simulated_curve_are_recovered():
     for _ in range(12):
         one = curve(rng)
         data = gathered([one], simulated(rng, [one], Hyperparameters((np.array([0.8]),), (0.4,), 0.1)))
-        values, _ = most_evident([one], data, first_guess([one], data), 60)
+        values = most_evident([one], data, first_guess([one], data))
         found = np.array([values.amplitudes[0][0] / 0.8, values.lengths[0] / 0.4, values.noise / 0.1])
         errors.append(np.log(found))
     # a turn holds some 2 pi / 0.8 independent values of the curve: 25 % for its amplitude, 8 % for the noise
