@@ -213,9 +213,7 @@ def test_errors_and_help_are_those_of_the_whole_command_line(whole: Any, words: 
 @pytest.mark.parametrize(
     ("before", "verb"), [(None, "pause"), ("pause", "resume"), (None, "stop"), (None, "resume"), ("abort", "abort")]
 )
-def test_answers_are_those_of_the_whole_command_line(
-    whole: Any, folder: Path, before: Verb | None, verb: Verb
-) -> None:
+def test_answers_are_those_of_the_whole_command_line(whole: Any, folder: Path, before: Verb | None, verb: Verb) -> None:
     ended: list[Any] = []
     for ask in (asked, whole):
         control = JobControl(holds=True)
