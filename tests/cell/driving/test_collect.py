@@ -343,10 +343,10 @@ def test_the_other_arms_smr_is_not_taken_for_this_ones(
 
 
 STOPS_OF_CAMPAIGNS = 30
-SEEDS = (1, 2, 3, 8, 12, 14, 17, 18, 21, 22, 30, 31, 33, 34, 39, 47, 10531)
+SEEDS = (34, 39, 47, 504, 2877, 10531, 15340, 15349)
 """In these every kind of fault strikes, and twice those whose bad handling must be found.
 
-In the last one a person's stop comes after another cause, and was recorded under the name of that.
+In 10531 a person's stop comes after another cause, and was recorded under the name of that.
 """
 OTHER_SEEDS = tuple(seed for seed in range(48) if seed not in SEEDS)
 

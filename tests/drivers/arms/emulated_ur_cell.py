@@ -98,10 +98,12 @@ def of_each_arm(
     make_ready: Callable[[EmulatorProcess, UrArm], object],
 ) -> None:
     """Let all arms have their episodes at the same time, each one after the other and from an arm that is ready; one
-    that ends with a stall of this computer again."""
+    that ends with a stall of this computer again. A second arm without episodes of its own shares those of the first.
+    """
+    its_own = {name: iter(its) for name, its in episodes.items()}
 
-    def one_after_the_other(arm: UrArm, its: Sequence[Episode]) -> None:
-        for episode in its:
+    def one_after_the_other(arm: UrArm) -> None:
+        for episode in its_own.get(arm.name, its_own[arm.name.removesuffix("2")]):
 
             def act(attempt: int, episode: Episode = episode) -> None:
                 make_ready(emulator, arm)
@@ -109,7 +111,7 @@ def of_each_arm(
 
             patiently(act, ArmError, is_stall)
 
-    in_parallel(one_after_the_other, [(arms[name], its) for name, its in episodes.items()])
+    in_parallel(one_after_the_other, [(arm,) for arm in arms.values()])
 
 
 def is_stall(error: ArmError) -> bool:

@@ -404,55 +404,32 @@ def killed(number: signal.Signals) -> Episode:
 
 
 ROUNDS: dict[str, dict[str, list[Episode]]] = {
-    "causes": {
-        "left": [partial(malformed_packet, kind="size 0"), partial(malformed_packet, kind="size 2")],
-        "right": [partial(malformed_packet, kind="no state")],
-        "left2": [partial(late_network, kind="commands")],
-        "right2": [partial(late_network, kind="all")],
+    "of links": {
+        "left": [
+            during("all silent"), after("all silent"), before("silence"), partial(late_network, kind="commands"),
+            partial(malformed_packet, kind="size 0"), partial(malformed_packet, kind="size 2"), during("refused"),
+            before("rst"), during("fin"), after("fin"),
+        ],
+        "right": [
+            during("silence"), partial(late_network, kind="all"), dashboard_that_is_dead_when_the_link_breaks,
+            partial(malformed_packet, kind="no state"), after("refused"), before("refused"), before("fin"),
+            during("rst"), after("rst"),
+        ],
     },
-    "faults before a motion": {
-        "left": [before("rst")],
-        "right": [before("fin")],
-        "left2": [before("protective")],
-        "right2": [before("emergency")],
+    "of arms and programs": {
+        "left": [
+            late_start, partial(kill_the_application, with_worker=False), killed(signal.SIGSEGV), slower_than_the_wait,
+            protective_stop_stays, stop_from_another_thread, before("protective"), during("emergency"),
+            after("emergency"),
+        ],
+        "right": [
+            slower_start, rate_of_the_watchdog, partial(kill_the_application, with_worker=True), killed(signal.SIGSTOP),
+            slow_start, stop_on_the_pendant, protective_stop_stays, stop_from_another_thread, before("emergency"),
+            during("protective"), after("protective"),
+        ],
     },
-    "faults during a motion": {
-        "left": [during("fin")],
-        "right": [during("rst")],
-        "left2": [during("emergency")],
-        "right2": [during("protective")],
-    },
-    "faults after a motion": {
-        "left": [after("fin")],
-        "right": [after("rst")],
-        "left2": [after("emergency")],
-        "right2": [after("protective")],
-    },
-    "links that are refused or silent": {
-        "left": [during("refused")],
-        "right": [after("refused")],
-        "left2": [before("silence")],
-        "right2": [before("refused")],
-    },
-    "silence": {
-        "left": [during("all silent")],
-        "right": [during("silence"), dashboard_that_is_dead_when_the_link_breaks],
-        "left2": [after("all silent")],
-        "right2": [rate_of_the_watchdog, stop_on_the_pendant],
-    },
-    "starts of the program, and what is killed": {
-        "left": [killed(signal.SIGSEGV), partial(kill_the_application, with_worker=False)],
-        "right": [killed(signal.SIGSTOP), slow_start],
-        "left2": [late_start],
-        "right2": [slower_start],
-    },
-    "stops": {
-        "left": [protective_stop_stays, stop_from_another_thread],
-        "right": [protective_stop_stays, stop_from_another_thread],
-        "left2": [slower_than_the_wait],
-        "right2": [partial(kill_the_application, with_worker=True)],
-    },
-}
+}  # fmt: skip
+"""Arms of one series take the next that is left of theirs, the longest first."""
 
 
 @pytest.mark.parametrize("episodes", ROUNDS.values(), ids=ROUNDS)

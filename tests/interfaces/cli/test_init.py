@@ -169,9 +169,11 @@ def asked(*arguments: object, program: tuple[str, ...] = ("-m", "cellapp")) -> s
     )
 
 
-def whole(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """The same through the whole command line."""
-    return asked(*arguments, program=("-c", "from cellapp.interfaces.cli.app import main; main()"))
+@pytest.fixture
+def whole(call: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The same through the whole command line, in this process."""
+    monkeypatch.setattr("cellapp.interfaces.cli.plain_request", lambda words: None)
+    return call
 
 
 def words_of(verb: Verb) -> tuple[str, ...]:
@@ -199,16 +201,16 @@ def test_only_plain_arguments_are_sent_at_once() -> None:
 
 
 @pytest.mark.parametrize("words", ["stop --help", "job pause a b", "stop a --json nowhere/b"])
-def test_errors_and_help_are_those_of_the_whole_command_line(words: str) -> None:
+def test_errors_and_help_are_those_of_the_whole_command_line(whole: Any, words: str) -> None:
     one, other = asked(*words.split()), whole(*words.split())
-    assert (one.returncode, one.stdout, one.stderr) == (other.returncode, other.stdout, other.stderr)
+    assert (one.returncode, one.stdout, one.stderr) == (other.code, other.out, other.err)
 
 
 @pytest.mark.parametrize(
     ("before", "verb"), [(None, "pause"), ("pause", "resume"), (None, "stop"), (None, "resume"), ("abort", "abort")]
 )
-def test_answers_are_those_of_the_whole_command_line(folder: Path, before: Verb | None, verb: Verb) -> None:
-    ended = []
+def test_answers_are_those_of_the_whole_command_line(whole: Any, folder: Path, before: Verb | None, verb: Verb) -> None:
+    ended: list[Any] = []
     for ask in (asked, whole):
         control = JobControl(holds=True)
         if before is not None:
@@ -216,7 +218,7 @@ def test_answers_are_those_of_the_whole_command_line(folder: Path, before: Verb 
         with taking_requests(folder, control):
             ended.append(ask(*words_of(verb), folder, "--json", "-"))
     one, other = ended
-    assert (one.returncode, one.stdout, one.stderr) == (other.returncode, other.stdout, other.stderr)
+    assert (one.returncode, one.stdout, one.stderr) == (other.code, other.out, other.err)
     if one.returncode == 0:
         assert RequestResult.from_json(one.stdout, "it").to_json(indent=1) + "\n" == one.stdout
         assert json.loads(one.stdout)["run"] == str(folder)

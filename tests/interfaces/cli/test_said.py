@@ -60,7 +60,9 @@ def test_every_command_that_is_printed_can_be_typed(monkeypatch: pytest.MonkeyPa
     files = {"DIR": run, "PROFILE": run / "profiles" / "a.yaml", "TARGETS": run / "targets.csv"}
     found = dict[str, str]()
     for path in [*Path(cellapp.__file__).parent.rglob("*.py"), *Path(drivers.__file__).parent.rglob("*.py")]:
-        tree = ast.parse(path.read_text("utf-8"))
+        if "'cellapp " not in (text := path.read_text("utf-8")):
+            continue
+        tree = ast.parse(text)
         docstrings = {id(one.value) for one in ast.walk(tree) if isinstance(one, ast.Expr)}
         for node in ast.walk(tree):
             if id(node) not in docstrings:
