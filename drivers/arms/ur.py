@@ -1,8 +1,8 @@
 """A Universal Robots arm, moved through ur_rtde in a separate process that can be killed at any moment.
 
 Three properties hold even if that client hangs, crashes with the link or reports old states. First, every call returns
-in bounded time. Second, any doubt triggers at once all that ``drivers.arms.ur_guarded_link`` describes. Third, if even
-that fails, the controller's watchdog expires and stops the program.
+in bounded time. Second, any doubt triggers at once all that ``drivers.arms.ur_supervised_link`` describes. Third, if
+even that fails, the controller's watchdog expires and stops the program.
 
 ``brake`` stops the arm in three ways. The worker decelerates the motion through the control program. At most 20 ms
 later the program is ended by a line on an open dashboard connection, and by the worker on another one. The worker also
@@ -38,12 +38,12 @@ from drivers.arms.protocol import (
 from drivers.arms.recording import JointRecord, counts_so_far
 from drivers.arms.ur_checks import JOINTS, Check, UrExpectation, checks, held_by, load_checks
 from drivers.arms.ur_control import Refusal
-from drivers.arms.ur_guarded_link import ANSWER_WITHIN_S, CONFIRM_WITHIN_S, GuardedLink, arm_error, arm_state
 from drivers.arms.ur_links import RTDE_PORT, Connection, cause, program_name, running_program
 from drivers.arms.ur_motion import OPTIONAL_VARIABLES, STILL_MOVING
 from drivers.arms.ur_options import UrOptions
 from drivers.arms.ur_probe import UrProbe, probe_ur
 from drivers.arms.ur_rtde_reader import Outputs
+from drivers.arms.ur_supervised_link import ANSWER_WITHIN_S, CONFIRM_WITHIN_S, SupervisedLink, arm_error, arm_state
 from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess
 from drivers.patience import Patience
 
@@ -66,7 +66,7 @@ GoingOn = Callable[[], None]
 """Callback that raises ``MotionStopped`` if motions were refused since a connection began."""
 
 
-class UrArm(GuardedLink):
+class UrArm(SupervisedLink):
     """One UR arm. Any thread may call ``live`` and the stopping methods, one thread at a time the others."""
 
     def __init__(

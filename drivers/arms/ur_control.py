@@ -43,7 +43,7 @@ _ASKED_WITHIN_S = 0.15
 
 
 class Refusal(Exception):
-    """A request that the worker does not serve: its kind, one of ``drivers.arms.ur_guarded_link.REFUSALS``, and a
+    """A request that the worker does not serve: its kind, one of ``drivers.arms.ur_supervised_link.REFUSALS``, and a
     sentence.
 
     The sentence says what to do, unless there is a remedy for the kind.

@@ -53,7 +53,7 @@ _NO_MODE = "UNKNOWN_0"
 """A safety mode that no controller has."""
 
 End = Callable[[str, str], NoReturn]
-"""Function that ends the process; its arguments are a kind of ``ur_guarded_link.REFUSALS`` and a sentence."""
+"""Function that ends the process; its arguments are a kind of ``ur_supervised_link.REFUSALS`` and a sentence."""
 
 
 class States:

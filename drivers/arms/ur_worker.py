@@ -10,7 +10,7 @@ to the worker
 ``{"beat": true}``                  the application is alive
 from the worker
 ``{"id": n, "ok": ...}``            an answer
-``{"id": n, "error": kind, ...}``   a refusal: a key of ``drivers.arms.ur_guarded_link.REFUSALS``, and its ``text``
+``{"id": n, "error": kind, ...}``   a refusal: a key of ``drivers.arms.ur_supervised_link.REFUSALS``, and its ``text``
 ``{"doubt": kind, "text": ...}``    a fault, sent before anything else is done about it
 ``{"decelerating": true}``          the control program decelerates the motion, or there was none
 ``{"lost": text, "kind": kind}``    the last line of a worker that ends itself

@@ -93,7 +93,7 @@ class WorkerGone(Exception):
     Attributes
     ----------
     kind : str
-        A key of ``drivers.arms.ur_guarded_link.REFUSALS``.
+        A key of ``drivers.arms.ur_supervised_link.REFUSALS``.
     """
 
     def __init__(self, reason: str, kind: str = "driver") -> None:

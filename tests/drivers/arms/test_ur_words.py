@@ -35,11 +35,11 @@ from drivers.arms.protocol import (
 from drivers.arms.ur import UrArm, UrRecorder, checked_rows
 from drivers.arms.ur_checks import UrExpectation, checks
 from drivers.arms.ur_control import Refusal, _open_refusal
-from drivers.arms.ur_guarded_link import REFUSALS, FirstDoubt, StopLine, arm_error, arm_state
 from drivers.arms.ur_motion import Unrest
 from drivers.arms.ur_probe import UrProbe
 from drivers.arms.ur_rtde_reader import UrSample
 from drivers.arms.ur_settings import UrSettings
+from drivers.arms.ur_supervised_link import REFUSALS, FirstDoubt, StopLine, arm_error, arm_state
 from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone
 from drivers.patience import Patience
 from tests.drivers.arms.delayed_client import DelayedClient, Monitor

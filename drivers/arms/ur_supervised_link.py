@@ -44,7 +44,7 @@ _MESSAGE_WITHIN_S = 0.3
 """A worker that accepts no message for this long hangs."""
 
 
-class GuardedLink:
+class SupervisedLink:
     """Base of one UR arm's driver: stops, doubts, and calls to the worker."""
 
     def __init__(self, name: str, settings: UrOptions, rest_s: float) -> None:
