@@ -22,7 +22,7 @@ from cellapp.commands.trials.blind import beyond_geometry
 from cellapp.commands.trials.judge import TRIAL_RESULT, StoredTrial, judge_run, judge_trials, score_run, source_digest
 from cellapp.commands.trials.scoring import ArmFindings, JudgeResult, NoiseLengths, ScoredRun, scores
 from cellapp.commands.trials.sealed import DescribedTerm, GroundTruth, HiddenLaw, check_seal, open_truth, seal_trials
-from cellapp.commands.trials.sealed_setup import EXPECTED, LOOK_ALIKES, PAIRS, TRIPLES, Setup, cases, library_name
+from cellapp.commands.trials.sealed_setup import CONFOUNDED, EXPECTED, PAIRS, TRIPLES, Setup, cases, library_name
 from cellapp.estimation.calibration.quantities import measurement_conditions
 from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import BeforeAfter
@@ -169,8 +169,8 @@ def test_every_law_meets_both_arms() -> None:
         met = {(case.slugs[0], case.arm) for case in drawn}
         assert met == {(law, arm) for law in laws for arm in ("left", "right")}
     assert set(EXPECTED) == set(OUTSIDE)
-    pairs = cases(("left", "right"), "pair", len(PAIRS) + len(LOOK_ALIKES), SEED)
-    assert sum(case.look_alikes for case in pairs) == len(LOOK_ALIKES)
+    pairs = cases(("left", "right"), "pair", len(PAIRS) + len(CONFOUNDED), SEED)
+    assert sum(case.confounded for case in pairs) == len(CONFOUNDED)
     triples = cases(("left", "right"), "triple", len(TRIPLES), SEED)
     assert {len(case.slugs) for case in triples} == {3}
     assert {slug for case in (*pairs, *triples) for slug in case.slugs} <= set(known)
@@ -351,12 +351,12 @@ def test_the_commands(
 # -- scores -----------------------------------------------------------------------------------------------------------
 
 
-def truth(kind: str, *slugs: str, visible_um: float = 100.0, look_alikes: bool = False) -> GroundTruth:
+def truth(kind: str, *slugs: str, visible_um: float = 100.0, confounded: bool = False) -> GroundTruth:
     expected = EXPECTED.get(slugs[0]) if kind == "outside" else None
     return GroundTruth(
         run="run-0001",
         kind=kind,
-        look_alikes=look_alikes,
+        look_alikes=confounded,
         arm="left" if slugs else "",
         effects=tuple(
             HiddenLaw(effect=slug, plant=slug, parameters={}, raw_um=2.0 * visible_um, visible_um=visible_um)
@@ -434,7 +434,7 @@ def test_targets_and_misses_are_as_approved() -> None:
             scored("outside crosstalk | unknown | joint 4: q5"),
             scored("outside tool_sag | joint_drift unknown"),
             scored("pair backlash base_step | base_step backlash"),
-            judged(truth("pair", "backlash", "friction_windup", look_alikes=True), named("backlash", seconds=9.0)),
+            judged(truth("pair", "backlash", "friction_windup", confounded=True), named("backlash", seconds=9.0)),
         ]
     )
     said = [f"{one.target}: {one.reached} of {one.n}, {one.met}" for one in result.targets]

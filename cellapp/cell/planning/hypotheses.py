@@ -251,9 +251,9 @@ _MOVES_NOTHING = 1e-12
 def open_hypotheses(data: ArmData, fit: JointFit, discovery: Discovery, joined: EffectContext) -> list[Hypothesis]:
     """Find hypotheses for further stops to decide; ``joined`` is the context of the run and some of these stops.
 
-    First, accepted effects against those that the data cannot distinguish from them. If there are none, against their
-    declared look-alikes, as the parts of the unnamed term, each for the effect that it looks like. If there are none
-    either, the effects that are hardest to see.
+    First, accepted effects against those that the data cannot distinguish from them. If there are none, against the
+    effects declared as confounded with them, as the parts of the unnamed term, each for the effect that it looks like.
+    If there are none either, the effects that are hardest to see.
     """
     least = discovery.result.threshold
     found: list[Hypothesis] = []
@@ -266,7 +266,7 @@ def open_hypotheses(data: ArmData, fit: JointFit, discovery: Discovery, joined: 
     if not found:
         taken = {term.slug for term in fit.terms}
         for number, term in enumerate(fit.terms):
-            for slug in EFFECTS[term.slug].look_alikes:
+            for slug in EFFECTS[term.slug].confounded:
                 if slug not in taken and slug in EFFECTS:  # a plug-in may name effects that are not installed
                     found += _hypotheses_against(data, fit, number, slug, least, joined)
     return found or _faint_effects(data, fit, discovery, joined)

@@ -409,7 +409,7 @@ def _write_run(
     return GroundTruth(
         run=folder.name,
         kind=case.kind,
-        look_alikes=case.look_alikes,
+        look_alikes=case.confounded,
         arm=case.arm,
         effects=_hidden_laws(cell, parameters, with_all),
         expected=None if expected is None else DescribedTerm(channel=expected[0], variables=expected[1]),

@@ -36,7 +36,7 @@ PAIRS: tuple[tuple[str, ...], ...] = (
     ("encoder_eccentricity", "joint_drift"),
 )
 """Ordinary pairs: neither effect imitates the other."""
-LOOK_ALIKES: tuple[tuple[str, ...], ...] = (
+CONFOUNDED: tuple[tuple[str, ...], ...] = (
     ("joint_compliance", "link_bending"),
     ("backlash", "unsettled_measurement"),
     ("backlash", "friction_windup"),
@@ -111,7 +111,7 @@ class Case:
 
     kind: str
     slugs: tuple[str, ...] = ()
-    look_alikes: bool = False
+    confounded: bool = False
     arm: str = ""
 
 
@@ -130,7 +130,7 @@ def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
         ONE: [((slug,), False) for slug in known],
         NONE: [((), False)],
         OUT: [((slug,), False) for slug in OUTSIDE],
-        PAIR: [*((pair, False) for pair in PAIRS), *((pair, True) for pair in LOOK_ALIKES)],
+        PAIR: [*((pair, False) for pair in PAIRS), *((pair, True) for pair in CONFOUNDED)],
         TRIPLE: [(triple, False) for triple in TRIPLES],
         HARD: [(hard, False) for hard in HARD_CASES],
         MOTION: [(joints, False) for joints in IN_MOTION],
@@ -141,10 +141,10 @@ def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
         here = MIXTURE[place % len(MIXTURE)] if kind == MIXED else kind
         menu, turn = menus[here], counts[here]
         counts[here] += 1
-        slugs, look_alikes = menu[(seed + turn) % len(menu)]
+        slugs, confounded = menu[(seed + turn) % len(menu)]
         # with an even number of laws, each law would otherwise always be in the same arm
         shifted = turn + (turn // len(menu) if len(menu) % 2 == 0 else 0)
-        found.append(Case(here, slugs, look_alikes, arms[shifted % len(arms)] if slugs else ""))
+        found.append(Case(here, slugs, confounded, arms[shifted % len(arms)] if slugs else ""))
     order = np.random.default_rng([seed, 0x0DE2]).permutation(n)
     return [found[place] for place in order]
 

@@ -24,8 +24,8 @@ law, at a penalty of m^2 / t^2 if the errors of laws in that direction are N(0, 
 
     penalty = 1 / (1 / D + t^2 / m^2).
 
-For a look-alike of the effect, every error of its law has that direction. There t is the share that a free part of the
-law may have, 0.3, but no more than the readings would have shown: 10 over the effect's score. If the law is off, so
+For an effect confounded with it, every error of its law has that direction. There t is the share that a free part of
+the law may have, 0.3, but no more than the readings would have shown: 10 over the effect's score. If the law is off, so
 that a free part was kept, t is the share that this part may miss: an error of t scores t^2 times as much as the effect,
 and 5 is needed.
 
@@ -73,7 +73,7 @@ from cellapp.estimation.discovery.search.free_part import (
     LEAST_EVIDENCE,
     SHARES,
     FreePart,
-    are_look_alikes,
+    are_confounded,
     gain_beside_free_parts,
     possible_free_parts,
 )
@@ -336,8 +336,8 @@ class Families:
 
 
 _LIKE_A_RIVAL = CAUTIOUS_SHARE / 10.0
-"""Error of a law, as a share of its effect, in the direction of one given rival that is no look-alike. Laws hold to
-some 10 %, but an error has many directions (a hundred of equal variance), and the rival's is one of them."""
+"""Error of a law, as a share of its effect, in the direction of one given alternative that is not confounded. Laws
+hold to some 10 %, but an error has many directions (a hundred of equal variance), and the rival's is one of them."""
 _LIKE_ANOTHER = CAUTIOUS_SHARE / 2.0
 """Error of a law, as a share of its effect, that may look like another effect of the same variables with any values."""
 _ODDS_OUTSIDE = 1.0 / 9.0
@@ -415,7 +415,7 @@ def _penalty(own: Review, slug: str, rival: float, coordinates: float) -> float:
     if left <= 0.0:
         return 0.0
     error = _LIKE_A_RIVAL
-    if more > 0.0 and are_look_alikes(own.term.slug, slug):
+    if more > 0.0 and are_confounded(own.term.slug, slug):
         unseen = math.sqrt(LEAST_EVIDENCE / more) if own.term.modulations else SCORE_MARGIN / more
         error = max(error, min(SHARES[-1], unseen))
     return math.copysign(1.0 / (1.0 / (more - less) + error**2 * explained / left), own.score - rival)

@@ -351,7 +351,7 @@ def verdict(
     if risen:
         left = f"held-out errors did not fall; {left}"
     if nameless or risen or (not closed and rest):
-        found = f"{names} found{' (or a look-alike)' if ambiguous else ''}, but " if accepted else ""
+        found = f"{names} found{' (or one confounded with it)' if ambiguous else ''}, but " if accepted else ""
         return "unknown effect", f"{found}the library does not explain all of the error; {left}"
     if not accepted:
         return "nothing missing", left if closed else f"no effect found; {left}"

@@ -30,8 +30,8 @@ from cellapp.estimation.motion.identify import MotionFit, RecordedArm, held_out_
 from cellapp.estimation.motion.laws import Fading, JointLaws, JointTerm, Knee, Law, of_all_joints, state_in_motion
 from cellapp.estimation.motion.observe import residuals, whitening_filter
 from cellapp.estimation.motion.steps import (
+    CONFOUNDED,
     FREQUENCIES,
-    LOOK_ALIKES,
     ONLY_MOTION,
     SHOWN,
     MotionEffect,
@@ -472,7 +472,7 @@ class _Search:
             if judged is None:
                 continue
             if (_AS_WELL if step.law in ONLY_MOTION else 1.0) * judged.heldout_mm < state.heldout_mm:
-                rivals = [one.log_p for _, _, one in likely if {one.law, step.law} == set(LOOK_ALIKES)]
+                rivals = [one.log_p for _, _, one in likely if {one.law, step.law} == set(CONFOUNDED)]
                 return judged, replace(step, after_mm=judged.heldout_mm, rival=min(rivals, default=math.inf))
         return None
 

@@ -29,7 +29,7 @@ _AS_WELL = 0.5 * SHOWN
 """Standard errors for a joint beside another one that clearly has the effect."""
 _OF_GEARS = (Law.PLAY, Law.WINDUP, Law.COMPLIANCE)
 """Laws that all joints of an arm probably have if one has them."""
-LOOK_ALIKES = (Law.PLAY, Law.WINDUP)
+CONFOUNDED = (Law.PLAY, Law.WINDUP)
 """Laws that move a joint alike if its load hardly changes."""
 _LEAST = 1e-300
 _LEAST_LOG = math.log(_LEAST)
@@ -114,7 +114,7 @@ class MotionEffect:
 @dataclass(frozen=True)
 class Step:
     """A step of the search: its terms, chi-square, log probability of as large a value by chance, and held-out errors
-    before and after; ``rival`` is the log probability of the best look-alike law."""
+    before and after; ``rival`` is the log probability of the best confounded law."""
 
     law: Law | MotionLaw
     terms: tuple[JointTerm, ...]
@@ -334,9 +334,9 @@ def is_improbable(state: State, step: Step) -> bool:
 
 
 def _odds(steps: Sequence[Step], law: Law | MotionLaw) -> float:
-    """Return the probability of a law against its look-alike, at even prior odds, by the evidence of either; 1 if both
-    entered or there is no look-alike."""
-    if law not in LOOK_ALIKES or all(has(steps, one) for one in LOOK_ALIKES):
+    """Return the probability of a law against the one confounded with it, at even prior odds, by the evidence of
+    either; 1 if both entered or none is confounded."""
+    if law not in CONFOUNDED or all(has(steps, one) for one in CONFOUNDED):
         return 1.0
     first = next(step for step in steps if step.law is law)
     return float(scipy.special.expit(first.rival - first.log_p))

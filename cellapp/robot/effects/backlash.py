@@ -74,7 +74,7 @@ class Backlash(Effect):
 
     Size: strain-wave gears are specified in arc minutes of lost motion (sourced), h some 10 to 150 µrad; 40 µrad are
     25 to 55 µm at a UR10's flange. 90 % visible with stops approached from both sides; from one side only it hides in
-    the joint zero. Look-alikes: unsettled measurement where sign and step are correlated, friction wind-up.
+    the joint zero. Confounded: unsettled measurement where sign and step are correlated, friction wind-up.
     """
 
     slug = "backlash"
@@ -93,7 +93,7 @@ class Backlash(Effect):
           not.
         settle: Record approach signs, or import with --in-order."""
     )
-    look_alikes = ("friction_windup", "unsettled_measurement")
+    confounded = ("friction_windup", "unsettled_measurement")
     impossible = ImpossibleValues(
         sign="backlash of the opposite sign", sign_check="check the approach convention of the readings"
     )
@@ -191,7 +191,7 @@ class FrictionWindup(Effect):
         As ``both``, with a part of either that changes over the last motion as that of backlash does.
 
     Size: 1e-4 rad at 50 Nm (2e-6 rad/Nm) are 50 to 130 µm at a UR10's flange (estimate, not sourced). 80 % visible with
-    stops approached from both sides under different loads. Look-alikes: backlash (0.7 of what is visible; a payload
+    stops approached from both sides under different loads. Confounded: backlash (0.7 of what is visible; a payload
     change distinguishes them), unsettled measurement.
     """
 
@@ -209,7 +209,7 @@ class FrictionWindup(Effect):
         settle: Push at the link with drives on and a dial gauge on it: play gives way at once, dry friction in
           proportion to the force."""
     )
-    look_alikes = ("backlash", "unsettled_measurement")
+    confounded = ("backlash", "unsettled_measurement")
     impossible = ImpossibleValues(
         sign="friction wind-up of the opposite sign",
         sign_check="check the approach convention of the readings",

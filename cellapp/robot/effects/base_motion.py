@@ -79,7 +79,7 @@ class BaseDrift(Effect):
 
     Drift of the tracker is the same in one arm's readings: fixed nests, or the other arm, distinguish them.
     Size: 10 to 50 µm (estimate); a tracker of this class errs by tenths of a millimetre in its first two hours
-    (published), 10 to 40 µm after (estimate). 49 % visible when linear, 22 % when warming up. Look-alikes: thermal
+    (published), 10 to 40 µm after (estimate). 49 % visible when linear, 22 % when warming up. Confounded: thermal
     growth, a step of the base, joint drift.
     """
 
@@ -96,7 +96,7 @@ class BaseDrift(Effect):
         settle: Measure four fixed nests every 20 stops: if they move, it is the tracker.
         settle: Measure both arms by turns: what both share is the tracker's."""
     )
-    look_alikes = ("base_step", "thermal_growth", "joint_drift")
+    confounded = ("base_step", "thermal_growth", "joint_drift")
     variables = frozenset({InputVariable.TIME})
     forms = (LINEAR_FORM, WARM_UP_FORM, QUADRATIC, WANDERING, WANDERING_IN_ORDER)
     discrepancy_inputs = (TermInput(Quantity.TIME),)
@@ -141,7 +141,7 @@ class BaseStep(OnsetEffect):
     """The base slips: twist ``(d, w)`` of the base frame after an onset, shift d [m] and rotation w [rad] as for drift.
 
     Onsets between readings are searched, none of them with fewer than 8 readings before or after it. A tracker that was
-    displaced looks the same in one arm's readings. Size: 10 to 50 µm (estimate); 61 % visible. Look-alikes: drift of
+    displaced looks the same in one arm's readings. Size: 10 to 50 µm (estimate); 61 % visible. Confounded: drift of
     the base (0.5 to 0.6), slip of the target.
     """
 
@@ -156,7 +156,7 @@ class BaseStep(OnsetEffect):
         settle: Measure the fixed nests again: if they moved, it was the tracker.
         settle: Repeat five of the first stops: a step stays, a drift goes on."""
     )
-    look_alikes = ("base_drift", "thermal_growth", "target_slip", "joint_drift")
+    confounded = ("base_drift", "thermal_growth", "target_slip", "joint_drift")
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Six columns; after the onset where the time is unknown."""

@@ -1,8 +1,9 @@
 """Base class of all effects: their declarations and columns.
 
 An effect is one subclass of ``Effect`` in one file, and one line in ``registry``. It declares its words, the variables
-it depends on, its look-alikes and the forms of its law; it computes columns that are linear in its parameters.
-Joint offsets enter the chain exactly; all other places move the SMR by less than a millimetre and enter linearly.
+it depends on, what it is confounded with and the forms of its law; it computes columns that are linear in its
+parameters. Joint offsets enter the chain exactly; all other places move the SMR by less than a millimetre and enter
+linearly.
 """
 
 from __future__ import annotations
@@ -138,7 +139,7 @@ class Effect(ABC):
     """Name in reports."""
     meaning: ClassVar[Meaning]
     """Cause, usual size, what to check and what would settle it."""
-    look_alikes: ClassVar[tuple[str, ...]] = ()
+    confounded: ClassVar[tuple[str, ...]] = ()
     """Slugs of effects that data may not distinguish from it."""
     variables: ClassVar[frozenset[InputVariable]]
     """What it depends on."""

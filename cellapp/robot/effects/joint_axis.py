@@ -58,7 +58,7 @@ class JointAxisWobble(Effect):
     x and y are those of the D-H frame before the joint, both perpendicular to its axis; the tilt is about the frame's
     origin, and moves everything beyond the joint. With ``joint_axis_runout`` and errors of the angle itself these are
     the six error motions of a rotary axis (ISO 230-7). Size: 5 to 20 µrad, 5 to 25 µm (estimate, not sourced); 79 %
-    visible, with most of a turn of the joint. Look-alikes: run-out of the same axis, as the lever to the target
+    visible, with most of a turn of the joint. Confounded: run-out of the same axis, as the lever to the target
     distinguishes them; slightly, two cycles per revolution of a neighbouring joint. Where the axis of the joint before
     meets this one at a right angle, an error of that joint that depends on this joint's angle is the same motion.
     """
@@ -75,7 +75,7 @@ class JointAxisWobble(Effect):
         settle: Move {place} alone through a whole revolution, stretched and folded: a tilt grows with the distance from
           the axis."""
     )
-    look_alikes = ("joint_axis_runout", "transmission_error")
+    confounded = ("joint_axis_runout", "transmission_error")
     variables = frozenset({InputVariable.JOINT_ANGLE})
     forms = (TWICE, HARMONICS, _SMOOTH_TILT)
     discrepancy_inputs = (TermInput(Quantity.JOINT_ANGLE),)
@@ -162,7 +162,7 @@ class JointAxisRunout(Effect):
     The law ``smooth`` has all n from 1 to ``cycles`` under a prior; it is not scanned.
 
     Size: 10 to 50 µm for bearings of this size, 8 to 27 µm on a real UR10 (measured); some 80 % visible, with
-    most of a turn of the joint. Look-alikes: wobble of the same axis, as only the lever to the target distinguishes
+    most of a turn of the joint. Confounded: wobble of the same axis, as only the lever to the target distinguishes
     them; errors of the angle, where the arm beyond the joint hardly moves.
     """
 
@@ -176,7 +176,7 @@ class JointAxisRunout(Effect):
         check: Check that the bolts of the bearing ring of {place} are tightened evenly.
         settle: Move {place} alone through a whole revolution, folded and stretched: a run-out stays the same."""
     )
-    look_alikes = ("joint_axis_wobble", "transmission_error", "encoder_eccentricity")
+    confounded = ("joint_axis_wobble", "transmission_error", "encoder_eccentricity")
     variables = frozenset({InputVariable.JOINT_ANGLE})
     forms = (RUNOUT, _SMOOTH_SHIFT)
     discrepancy_inputs = (TermInput(Quantity.JOINT_ANGLE),)

@@ -61,7 +61,7 @@ class JointCompliance(Effect):
 
     Size: strain-wave drives of this class have K = 1e4 to 1e5 Nm/rad (Harmonic Drive CSG catalogue, ratio 1:50,
     sourced); times the torques of a UR10, 1 to 3 mm at its flange (computed). Visible with a range of q2, q3; a payload
-    change distinguishes it from errors of the masses. Look-alikes: a bending link (nearly the same), one cycle per
+    change distinguishes it from errors of the masses. Confounded: a bending link (nearly the same), one cycle per
     revolution (0.8 of what is visible), tilting pedestal.
     """
 
@@ -80,7 +80,7 @@ class JointCompliance(Effect):
         settle: Log motor-side and output-side encoders: compliance shows in their difference, bending of a link does
           not."""
     )
-    look_alikes = ("link_bending", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
+    confounded = ("link_bending", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
     impossible = ImpossibleValues(
         sign="negative stiffness",
         sign_check="check masses, direction of gravity and mounting",
@@ -132,7 +132,7 @@ class PayloadCompliance(Effect):
     The deflection that comes and goes with the load in the gripper, of an arm whose own weight was calibrated away or
     is compensated by its controller. Size: 10 kg on a UR10 add 135 Nm at joint 2, 1.4 to 3.4 mm at the flange; 5 kg on
     a UR5 0.5 to 1.2 mm (computed from makers' tables and catalogue stiffness). Visible only where the payload varies;
-    the same poses with two payloads separate it from all geometry. Look-alikes: joint compliance (the arm's own weight
+    the same poses with two payloads separate it from all geometry. Confounded: joint compliance (the arm's own weight
     as well), a bending link.
     """
 
@@ -148,7 +148,7 @@ class PayloadCompliance(Effect):
         check: If the value is much above the other arm's, check the bolts at the gearbox of {place}.
         settle: Measure the same 10 poses empty and with two payloads."""
     )
-    look_alikes = ("joint_compliance", "link_bending")
+    confounded = ("joint_compliance", "link_bending")
     impossible = ImpossibleValues(
         sign="negative stiffness under the payload",
         sign_check="check the payloads of the readings and the direction of gravity",

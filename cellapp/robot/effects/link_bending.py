@@ -57,7 +57,7 @@ class LinkBending(Effect):
     In all of them shear, ``shift = F_perp L / (k G A)`` [1/N] (Timoshenko), may refine the bending of a link: short
     wide tubes with openings show it.
 
-    Size: EI of 1e5 N m^2 (estimate) gives 0.2 to 0.4 mm on a UR10, 0.1 mm on a UR5. 54 % visible. Look-alikes: joint
+    Size: EI of 1e5 N m^2 (estimate) gives 0.2 to 0.4 mm on a UR10, 0.1 mm on a UR5. 54 % visible. Confounded: joint
     compliance explains 0.99 of what is visible, 0.96 with two payloads; readings of both encoders of a joint
     distinguish them, as the second shows compliance only.
     """
@@ -74,7 +74,7 @@ class LinkBending(Effect):
         settle: Log motor-side and output-side encoders: bending does not show there.
         settle: Repeat 20 stops near zero and near the rated load."""
     )
-    look_alikes = ("joint_compliance", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
+    confounded = ("joint_compliance", "payload_compliance", "encoder_eccentricity", "pedestal_compliance")
     impossible = ImpossibleValues(
         sign="a link that bends upwards under its load",
         sign_check="check masses, direction of gravity and mounting",

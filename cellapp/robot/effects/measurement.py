@@ -63,7 +63,7 @@ class TrackerScale(Effect):
         check: Check the tracker on a scale bar.
         settle: Measure a calibrated scale bar or two nests of known distance: the arm alone cannot show a scale."""
     )
-    look_alikes = ("thermal_growth", "tracker_distance_offset")
+    confounded = ("thermal_growth", "tracker_distance_offset")
     variables = frozenset({InputVariable.BEAM, InputVariable.AIR_TEMPERATURE})
     forms = (PLAIN_SCALE, AIR_SCALE)
     discrepancy_inputs = (TermInput(Quantity.RANGE), TermInput(Quantity.TEMPERATURE))
@@ -89,7 +89,7 @@ class TrackerDistanceOffset(Effect):
 
     Home distance or the absolute distance meter's zero: permissible errors are 5 and 10 µm for a tracker of this class
     (maker's manual). Only 12 % is visible, the rest is a shift of the base: short and long distances, or the target
-    between two stations, show it. Look-alikes: errors of the tracker's angles (0.9).
+    between two stations, show it. Confounded: errors of the tracker's angles (0.9).
     """
 
     slug = "tracker_distance_offset"
@@ -102,7 +102,7 @@ class TrackerDistanceOffset(Effect):
         check: Set the distance at the home point again and run the tracker's own check of its zero.
         settle: Measure a target between two stations of the tracker, or stops near and far."""
     )
-    look_alikes = ("tracker_angle_error", "pedestal_compliance", "target_incidence")
+    confounded = ("tracker_angle_error", "pedestal_compliance", "target_incidence")
     variables = frozenset({InputVariable.BEAM})
     forms = (LawForm("", "the same at any distance"),)
     discrepancy_inputs = (TermInput(Quantity.RANGE),)
@@ -118,7 +118,7 @@ class TrackerAngleError(Effect):
 
     Eccentricity and runout of the graduated circles; amplitudes in rad. Across the beam, azimuth moves the point by
     ``rho cos el d_az``, elevation by ``rho d_el``. Even orders survive two-face averaging (published). Size: half of
-    the permissible 15 µm + 6 µm/m is typical (maker's manual). 23 % is visible from one station. Look-alikes: the zero
+    the permissible 15 µm + 6 µm/m is typical (maker's manual). 23 % is visible from one station. Confounded: the zero
     of the distance, joint compliance; a second station, or both faces, distinguish them.
     """
 
@@ -134,7 +134,7 @@ class TrackerAngleError(Effect):
         settle: Measure 10 stops in both faces: odd orders change sign, even orders stay.
         settle: Measure the same stops from a second station."""
     )
-    look_alikes = ("tracker_distance_offset", "pedestal_compliance", "joint_compliance")
+    confounded = ("tracker_distance_offset", "pedestal_compliance", "joint_compliance")
     variables = frozenset({InputVariable.BEAM})
     forms = (LawForm("orders", "one and two cycles per revolution of either angle"),)
     discrepancy_inputs = (TermInput(Quantity.AZIMUTH), TermInput(Quantity.ELEVATION))
@@ -181,7 +181,7 @@ class TargetSlip(OnsetEffect):
     orientation was measured, also turns by ``w`` [rad] about them.
 
     Onsets between readings are searched, none of them with fewer than 8 readings before or after it. Size: 20 to 200 µm
-    (estimate); 59 % visible, as it rotates with the wrist. Look-alikes: no close one; a step of the base where the
+    (estimate); 59 % visible, as it rotates with the wrist. Confounded: no close one; a step of the base where the
     wrist hardly rotates.
     """
 
@@ -195,7 +195,7 @@ class TargetSlip(OnsetEffect):
         check: Look in the log for a collision of the tool at that time.
         settle: Revisit one of the first poses at two rolls of the wrist: a slipped target rotates with it."""
     )
-    look_alikes = ("base_step",)
+    confounded = ("base_step",)
 
     def columns(self, context: EffectContext, law: Law, names: Collection[str] | None = None) -> list[EffectColumn]:
         """Three columns, six of a probe; after the onset where the time is unknown."""
@@ -225,7 +225,7 @@ class TargetIncidence(Effect):
         beam in the plane of incidence, l in m: dihedral errors of the three mirrors.
 
     Size: 2 to 20 µm, more for glass prisms (makers' notes on both; the sizes are an estimate). 43 % visible, the rest
-    is an SMR offset. Visible with the same point at several wrist rolls. Look-alikes: none close once wrists rotate.
+    is an SMR offset. Visible with the same point at several wrist rolls. Confounded: none close once wrists rotate.
     """
 
     slug = "target_incidence"
@@ -239,7 +239,7 @@ class TargetIncidence(Effect):
         check: Mount the reflector so that it faces the tracker in the middle of the work.
         settle: Measure one point at six rolls of the wrist, and with the SMR rotated by 90 degrees in its mount."""
     )
-    look_alikes = ("tracker_distance_offset",)
+    confounded = ("tracker_distance_offset",)
     variables = frozenset({InputVariable.INCIDENCE})
     forms = (RADIAL, LATERAL)
     discrepancy_inputs = (TermInput(Quantity.INCIDENCE),)
@@ -298,7 +298,7 @@ class UnsettledMeasurement(Effect):
         An unknown dwell counts as the run's median.
 
     Size: 5e-5 of a move of 1 rad are 30 to 70 µm at a UR10's flange (estimate, not sourced). 91 % visible where step
-    and sign of the last motion are not correlated. Bounds allow overshoot as well, a negative lag. Look-alikes:
+    and sign of the last motion are not correlated. Bounds allow overshoot as well, a negative lag. Confounded:
     backlash (0.6 where sign and step are correlated), friction wind-up. A longer dwell proves it.
     """
 
@@ -314,7 +314,7 @@ class UnsettledMeasurement(Effect):
         settle: Vary the dwell from 0.5 to 10 s at random.
         settle: Read the same stop again 5 s later."""
     )
-    look_alikes = ("backlash", "friction_windup")
+    confounded = ("backlash", "friction_windup")
     variables = frozenset({InputVariable.STEP, InputVariable.DWELL})
     forms = (STEP, CREEP)
     discrepancy_inputs = (

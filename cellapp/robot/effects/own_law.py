@@ -126,7 +126,7 @@ def own_law(
     title: str,
     *,
     acts_on: LawActsOn = "joints",
-    look_alikes: tuple[str, ...] = (),
+    confounded: tuple[str, ...] = (),
     check: tuple[str, ...] = (),
     size: str = "not stated",
     **parameters: Linear | Tuned,
@@ -146,7 +146,7 @@ def own_law(
         law = _Declared(function, acts_on, parameters)
         law.check()
         name = re.sub("(?:^|_)([a-z])", lambda found: found[1].upper(), law.slug)
-        return type(name, (_OwnEffect,), law.declarations(title, look_alikes, check, size))
+        return type(name, (_OwnEffect,), law.declarations(title, confounded, check, size))
 
     return made
 
@@ -231,7 +231,7 @@ class _Declared:
         return bool(_SPEEDS & set(self.taken))
 
     def declarations(
-        self, title: str, look_alikes: tuple[str, ...], check: tuple[str, ...], size: str
+        self, title: str, confounded: tuple[str, ...], check: tuple[str, ...], size: str
     ) -> dict[str, Any]:
         """Attributes of the effect's class."""
         said = " ".join((inspect.getdoc(self.function) or f"{title} at {{place}}").split())
@@ -247,7 +247,7 @@ class _Declared:
             "slug": self.slug,
             "title": title,
             "meaning": Meaning(said, size, "estimate", check, ()),
-            "look_alikes": look_alikes,
+            "confounded": confounded,
             "variables": frozenset(QUANTITIES[name].variable for name in self.taken),
             "forms": (LawForm("own", f"as the law {self.slug} says", tuple(constants)),),
             "declared": self,

@@ -52,7 +52,7 @@ class PedestalCompliance(Effect):
         below the base [rad/N, m/N].
 
     Size: 2e6 Nm/rad under 127 Nm is 60 µrad, 70 to 140 µm on a UR10 (stiffness is an estimate, moment computed). 36 %
-    visible. Look-alikes: joint compliance (0.7 to 0.8), a bending link (0.6); an SMR on the pedestal shows it directly.
+    visible. Confounded: joint compliance (0.7 to 0.8), a bending link (0.6); an SMR on the pedestal shows it directly.
     """
 
     slug = "pedestal_compliance"
@@ -64,7 +64,7 @@ class PedestalCompliance(Effect):
         check: Check that each levelling foot carries load.
         settle: Measure an SMR on top of the pedestal with the arm stretched to four sides."""
     )
-    look_alikes = ("joint_compliance", "link_bending", "transmission_error", "tracker_angle_error")
+    confounded = ("joint_compliance", "link_bending", "transmission_error", "tracker_angle_error")
     impossible = ImpossibleValues(
         sign="a pedestal that tilts away from the load",
         sign_check="check masses, direction of gravity and mounting",
@@ -136,7 +136,7 @@ class PedestalCoupling(Effect):
         The base also shifts along x, y, z [m/Nm].
 
     Size: 57 Nm of a UR5 are 28 µrad, 25 to 40 µm on a UR10; the UR10's moves the UR5 by 50 to 100 µm (stiffness is an
-    estimate). 98 % visible where the other arm moves independently, nothing where it is parked. Look-alikes: none; a
+    estimate). 98 % visible where the other arm moves independently, nothing where it is parked. Confounded: none; a
     step of the base where the other arm is parked at a few poses in turn.
     """
 
@@ -149,7 +149,7 @@ class PedestalCoupling(Effect):
         check: Park the other arm in the pose of the calibration where accuracy matters.
         settle: Move the other arm at random between stops, and log its joints."""
     )
-    look_alikes = ("base_step", "base_drift")
+    confounded = ("base_step", "base_drift")
     variables = frozenset({InputVariable.OTHER_ARM})
     forms = (OTHER_ISOTROPIC, OTHER_TILT, OTHER_GENERAL)
     discrepancy_inputs = (TermInput(Quantity.OTHER_JOINT_ANGLE),)

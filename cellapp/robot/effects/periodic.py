@@ -65,7 +65,7 @@ class EncoderEccentricity(Effect):
     110 µm at a UR10's flange (estimate, not sourced). A gear's first-order error has exactly this shape; only a second
     encoder distinguishes them. Visible with most of a turn of the joint; geometry takes some 40 % of it. A disc that is
     tilted by t, too, looks elliptic to its head: two cycles of ``tan^2(t / 2)`` beside (``tilted``, of recordings).
-    Look-alikes: joint compliance, two cycles per revolution over a small range.
+    Confounded: joint compliance, two cycles per revolution over a small range.
     """
 
     slug = "encoder_eccentricity"
@@ -80,7 +80,7 @@ class EncoderEccentricity(Effect):
         settle: Move {place} alone through a whole revolution in steps of 10 degrees.
         settle: Log both encoders of {place}: an eccentric disc shows in one only."""
     )
-    look_alikes = ("joint_compliance", "transmission_error")
+    confounded = ("joint_compliance", "transmission_error")
     variables = frozenset({InputVariable.JOINT_ANGLE})
     forms = (ONE, ONE_SMOOTH, TILTED)
 
@@ -124,7 +124,7 @@ class TransmissionError(Effect):
 
     Size: 20 to 80 µrad, 13 to 80 µm at a UR10's flange (estimate; the spectrum with its components at flexspline, wave
     generator and tooth frequency is published). Two cycles: 79 % visible; many cycles: 99 %, once the cycle count is
-    right, else it passes for noise. Look-alikes: eccentricity for two cycles over a small range, else nothing smooth.
+    right, else it passes for noise. Confounded: eccentricity for two cycles over a small range, else nothing smooth.
     """
 
     slug = "transmission_error"
@@ -141,7 +141,7 @@ class TransmissionError(Effect):
         settle: Add stops over a whole revolution of {place}.
         settle: Read the encoders with all their digits."""
     )
-    look_alikes = ("encoder_eccentricity", "joint_axis_wobble", "joint_axis_runout")
+    confounded = ("encoder_eccentricity", "joint_axis_wobble", "joint_axis_runout")
     variables = frozenset({InputVariable.JOINT_ANGLE})
     forms = (TWO, LINES, GEAR, CURVE)
     discrepancy_inputs = (TermInput(Quantity.JOINT_ANGLE),)

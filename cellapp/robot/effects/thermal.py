@@ -101,7 +101,7 @@ class ThermalGrowth(Effect):
 
     Size: aluminium 23e-6 1/K times 0.61 m times 5 to 10 K are 70 to 140 µm a link (computed); drift of an IRB1200 was
     removed to 90 % by a temperature model (published). Only 27 % is visible, as the constant part is a link length.
-    Visible with stretched and folded stops throughout the run. Look-alikes: drift of the base (0.4 to 0.6), joint
+    Visible with stretched and folded stops throughout the run. Confounded: drift of the base (0.4 to 0.6), joint
     drift; uniform growth at one moment is a scale of the tracker.
     """
 
@@ -117,7 +117,7 @@ class ThermalGrowth(Effect):
         settle: Measure one stretched and one folded reference pose, and fixed nests, every 20 stops.
         settle: Continue while the cell cools down."""
     )
-    look_alikes = ("base_drift", "joint_drift", "base_step", "tracker_scale")
+    confounded = ("base_drift", "joint_drift", "base_step", "tracker_scale")
     impossible = ImpossibleValues(
         sign="links that shrink as they warm up",
         sign_check="check which temperatures the readings state",
@@ -241,7 +241,7 @@ class JointDrift(Effect):
         Half cycles ``cos(i pi f)`` of each joint, i = 1 to 12, small by prior, the more so the faster (1 / i).
 
     Size: 20 to 50 µrad, 15 to 70 µm at a UR10's flange (estimate, not sourced). Visible where poses and time are not
-    correlated. Look-alikes: drift of the base, thermal growth. Joint temperatures, and cooling down, distinguish them.
+    correlated. Confounded: drift of the base, thermal growth. Joint temperatures, and cooling down, distinguish them.
     """
 
     slug = "joint_drift"
@@ -257,7 +257,7 @@ class JointDrift(Effect):
         settle: Measure a reference pose every 20 stops, while the cell cools down, too.
         settle: Measure fixed nests every 20 stops: a drift of the tracker shows in all of them."""
     )
-    look_alikes = ("base_drift", "thermal_growth", "base_step")
+    confounded = ("base_drift", "thermal_growth", "base_step")
     variables = _OF_TIME | _OF_AIR | _OF_JOINTS
     forms = (LINEAR_FORM, WARM_UP_FORM, ZERO_BY_TEMPERATURE, WANDERING)
     discrepancy_inputs = (TermInput(Quantity.TIME), TermInput(Quantity.TEMPERATURE))

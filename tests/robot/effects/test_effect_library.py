@@ -80,7 +80,7 @@ def test_the_vocabulary_is_complete_and_in_order():
     for slug, effect in EFFECTS.items():
         assert effect.slug == slug
         assert effect.title
-        assert set(effect.look_alikes) <= set(EFFECTS) - {slug}
+        assert set(effect.confounded) <= set(EFFECTS) - {slug}
         assert slug == "unknown" or effect.variables
 
 

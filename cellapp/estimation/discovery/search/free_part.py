@@ -175,26 +175,27 @@ def without_free_parts(terms: ModelTerms) -> ModelTerms:
     return tuple(replace(term, modulations=(), modulation_sd=()) for term in terms)
 
 
-def may_be_left_by_a_look_alike(state: SearchState, step: SearchStep) -> bool:
-    """Return whether the free part of a look-alike in the model explains about as much as the new name of a step.
+def may_stand_for_confounded(state: SearchState, step: SearchStep) -> bool:
+    """Return whether the free part of a confounded effect in the model explains about as much as the new name of a
+    step.
 
-    The residual of a law looks most like its look-alikes.
+    The residual of a law looks most like what it is confounded with.
     """
     fit = state.fit
     if step.slug in state.slugs:
         return False
-    of_look_alikes = (
+    of_confounded = (
         possible_free_parts(state.data, fit, number)
         for number, term in enumerate(fit.terms)
-        if term.effect is not None and not term.modulations and are_look_alikes(step.slug, term.effect.slug)
+        if term.effect is not None and not term.modulations and are_confounded(step.slug, term.effect.slug)
     )
     needed = step.score - SCORE_MARGIN
-    return any(parts and _best_shares(fit, fit.projector, parts)[1] > needed for parts in of_look_alikes)
+    return any(parts and _best_shares(fit, fit.projector, parts)[1] > needed for parts in of_confounded)
 
 
-def are_look_alikes(first: str, second: str) -> bool:
-    """Return whether one of two effects is declared as a look-alike of the other."""
-    return first in EFFECTS[second].look_alikes or second in EFFECTS[first].look_alikes
+def are_confounded(first: str, second: str) -> bool:
+    """Return whether one of two effects is declared as confounded with the other."""
+    return first in EFFECTS[second].confounded or second in EFFECTS[first].confounded
 
 
 def _free_terms(state: SearchState) -> tuple[ModelTerm, ...]:

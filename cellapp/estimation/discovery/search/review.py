@@ -135,9 +135,9 @@ def review(problem: SearchProblem, state: SearchState, number: int) -> Review:
 
 
 def _contained(problem: SearchProblem, state: SearchState, number: int) -> list[RunnerUp]:
-    """Find look-alikes that may hide in a term: in place of columns of the same shape, or of its free part.
+    """Find confounded effects that may hide in a term: in place of columns of the same shape, or of its free part.
 
-    Dry friction and play move a joint alike, and the residual of a law may be its look-alike. Such an effect may be
+    Dry friction and play move a joint alike, and the residual of a law may look like the other. Such an effect may be
     present beside the named one if, beside the rest of the law, it scores about as much as what it replaces.
     """
     fit, term = state.fit, state.fit.terms[number]
@@ -146,7 +146,7 @@ def _contained(problem: SearchProblem, state: SearchState, number: int) -> list[
     target, own = fit.residual_without(number).residual, fit.layout.parameters(number)
     of_law = slice(own.start, own.start + len(term.names))
     found = []
-    for slug in EFFECTS[term.slug].look_alikes:
+    for slug in EFFECTS[term.slug].confounded:
         laws = [] if slug in state.slugs else fit.candidates(state.data, [slug])
         if not laws:
             continue
@@ -236,12 +236,13 @@ def _contradiction(problem: SearchProblem, state: SearchState) -> SearchStep | N
 
 
 def _left_over(state: SearchState, score: LawScore) -> bool:
-    """Return whether a named look-alike explains far more: an impossible law beside it is only that law's residual."""
+    """Return whether a named confounded effect explains far more: an impossible law beside it is only that law's
+    residual."""
     explained = score.explained_share * state.fit.projected_residual.square
     return any(
         explained < SAME_CAUSE * state.fit.removed_square(number)
         for number, term in enumerate(state.fit.terms)
-        if term.is_library_effect and score.slug in EFFECTS[term.slug].look_alikes
+        if term.is_library_effect and score.slug in EFFECTS[term.slug].confounded
     )
 
 

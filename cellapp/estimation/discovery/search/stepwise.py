@@ -47,9 +47,9 @@ from cellapp.estimation.discovery.search.data_driven import (
     without_imitations,
 )
 from cellapp.estimation.discovery.search.free_part import (
-    are_look_alikes,
+    are_confounded,
     explains_beside_free_parts,
-    may_be_left_by_a_look_alike,
+    may_stand_for_confounded,
     with_free_parts,
     without_free_parts,
 )
@@ -107,7 +107,7 @@ def addition(problem: SearchProblem, state: SearchState, score: LawScore) -> Sea
 
 
 def _is_remainder(state: SearchState, score: LawScore) -> bool:
-    """Return whether a law probably explains only the imperfection of a far larger look-alike's law."""
+    """Return whether a law probably explains only the imperfection of the law of a far larger confounded effect."""
     if not floor_reached(state):
         return False
     fit = state.fit
@@ -115,7 +115,7 @@ def _is_remainder(state: SearchState, score: LawScore) -> bool:
     return any(
         explained < _REMAINDER**2 * fit.removed_square(number)
         for number, term in enumerate(fit.terms)
-        if term.effect is not None and are_look_alikes(score.slug, term.effect.slug)
+        if term.effect is not None and are_confounded(score.slug, term.effect.slug)
     )
 
 
@@ -421,7 +421,7 @@ def _with_library_effects(
         if _beats_all_names(problem, before_names, state, _CLEARLY):
             break
         step = _next_step(problem, state, refused, refining=refining)
-        if step is None or (not freed and may_be_left_by_a_look_alike(state, step)):
+        if step is None or (not freed and may_stand_for_confounded(state, step)):
             free = None if freed else problem.tried("free parts of laws", partial(with_free_parts, problem, state))
             if free is not None:  # the free parts hold the errors of the laws: search once more
                 state.give_up_scan()
