@@ -94,8 +94,8 @@ def _path(profile: Profile, name: str, start: Vector, end: Vector) -> str:
         return f"stays at {_degrees(end)}"
     joint = int(step.argmax())
     words = (
-        f"from {_degrees(start)} to {_degrees(end)}; joint {joint + 1} turns farthest, by {np.degrees(step[joint]):.1f}"
-        " deg"
+        f"from {_degrees(start)} to {_degrees(end)}; joint {joint + 1} rotates farthest, by"
+        f" {np.degrees(step[joint]):.1f} deg"
     )
     arm = profile.arms[name]
     if arm.base is None:

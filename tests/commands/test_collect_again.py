@@ -157,7 +157,7 @@ def test_the_first_path_in_words(real: Profile) -> None:
     title, left, right, speed = first_path_words(real, start, {"left": target}).splitlines()
     assert title.startswith("First motion")
     assert "arm left: from (" in left
-    assert "joint 3 turns farthest, by 45.0 deg" in left
+    assert "joint 3 rotates farthest, by 45.0 deg" in left
     assert "m in the cell" in left
     assert "arm right: stays at (" in right
     assert "20% of the profile's speed" in speed

@@ -417,7 +417,7 @@ def test_runs_are_scored_as_approved() -> None:
     said = []
     for line in commands_of(SCORES):
         run = scored(line)
-        said += [f"$ {line}", f"{run.outcome}{', in the answer set' if run.in_answer_set else ''}"]
+        said += [f"$ {line}", f"{run.outcome}{', among the alternatives' if run.in_answer_set else ''}"]
         said += [f"  description: {run.description or 'wrong'}"] if run.kind == "outside" else []
         said += [f"  second: {name}" for name in run.second_names]
     assert_approved(SCORES, "\n".join(said))

@@ -583,9 +583,9 @@ def propose_stops(
     selection = StopSelection(arms, poses, coupled or poses.gate is None, rng)
     chosen = selection.select(count, listener, cancel)
     if not chosen:
-        raise InputError("propose: the gate refused every candidate; make plan.clearance smaller, or move the bases")
+        raise InputError("propose: the motion check refused all candidates; reduce plan.clearance, or move the bases")
     if len(chosen) < count:
-        notes.append(f"only {len(chosen)} of {counted(count, 'stop')}: the gate refused the other candidates")
+        notes.append(f"only {len(chosen)} of {counted(count, 'stop')}: the motion check refused the other candidates")
     predictions: list[PredictedDiscrimination] = []
     advice = [words for name in model.arms for words in _unnamed_advice(name, found[name].result.unnamed)]
     taken = {arm.name: np.array([one.poses[k] for one in chosen], dtype=np.intp) for k, arm in enumerate(arms)}

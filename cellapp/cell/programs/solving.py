@@ -231,7 +231,7 @@ def _why_not(place: Workplace, q_old: Array, q_new: Array, residual: float) -> s
     rotation = np.abs(q_new - q_old)
     joint = int(rotation.argmax())
     if rotation[joint] > _LARGEST_ROTATION:
-        return f"singular posture: its correction would turn joint {joint + 1} by {np.degrees(rotation[joint]):.1f} deg"
+        return f"singular posture: its correction rotates joint {joint + 1} by {np.degrees(rotation[joint]):.1f} deg"
     if not residual < _RESIDUAL:
         return f"singular posture or edge of the reach: the calibrated arm stays {residual * 1e3:.3f} mm or mrad away"
     if not place.extrapolate and (joints := outside(q_new, place.measured)):
@@ -633,7 +633,7 @@ def _orientation(arm: ArmModel) -> str:
     """Describe what the readings determine of the flange's orientation."""
     text = (
         "orientation: readings of one point tell where the last joint's axis points, not how the flange sits on it:"
-        " its turn about that axis and its tilt"
+        " its rotation about that axis and its tilt"
     )
     last = arm.geometry.joints - 1
     places = [6 + 5 * last + place for place in (0, 3)]

@@ -553,7 +553,7 @@ def joint_faults(columns: Columns, limits: NDArray[np.float64], *, dated: bool =
     fast = np.quantile(speed, 0.95, axis=0)
     joint = int(np.argmax(fast))
     if fast[joint] > _FASTEST_RAD_S:
-        text = f"the joint turns at {fast[joint]:.3g} rad/s; expected radians and seconds; {_DEGREES}"
+        text = f"the joint rotates at {fast[joint]:.3g} rad/s; expected radians and seconds; {_DEGREES}"
         yield Implausible(None, f"q{joint + 1}", text)
     if float(np.ptp(q, axis=0).max()) < _REST_RAD:
         yield Implausible(None, "q1..", f"no joint moves by {_REST_RAD:g} rad; expected a recording of a motion")

@@ -334,7 +334,7 @@ def refusal(group: _Group, chosen: Chosen, row: int, missed: Mapping[str, str]) 
         if words := _singular(group.model.arms[name], best[name], found.q[row], reached=bool(found.reached[row])):
             return of + words
     solved = {name: found.q[row] for name, found in chosen.compensated.items()}
-    return refuse_stop(group.cell, {**group.homes, **solved}) or "the gate does not admit it"
+    return refuse_stop(group.cell, {**group.homes, **solved}) or "the motion check does not admit it"
 
 
 def missed_poses(geometry: Geometry, position_M: Array, rotation_M: Array, home: Array) -> list[str]:
@@ -392,4 +392,4 @@ def _singular(arm: ArmModel, nominal: Array, solved: Array, *, reached: bool) ->
     if not reached:
         return f"{where}, and the calibrated model does not reach it"
     worst = int(np.argmax(moved))
-    return f"{where}, and joint {worst + 1} would turn by {np.degrees(moved[worst]):.3g} deg"
+    return f"{where}, and joint {worst + 1} would rotate by {np.degrees(moved[worst]):.3g} deg"

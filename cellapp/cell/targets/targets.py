@@ -597,7 +597,7 @@ def frame_fault(nominal: Array, measured: Array) -> str:
         length, width = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[:2]
         if width <= _NARROWEST * length:
             return (
-                f"the {which} points lie on one line, so that the frame can turn about it; give a point at least"
+                f"the {which} points lie on one line, so that the frame can rotate about it; give a point at least"
                 f" {_NARROWEST:.0%} of their distance off that line"
             )
     return _disagreement(nominal, measured) or _reflection(nominal, measured)

@@ -124,7 +124,7 @@ def evidence_sentence(result: CheckResult) -> str:
 def change_sentence(change: FoundChange) -> str:
     """Say what changed, by how much, and how sure that is."""
     amount = "" if change.value is None else f" by {_amount(change)}"
-    rotated = "" if change.turned_mrad is None else f", and turns its probe by {change.turned_mrad:.3f} mrad,"
+    rotated = "" if change.turned_mrad is None else f", and rotates its probe by {change.turned_mrad:.3f} mrad,"
     return (
         f"{change.words}{amount}: it moves the SMR by {change.moved_mm:.3f} mm{rotated} rms over the calibration's"
         " readings"
@@ -190,7 +190,7 @@ def _change_table(result: CheckResult) -> Table:
         ("standard error", lambda one: _shown(one)[1], ".2g"),
         ("unit", lambda one: _shown(one)[2]),
         ("SMR moves [mm]", "moved_mm", ".3f"),
-        *((("probe turns [mrad]", "turned_mrad", ".3f"),) if any(one.turned_mrad for one in result.changes) else ()),
+        *((("probe rotates [mrad]", "turned_mrad", ".3f"),) if any(one.turned_mrad for one in result.changes) else ()),
         ("p", lambda one: _chance(one.p_value)),
         ("explains about as well", lambda one: ", ".join(one.rivals) or "nothing"),
     )

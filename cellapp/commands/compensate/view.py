@@ -98,7 +98,7 @@ def _plans(paths: list[PathRecord]) -> Table:
 
 def _reversals(paths: list[PathRecord]) -> Table:
     return table_of(
-        "Joints that turn round",
+        "Joints that reverse",
         [(path.name, one) for path in paths for one in path.reversals],
         ("path", lambda row: row[0]),
         ("joint", lambda row: row[1].joint, "d"),

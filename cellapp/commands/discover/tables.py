@@ -113,7 +113,7 @@ def accepted_table(name: str, arm: ArmDiscoveryResult) -> Table:
         ("without it", "evidence.heldout_mm.before", _MM, "mm"),
         ("with it", "evidence.heldout_mm.after", _MM, "mm"),
         ("beside its law", "law_misfit", ".0f", "%"),
-        ("answer set", lambda found: " or ".join(found.answer_set)),
+        ("alternatives", lambda found: " or ".join(found.answer_set)),
         ("most correlated with", lambda found: _correlated_words(found)),
     )
 
@@ -160,7 +160,7 @@ def _curve_row(where: str, band: CycleBand, moves_mm: float | None) -> tuple[Cel
     error = band.rms_standard_error_urad
     rms = Estimate(value=1e-6 * band.rms_urad, standard_error=None if error is None else 1e-6 * error, unit="rad")
     value, interval, unit = interval_95(rms)
-    return (where, "rms over a whole turn", value, interval, unit, moves_mm)
+    return (where, "rms over a revolution", value, interval, unit, moves_mm)
 
 
 def cycle_table(name: str, arm: ArmDiscoveryResult) -> Table:
@@ -171,7 +171,7 @@ def cycle_table(name: str, arm: ArmDiscoveryResult) -> Table:
         ("joint", lambda row: row[0]),
         ("cycles per revolution, middle 80 % of the power", lambda row: _range_of(row[1]), "d"),
         ("strongest", lambda row: row[1].peak, "d"),
-        ("rms over a whole turn", lambda row: row[1].rms_urad, ".0f", "µrad"),
+        ("rms over a revolution", lambda row: row[1].rms_urad, ".0f", "µrad"),
     )
 
 
@@ -194,9 +194,9 @@ def candidates_table(name: str, arm: ArmDiscoveryResult) -> Table:
 def structure_table(name: str, arm: ArmDiscoveryResult) -> Table:
     """Show tests of the final residuals for structure."""
     return table_of(
-        f"Arm {name}: structure of what is left",
+        f"Arm {name}: structure of the residuals",
         () if arm.structure is None else arm.structure.tests,
-        ("what is left, against", "against"),
+        ("residuals, against", "against"),
         ("p", "p_value", ".2g"),
     )
 

@@ -89,7 +89,7 @@ def rival_sentences(arm: ArmDiscoveryResult) -> list[str]:
         if rivals:
             sentences.append(
                 f"{' or '.join(rivals)} would explain these data as well as {found.effect}: the data cannot"
-                " distinguish them. The finding is the whole answer set."
+                " distinguish them. One of these alternatives is there."
             )
         if found.ruled_out:
             sentences.append(

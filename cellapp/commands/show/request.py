@@ -25,7 +25,7 @@ class ShowRequest(Request):
         Literal["info", "note", "warning", "error"] | None, Asked("With log: only lines of this level.", "WORD")
     ] = None
     last: Annotated[int | None, Field(ge=1), Asked("With log: the last N lines.", "N")] = None
-    check: Annotated[bool, Asked("With plan: run the safety gate over all stops and ways again.")] = False
+    check: Annotated[bool, Asked("With plan: run the motion check over all stops and ways again.")] = False
     forecast: Annotated[bool, Asked("With plan: time, joint ranges, expected errors, effects it can show.")] = False
     against: Annotated[
         Path | None, Asked("Where this run differs from another one: profile, parameters, errors, effects.", "DIR")

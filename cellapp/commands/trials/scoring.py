@@ -126,9 +126,9 @@ def _names(visible: Sequence[ScoredRun]) -> list[TargetScore | None]:
     alike = [run.outcome == "named" for run in several if run.look_alikes]
     return [
         _at_least("one", "visible: exactly its name", 0.97, [run.outcome == "named" for run in one], _ONE),
-        _at_least("one", "visible: truth in the answer set", 0.99, [bool(run.in_answer_set) for run in one]),
+        _at_least("one", "visible: truth among the alternatives", 0.99, [bool(run.in_answer_set) for run in one]),
         _at_least("pair, triple", "visible: exactly their names", 0.92, ordinary, _SEVERAL),
-        _at_least("pair", "visible look-alikes: exactly their names", 0.92, alike),
+        _at_least("pair", "visible, confounded: exactly their names", 0.92, alike),
     ]
 
 
@@ -138,7 +138,7 @@ def _outside(outside: Sequence[ScoredRun]) -> list[TargetScore | None]:
     described = [run.description == "right" for run in outside if run.visible]
     return [
         _at_least("outside", "visible: called unknown", 0.95, called, _OUTSIDE),
-        _at_least("outside", "visible: right channel and variables", 0.85, described, _OUTSIDE),
+        _at_least("outside", "visible: right place and variables", 0.85, described, _OUTSIDE),
     ]
 
 
@@ -158,7 +158,7 @@ def _errors(known: Sequence[ArmFindings]) -> list[TargetScore | None]:
     return [
         _at_least(
             "one, pair, triple",
-            "held out within 5 % of the drawn noise",
+            "held out within 5 % of the sampled noise",
             1.0,
             [found.to_drawn <= AT_FLOOR for found in known],
         ),
@@ -623,7 +623,7 @@ def judge_sentences(result: JudgeResult) -> list[str]:
     wall, cpu = result.seconds_an_arm, result.cpu_seconds_an_arm
     said = [
         f"Visible: {result.threshold}, each hidden effect alone; below: not so, which counts for the targets of"
-        " pairs and of the held-out error only. Held out: rms over that of the noise drawn at those stops, median and"
+        " pairs and of the held-out error only. Held out: rms over that of the noise sampled at those stops, median and"
         f" worst. Verdicts: {', '.join(f'{word[0].upper()} {word}' for word in VERDICTS)}."
     ]
     if wall is not None and cpu is not None:
@@ -689,7 +689,7 @@ def _posterior_table(score: PosteriorScore) -> Table:
 def _count_table(title: str, groups: Mapping[str, EffectCounts]) -> Table:
     """Show outcomes of runs that hide the same, separately for effects above and below the noise."""
     rows = [
-        (f"{name} (look-alikes){which}" if group.look_alikes else name + which, counts)
+        (f"{name} (confounded){which}" if group.look_alikes else name + which, counts)
         for name, group in groups.items()
         for which, counts in (("", group.visible), (", below", group.below))
         if counts.n
@@ -702,7 +702,7 @@ def _count_table(title: str, groups: Mapping[str, EffectCounts]) -> Table:
         ("n", lambda row: row[1].n, "d"),
         ("named", lambda row: row[1].named, "d"),
         ("otherwise", lambda row: _otherwise(row[1])),
-        ("in answer set", lambda row: row[1].in_answer_set, "d"),
+        ("among alternatives", lambda row: row[1].in_answer_set, "d"),
         *_END,
     )
 

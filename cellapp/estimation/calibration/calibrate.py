@@ -669,10 +669,10 @@ def undetermined_offset(name: str, found: Identification) -> list[str]:
         return []
     direction = axes[:, -1] * np.sign(axes[np.argmax(np.abs(axes[:, -1])), -1])
     words = ", ".join(f"{round(one, 2) + 0.0:.2f}" for one in direction.tolist())
-    what, of = ("probe", "itself") if found.angular is not None else ("SMR", "with the flange turned so")
+    what, of = ("probe", "itself") if found.angular is not None else ("SMR", "with the flange rotated so")
     return [
         f"arm '{name}': the offset of the {what} along ({words}) of the flange is not determined (95 % within"
-        f" +-{NORMAL_95 * sd_mm:.0f} mm), as that direction hardly turned; positions of the {what} {of} are not"
+        f" +-{NORMAL_95 * sd_mm:.0f} mm), as that direction hardly rotated; positions of the {what} {of} are not"
         " affected, those of another tool are: measure with the wrist turned to more sides"
     ]
 

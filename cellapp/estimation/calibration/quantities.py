@@ -173,7 +173,7 @@ def refuse_odd_orientations(name: str, geometry: Geometry, readings: Readings) -
         why = "they fit in no usual convention: look for quaternions of other rows, another arm or another frame"
     raise InputError(
         f"arm '{name}': the orientations quat_w, ..., quat_z of most readings, the first of them configuration"
-        f" {readings.configuration[rows[0]]}, do not turn with the flange; {why}"
+        f" {readings.configuration[rows[0]]}, do not rotate with the flange; {why}"
     )
 
 

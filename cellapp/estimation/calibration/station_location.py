@@ -292,7 +292,7 @@ def _check_layout(points: Array, fixed: str, frame: str = "") -> None:
         raise InputError(f"the points lie within {near}; measure points that are some 0.5 m apart")
     if math.hypot(*across) < _LEAST_WIDTH * along:
         raise InputError(
-            f"the points lie on one line{frame}: nothing fixes the turn about it; add a point beside the line"
+            f"the points lie on one line{frame}: nothing fixes the rotation about it; add a point beside the line"
         )
 
 

@@ -289,15 +289,15 @@ def remaining_structure(p_values: Mapping[StructureKind, float], chance: float) 
     """
     tests = tuple(StructureTest(against=kind, p_value=p) for kind, p in p_values.items())
     if not tests:
-        return RemainingStructure(tests=(), sentence="what is left was not tested for structure")
+        return RemainingStructure(tests=(), sentence="the residuals were not tested for structure")
     found = [test for test in tests if test.p_value <= chance / len(tests)]
     if found:
         words = enumeration([f"{_KIND_WORDS[test.against]} ({_p_in_words(test.p_value)})" for test in found])
-        return RemainingStructure(tests=tests, sentence=f"what is left still depends on {words}")
+        return RemainingStructure(tests=tests, sentence=f"the residuals still depend on {words}")
     tested = enumeration([_KIND_WORDS[test.against] for test in tests])
     smallest = min(test.p_value for test in tests)
     return RemainingStructure(
-        tests=tests, sentence=f"what is left shows no structure against {tested} (smallest {_p_in_words(smallest)})"
+        tests=tests, sentence=f"the residuals show no structure against {tested} (smallest {_p_in_words(smallest)})"
     )
 
 

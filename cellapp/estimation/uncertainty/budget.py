@@ -230,7 +230,7 @@ def _growth(
     if found is not None and found.scatter is not None:
         grows = any(one.effect in EFFECTS and EFFECTS[one.effect].lengthens for one in found.accepted)
         how = "the model corrects it" if grows else "none was found"
-        basis = f"{how} over the {2.0 * half:.1f} K that were measured; what is left is part of the arm's scatter above"
+        basis = f"{how} over the {2.0 * half:.1f} K that were measured; the residual is part of the arm's scatter above"
         return _line(GROWTH, 0.0, "A", basis)
     reach = sum(abs(joint.a) + abs(joint.d) for joint in arm_type.joints)
     basis = (

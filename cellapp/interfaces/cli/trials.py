@@ -30,7 +30,7 @@ def seal(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="New folder of the trials."), Writes.OWN_FOLDER],
     n: Annotated[int, typer.Option("--n", min=1, help="Runs.")] = 200,
     seed: Annotated[
-        int | None, typer.Option("--seed", min=0, help="Draws everything; left out, a secret one is drawn.")
+        int | None, typer.Option("--seed", min=0, help="Fixes all that is random; left out, a secret one is taken.")
     ] = None,
     kind: Annotated[
         str,
@@ -96,7 +96,7 @@ def judge(
         job.result(result)
         _refuse_failed(result.failed)
         if result.missed:
-            raise CheckFailed(f"bars missed: {'; '.join(f'{one.kind}: {one.target}' for one in result.missed)}")
+            raise CheckFailed(f"limits missed: {'; '.join(f'{one.kind}: {one.target}' for one in result.missed)}")
 
 
 @trials_app.command("power")
@@ -108,7 +108,7 @@ def power(
     minutes: Annotated[
         float, typer.Option("--minutes", min=0.1, help="Time; what fits is shared among the effects.")
     ] = 10.0,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Draws laws, true geometry and noise.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Fixes laws, true geometry and noise.")] = 0,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
     results: Annotated[

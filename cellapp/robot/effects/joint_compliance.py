@@ -92,7 +92,7 @@ class JointCompliance(Effect):
 
     def missing_data(self, context: EffectContext) -> str:
         """Needs masses."""
-        return "" if np.abs(context.torques).max(initial=0.0) > _ROUNDING else "gravity turns no joint (no masses)"
+        return "" if np.abs(context.torques).max(initial=0.0) > _ROUNDING else "gravity loads no joint (no masses)"
 
     def smooth_laws(self, context: EffectContext) -> list[SmoothLaw]:
         """The torque of gravity as it is, at any amplitude."""

@@ -96,9 +96,9 @@ class TrackerDistanceOffset(Effect):
     of_reading = True
     title = "zero of the tracker's distance"
     meaning = Meaning.of(
-        """cause: All distances are off by one length: zero of the distance meter, wrong reflector type or home point.
+        """cause: All distances are off by one length: zero of the distance meter, wrong type of SMR or home point.
         size (sourced): permissible: 5 µm for home distance, 10 µm for the meter (manual of the AT500)
-        check: Check that the reflector selected in the tracker is the one on the flange.
+        check: Check that the SMR selected in the tracker is the one on the flange.
         check: Set the distance at the home point again and run the tracker's own check of its zero.
         settle: Measure a target between two stations of the tracker, or stops near and far."""
     )
@@ -232,11 +232,11 @@ class TargetIncidence(Effect):
     of_reading = True
     title = "target's error with the angle of incidence"
     meaning = Meaning.of(
-        """cause: The reading changes with the angle at which the beam meets the reflector: a vertex off the centre,
+        """cause: The reading changes with the angle at which the beam meets the SMR: a vertex off the centre,
           mirrors that are not square, a glass prism.
         size (estimate): 2 to 20 µm, more for glass prisms
-        check: Clean the reflector, look for a damaged mirror, or exchange the SMR and repeat 10 stops.
-        check: Mount the reflector so that it faces the tracker in the middle of the work.
+        check: Clean the SMR, look for a damaged mirror, or exchange it and repeat 10 stops.
+        check: Mount the SMR so that it faces the tracker in the middle of the work.
         settle: Measure one point at six rolls of the wrist, and with the SMR rotated by 90 degrees in its mount."""
     )
     confounded = ("tracker_distance_offset",)

@@ -193,7 +193,7 @@ def with_modulations(
     by_name = {column.name: column for column in columns}
     missing = next((one.base for one in free if one.base not in by_name), None)
     if missing is not None:
-        raise ValueError(f"a free part needs the column '{missing}', which the law does not have")
+        raise ValueError(f"a discrepancy term needs the column '{missing}', which the law does not have")
     return [*columns, *(one.column(by_name[one.base], context) for one in free)]
 
 
@@ -206,5 +206,5 @@ def modulation_from_json(content: Mapping[str, Any]) -> Modulation:
     """Read what ``modulation_to_json`` wrote. Raises ``ValueError`` for a driver that is not known."""
     driver = variable_named(content["driver"])
     if driver is None and content["driver"] != _OWN_SIZE_NAME:
-        raise ValueError(f"this version does not know the variable '{content['driver']}' of a free part")
+        raise ValueError(f"this version does not know the variable '{content['driver']}' of a discrepancy term")
     return Modulation(**{**content, "driver": driver})

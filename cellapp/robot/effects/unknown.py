@@ -82,7 +82,7 @@ _CHECKS: Mapping[ActsOn, tuple[str, ...]] = {
         "Look for what else moves in the cell: the other arm, a conveyor, a door, traffic on the floor.",
     ),
     ActsOn.TOOL: (
-        "Check the screws of the SMR's mount and of the tool, and the seat of the SMR in its nest.",
+        "Check the screws of the SMR's mount and of the tool, and the seat of the SMR on it.",
         "Check cables at the wrist that pull at the mount.",
     ),
     ActsOn.TRACKER: (

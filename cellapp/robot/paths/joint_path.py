@@ -380,7 +380,7 @@ def _why_not(before: Array, here: Array, reached: bool, limits: Array) -> str:
         return "out of reach"
     step = np.abs(here - before)
     if step.max() > _LARGEST_STEP_RAD:
-        return f"a singularity: joint {int(np.argmax(step)) + 1} would have to turn by {np.degrees(step.max()):.0f} deg"
+        return f"a singularity: joint {int(np.argmax(step)) + 1} would rotate by {np.degrees(step.max()):.0f} deg"
     outside = (here < limits[:, 0]) | (here > limits[:, 1])
     if outside.any():
         j = int(np.argmax(outside))

@@ -114,7 +114,7 @@ BAD: dict[str, tuple[Callable[[Columns, Columns], tuple[Columns, Columns]], str]
     ),
     "degrees, small": (
         lambda j, p: ({"time_s": j["time_s"], **{f"q{k}": 9.0 * np.sin(3.0 * j["time_s"]) for k in (1, 2)}}, p),
-        r"j\.csv: q1: the joint turns at .*degrees",
+        r"j\.csv: q1: the joint rotates at .*degrees",
     ),
     "degrees a second": (
         lambda j, p: ({**j, "qd1": np.degrees(j["qd1"]), "qd2": np.degrees(j["qd2"])}, p),

@@ -138,7 +138,7 @@ def test_orientations_in_another_convention_are_refused_by_name(words):
     _, geometry = truth()
     readings = measured(geometry, 40, 0)
     wrong = replace(readings, quaternion_M=WRONG[words](readings.quaternion_M))
-    with pytest.raises(InputError, match=f"arm 'left'.*configuration 0, do not turn with the flange; .*{words}"):
+    with pytest.raises(InputError, match=f"arm 'left'.*configuration 0, do not rotate with the flange; .*{words}"):
         calibrate_arm(twin(), "left", wrong)
 
 

@@ -308,12 +308,12 @@ def test_a_search_ends_on_request_before_the_rivals_of_the_next_effect(plan):
 
     def report(done, words):
         said.append(words)
-        if words == "review and rivals":
+        if words == "review and alternatives":
             cancel.cancel()
 
     with pytest.raises(Cancelled):
         blind(plan, {"joint_compliance": drawn("joint_compliance", 21)}, 21, steps=JobSteps(report, cancel))
-    assert said[-1] == "review and rivals"
+    assert said[-1] == "review and alternatives"
 
 
 # -- Discovery in positions and orientations: the last joint shows, bounds hold, commands put the flange right ---------

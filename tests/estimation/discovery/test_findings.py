@@ -85,7 +85,7 @@ def test_the_verdict_follows_from_effects_rivals_and_what_is_left(effects, after
     found, sentence = verdict(effects, 0.1, errors(after_mm), 100, scatter, structure)
     assert found == word
     assert ("state no uncertainty" in sentence) == (scatter is None)
-    assert ("still depends on time" in sentence) == (word == "unknown effect" and structure is STRUCTURE)
+    assert ("still depend on time" in sentence) == (word == "unknown effect" and structure is STRUCTURE)
     scatters = scatter is not None and after_mm > 0.1 and structure is not STRUCTURE
     assert ("times as stated" in sentence) == scatters
 

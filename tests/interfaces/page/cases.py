@@ -161,7 +161,7 @@ def unknown_effect(name: str) -> ArmDiscoveryResult:
         ),
         structure=RemainingStructure(
             tests=(StructureTest(against="joints", p_value=0.41), StructureTest(against="time", p_value=0.0005)),
-            sentence="what is left still depends on time (p below 0.001)",
+            sentence="the residuals still depend on time (p below 0.001)",
         ),
         invisible=(
             AbsentEffect(effect="backlash", reason="not testable: no approach signs"),

@@ -198,7 +198,7 @@ def test_a_free_part_survives_json():
     assert again.law_misfit == pytest.approx(0.2)
     assert term_to_json(again) == content
     content["modulations"][1]["driver"] = "moon"
-    with pytest.raises(ValueError, match="does not know the variable 'moon' of a free part"):
+    with pytest.raises(ValueError, match="does not know the variable 'moon' of a discrepancy term"):
         term_from_json(content, EFFECTS)
 
 

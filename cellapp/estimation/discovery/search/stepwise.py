@@ -193,7 +193,7 @@ def search(data: ArmData, slugs: Sequence[str], steps: JobSteps) -> SearchResult
     if claim < _CONTRADICTED:  # weights and noise floor of what is stated would hide what is missing
         return replace(search(data.claiming(claim), slugs, steps), claim=claim)
     best = _best_model(problem, start, before_names, progress)
-    progress.finish("review and rivals")
+    progress.finish("review and alternatives")
     found = _probable(problem, _result(problem, best, fit), best)
     extended = _smooth(problem, found.state) if found.fit.terms or not before_names else before_names
     found = with_unnamed(problem, found, extended)
@@ -234,7 +234,7 @@ def _result(problem: SearchProblem, state: SearchState, geometry_only: JointFit)
     reviews = []
     for number, term in enumerate(state.fit.terms):
         problem.cancel.check()
-        problem.say(f"rivals of effect {number + 1} of {len(state.fit.terms)}, {term.slug}")
+        problem.say(f"alternatives of effect {number + 1} of {len(state.fit.terms)}, {term.slug}")
         reviews.append(review(problem, state, number))
     return SearchResult(
         data=state.data,
@@ -422,8 +422,8 @@ def _with_library_effects(
             break
         step = _next_step(problem, state, refused, refining=refining)
         if step is None or (not freed and may_stand_for_confounded(state, step)):
-            free = None if freed else problem.tried("free parts of laws", partial(with_free_parts, problem, state))
-            if free is not None:  # the free parts hold the errors of the laws: search once more
+            free = None if freed else problem.tried("discrepancy terms", partial(with_free_parts, problem, state))
+            if free is not None:  # these hold the errors of the laws: search once more
                 state.give_up_scan()
                 state, freed = free, True
                 continue

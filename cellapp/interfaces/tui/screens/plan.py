@@ -149,7 +149,7 @@ class PlanScreen(PlanEdits):
     STEP: ClassVar[Step] = "plan"
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "plan", "New plan", "make a new run with a plan"),
-        bind("check", "check", "Check", "run the safety gate over all stops and ways again; nothing moves"),
+        bind("check", "check", "Check", "run the motion check over all stops and ways again; nothing moves"),
         bind("forecast", "forecast", "Forecast", "time, joint ranges, expected errors, effects that can be seen"),
         bind("mark", "mark", "Mark", "mark the selected stop"),
         bind("freeze", "freeze", "Freeze", "let later designs leave the marked stops"),
