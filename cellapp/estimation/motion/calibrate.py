@@ -29,6 +29,7 @@ from cellapp.estimation.calibration.calibrate import (
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.learning import require_learner
 from cellapp.estimation.calibration.quantities import (
+    ArmReadings,
     conditions_of_arms,
     evaluate,
     measurement_conditions,
@@ -66,7 +67,7 @@ from cellapp.estimation.readings import SPLITS, Readings, coordinate_uncertainty
 from cellapp.estimation.readings.readings import joined
 from cellapp.ground.errors import InputError, with_not_fitted
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, JobSteps, Listener, Progress, Told, ignore, ignore_words
+from cellapp.ground.progress import UNTOLD, CancelToken, JobSteps, Listener, Progress, Told, ignore, ignore_words
 from cellapp.ground.results import ErrorSummary, Estimate, Stage, StageErrors
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
@@ -385,31 +386,24 @@ class SearchWithRecordings:
     recordings: Mapping[str, Sequence[Recording]]
     search_arm: ArmSearch = discover_arm
 
-    def __call__(
-        self,
-        profile: Profile,
-        name: str,
-        model: ArmModel,
-        readings: Readings,
-        conditions: MeasurementConditions,
-        steps: JobSteps,
-    ) -> Discovery:
-        """Search one arm; ``readings`` are stops and samples of its recordings."""
+    def __call__(self, arm: ArmReadings, steps: JobSteps = UNTOLD) -> Discovery:
+        """Search one arm; its readings are stops and samples of its recordings."""
+        profile, name = arm.profile, arm.name
 
         def told(words: str) -> None:
             steps.check()
             steps(0, f"recordings: {words}")
 
         if not self.recordings.get(name):
-            return self.search_arm(profile, name, model, readings, conditions, steps)
+            return self.search_arm(arm, steps)
         started = time.perf_counter()
-        arm = recorded_arm(profile, name, self.stops[name], self.recordings[name])
-        at_rest = MotionAtRest.of(arm, name, self.calibrated, self.stops, told)
+        recorded = recorded_arm(profile, name, self.stops[name], self.recordings[name])
+        at_rest = MotionAtRest.of(recorded, name, self.calibrated, self.stops, told)
         seconds = time.perf_counter() - started
 
         @cache
         def searched() -> Discovery:
-            return self.search_arm(profile, name, model, readings, conditions, steps)
+            return self.search_arm(arm, steps)
 
         if at_rest.stands_beside(lambda: searched().model):
             return at_rest.discovery(profile, seconds, steps)
@@ -494,7 +488,7 @@ class MotionAtRest:
         """
         q = self.model.true_joints(self.readings.q, conditions=self.conditions)
         bare, readings = replace(self.model, effects=(), covariance=None), replace(self.readings, q=q)
-        rest = discover_arm(profile, self.name, bare, readings, self.conditions, steps)
+        rest = discover_arm(ArmReadings(profile, self.name, bare, readings, self.conditions), steps)
         if not (rest.terms and _surely_better(self.held_out, self.model, _joined_models(rest.model, self.model))):
             rest = _without_terms(rest)
         return self._with_rest(rest, seconds)
