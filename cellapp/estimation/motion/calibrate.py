@@ -35,14 +35,13 @@ from cellapp.estimation.calibration.quantities import (
     measurement_conditions,
     repeatability,
 )
-from cellapp.estimation.calibration.records import MotionResult, RecordingResult
+from cellapp.estimation.calibration.records import MotionResult
 from cellapp.estimation.discovery.accepted import accepted_effect
 from cellapp.estimation.discovery.discover import ArmSearch, discover_arm
 from cellapp.estimation.discovery.outcome import Discovery, HeldOut
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
     BeforeAfter,
-    Evidence,
     GapStep,
     HeldOutBeforeAfter,
     LawRecord,
@@ -169,8 +168,8 @@ def calibrate_arm_with_motion(
     start = start_from_nominal(recorded.nominal, some.q, some.p_M, tool_unknown=recorded.tool_unknown)
     held_out = readings.take(readings.in_split("validate"))
     in_motion = _errors_in_motion(name, fit)
-    points = {"identify": sum(one.learnt for one in fit.recordings.values()), "train": 0}
-    points["validate"] = sum(one.held_out for one in fit.recordings.values())
+    points = {"identify": sum(one.result.learnt for one in fit.recordings.values()), "train": 0}
+    points["validate"] = sum(one.result.held_out for one in fit.recordings.values())
     return fit, ArmCalibration(
         model=ArmModel.of(profile, name, found.geometry, start, found.estimated.names, found.estimated_covariance),
         identification=found,
@@ -277,7 +276,7 @@ def _stated_mm(readings: Readings, recordings: Sequence[Recording]) -> float | N
 def _motion_result(fit: MotionFit, errors: Mapping[Stage, StageErrors]) -> MotionResult:
     play = zip(fit.half_play.tolist(), fit.half_play_standard_error.tolist(), strict=True)
     return MotionResult(
-        recordings={name: _recording(one) for name, one in fit.recordings.items()},
+        recordings={name: one.result for name, one in fit.recordings.items()},
         effective_points=fit.effective,
         half_play={
             f"joint {joint}": Estimate(value=value, standard_error=error, unit="rad")
@@ -286,15 +285,6 @@ def _motion_result(fit: MotionFit, errors: Mapping[Stage, StageErrors]) -> Motio
         stops_scatter_mm=None if fit.stops_scatter_m is None else fit.stops_scatter_m * 1e3,
         validate_=errors,
         undetermined=fit.undetermined,
-    )
-
-
-def _recording(one: RecordingFit) -> RecordingResult:
-    return RecordingResult.like(
-        one,
-        effective_points=one.effective,
-        scatter_mm=one.scatter_m * 1e3,
-        heldout_rms_mm=one.heldout_rms_mm if len(one.heldout_mm) else None,
     )
 
 
@@ -360,7 +350,7 @@ def _points(fit: MotionFit, one: RecordingFit, *, held_out: bool) -> _Residuals:
     q, _ = track.path.at(time_s)
     moved = q - fit.half_play * track.path.direction_at(time_s)
     off_M = track.p_M[rows] - smr_positions(fit.identification.geometry, moved)
-    good = no_gross_errors(np.linalg.norm(off_M, axis=1), one.scatter_m)
+    good = no_gross_errors(np.linalg.norm(off_M, axis=1), one.result.scatter_mm * 1e-3)
     return q[good], off_M[good]
 
 
@@ -565,7 +555,7 @@ def _accepted(effect: MotionEffect) -> AcceptedEffect:
     return accepted_effect(
         effect.term(),
         Place(joints=effect.joints, acts_on=tuple(f"joint {joint}" for joint in effect.joints)),
-        Evidence(statistic=effect.statistic, corrected_p=effect.p_value, heldout_mm=_before_after(effect)),
+        effect.evidence,
         effect.posterior,
     )
 
@@ -596,10 +586,6 @@ def _model(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:
     )
 
 
-def _before_after(effect: MotionEffect) -> BeforeAfter:
-    return BeforeAfter(before=effect.heldout_before_mm, after=effect.heldout_after_mm)
-
-
 def _result(effect: MotionEffect) -> MotionEffectResult:
     return MotionEffectResult(
         effect=effect.slug,
@@ -611,7 +597,7 @@ def _result(effect: MotionEffect) -> MotionEffectResult:
                 effect.names, effect.values.tolist(), effect.standard_errors.tolist(), effect.units, strict=True
             )
         },
-        evidence=Evidence(statistic=effect.statistic, corrected_p=effect.p_value, heldout_mm=_before_after(effect)),
+        evidence=effect.evidence,
         only_motion=effect.only_motion or None,
         at_rest=effect.at_rest,
         law=LawRecord(name=effect.form, constants=effect.constants) if effect.at_rest else None,

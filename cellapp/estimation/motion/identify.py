@@ -19,7 +19,7 @@ from cellapp.estimation.calibration.parameters import (
     prior_sds,
     prior_spreads,
 )
-from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult
+from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult, RecordingResult
 from cellapp.estimation.motion.fit import GROSS, Problem, Solution, allow_for_missing, solve, thinned
 from cellapp.estimation.motion.laws import JointTerm, Law, Masses
 from cellapp.estimation.motion.observe import Layout, Model, Stops, residuals
@@ -41,14 +41,7 @@ class RecordingFit:
     Attributes
     ----------
     clock : ClockResult
-    points, learnt, held_out, gross : int
-        Numbers of all points, of training points, of held-out points, and of gross errors left out of either.
-    in_gaps : int
-        Number of points at times without known joint positions.
-    effective : float
-        Number of independent points with the same information on the parameters.
-    scatter_m : float
-        Standard deviation of a coordinate of the residuals [m].
+    result : RecordingResult
     heldout_mm, heldout_nominal_mm : array, shape (h,)
         Distances of held-out points from the model and from the nominal arm at its base with the same clock [mm].
     track : Track
@@ -59,23 +52,12 @@ class RecordingFit:
     """
 
     clock: ClockResult
-    points: int
-    learnt: int
-    held_out: int
-    gross: int
-    in_gaps: int
-    effective: float
-    scatter_m: float
+    result: RecordingResult
     heldout_mm: Array = field(repr=False)
     heldout_nominal_mm: Array = field(repr=False)
     track: Track = field(repr=False)
     offsets_s: Array = field(repr=False)
     rate: float
-
-    @property
-    def heldout_rms_mm(self) -> float:
-        """Rms distance of held-out points from the model [mm]; NaN without any."""
-        return rms(self.heldout_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,7 +230,7 @@ def motion_fit(problem: Problem, solution: Solution) -> MotionFit:
         half_play=play,
         half_play_standard_error=play_error,
         recordings=found,
-        effective=sum(one.effective for one in found.values()),
+        effective=sum(one.result.effective_points for one in found.values()),
         stops_scatter_m=solution.sources[-1].sigma_m if has_stops else None,
         undetermined=_undetermined(problem, identification, found),
     )
@@ -283,24 +265,21 @@ def _recording_fit(problem: Problem, solution: Solution, model: Model, number: i
     vector = problem.start.vector()
     bare = problem.model(_with_arm(problem, solution.values, vector))
     misses, good = _held_out(model, track, number, source.sigma_m)
+    heldout_mm = misses[good] * 1e3
     nominal = np.linalg.norm(residuals(bare, track, number, rows), axis=1)
-    return RecordingFit(
-        clock=_clock_fit(problem, solution, number),
+    in_gaps = ~track.path.known(track.controller_times(np.arange(len(track.time_s)), offsets, rate))
+    result = RecordingResult(
         points=len(track.time_s),
         learnt=len(source.rows),
-        held_out=int(np.count_nonzero(good)),
+        held_out=len(heldout_mm),
         gross=int(track.learnt.sum()) - len(source.rows) + int(np.count_nonzero(~good)),
-        in_gaps=int(
-            np.count_nonzero(~track.path.known(track.controller_times(np.arange(len(track.time_s)), offsets, rate)))
-        ),
-        effective=min(1.0, source.worth) * len(source.rows),
-        scatter_m=source.sigma_m,
-        heldout_mm=misses[good] * 1e3,
-        heldout_nominal_mm=nominal[good] * 1e3,
-        track=track,
-        offsets_s=offsets + _mean_lag(problem, solution),
-        rate=rate,
+        in_gaps=int(np.count_nonzero(in_gaps)),
+        effective_points=min(1.0, source.worth) * len(source.rows),
+        scatter_mm=source.sigma_m * 1e3,
+        heldout_rms_mm=rms(heldout_mm) if len(heldout_mm) else None,
     )
+    clock, lag_s = _clock_fit(problem, solution, number), _mean_lag(problem, solution)
+    return RecordingFit(clock, result, heldout_mm, nominal[good] * 1e3, track, offsets + lag_s, rate)
 
 
 def _with_arm(problem: Problem, values: Array, vector: Array) -> Array:
@@ -433,7 +412,7 @@ def _undetermined(
             f"these motions determine {determined} of {of} parameters of the geometry: predictions hold near them only;"
             " record motions of all joints, each alone and together, through a larger part of their range",
         )
-    far = [float(np.median(one.heldout_nominal_mm)) for one in found.values() if one.held_out]
+    far = [float(np.median(one.heldout_nominal_mm)) for one in found.values() if one.result.held_out]
     if far and (far_mm := float(np.median(far))) > _FAR_MM:
         said.insert(
             0,
@@ -469,11 +448,11 @@ def _unsteady_rates(found: Mapping[str, RecordingFit]) -> list[str]:
 
 def _bad_recordings(found: Mapping[str, RecordingFit]) -> list[str]:
     """Return sentences on the recordings that disagree with the arm fitted to all others."""
-    usual = float(np.median([one.scatter_m for one in found.values()]))
+    usual = float(np.median([one.result.scatter_mm for one in found.values()]))
     return [
-        f"recording '{name}': its points lie {one.scatter_m * 1e3:.2f} mm from the arm on which the other recordings"
-        f" agree to {usual * 1e3:.2f} mm, so that it counts little and its clock is known badly; look for an SMR that"
+        f"recording '{name}': its points lie {one.result.scatter_mm:.2f} mm from the arm on which the other recordings"
+        f" agree to {usual:.2f} mm, so that it counts little and its clock is known badly; look for an SMR that"
         " was loose or another one, an arm that slipped, a tracker that was moved"
         for name, one in found.items()
-        if len(found) > 2 and one.scatter_m > _BAD * usual
+        if len(found) > 2 and one.result.scatter_mm > _BAD * usual
     ]
