@@ -709,7 +709,8 @@ def train_arm(profile: Profile, arm: ArmCalibration, readings: Readings, steps: 
     held_out = readings.take(readings.in_split("validate"))
     if len(taught) < 2 * profile.network.folds:
         return arm
-    left_M = taught.p_M - arm.model.predict(taught.q, taught.approach, taught.payload_kg)
+    loaded = MeasurementConditions(approach=taught.approach, payload_kg=taught.payload_kg)
+    left_M = taught.p_M - arm.model.predict(taught.q, conditions=loaded)
     arm = with_networks(profile, arm, taught.q, left_M, taught.time_s, steps)
     if arm.model.network is None:
         return arm

@@ -274,14 +274,11 @@ def _stated_mm(readings: Readings, recordings: Sequence[Recording]) -> float | N
 
 
 def _motion_result(fit: MotionFit, errors: Mapping[Stage, StageErrors]) -> MotionResult:
-    play = zip(fit.half_play.tolist(), fit.half_play_standard_error.tolist(), strict=True)
+    play, error, N = fit.half_play.tolist(), fit.half_play_standard_error.tolist(), len(fit.half_play)
     return MotionResult(
         recordings={name: one.result for name, one in fit.recordings.items()},
         effective_points=fit.effective,
-        half_play={
-            f"joint {joint}": Estimate(value=value, standard_error=error, unit="rad")
-            for joint, (value, error) in enumerate(play, start=1)
-        },
+        half_play=Estimate.by_name([f"joint {joint}" for joint in range(1, N + 1)], play, error, ["rad"] * N),
         stops_scatter_mm=None if fit.stops_scatter_m is None else fit.stops_scatter_m * 1e3,
         validate_=errors,
         undetermined=fit.undetermined,
@@ -318,7 +315,8 @@ def train_arm_in_motion(
     stops = without(readings.take(rows if len(rows) else readings.in_split("identify")), arm.left_out)
     parts = [_points(fit, one, held_out=False) for one in fit.recordings.values()]
     if len(stops):
-        parts = [(stops.q, stops.p_M - arm.model.predict(stops.q, stops.approach, stops.payload_kg)), *parts]
+        loaded = MeasurementConditions(approach=stops.approach, payload_kg=stops.payload_kg)
+        parts = [(stops.q, stops.p_M - arm.model.predict(stops.q, conditions=loaded)), *parts]
     q, off_M = _joined(parts)
     in_order = np.arange(float(len(q)))  # in order of time in each recording, by which blocks are cut
     arm = with_networks(profile, arm, q, off_M, in_order, JobSteps(lambda _, words: told(words), cancel))
@@ -587,16 +585,12 @@ def _model(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:
 
 
 def _result(effect: MotionEffect) -> MotionEffectResult:
+    errors = effect.standard_errors.tolist()
     return MotionEffectResult(
         effect=effect.slug,
         title=EFFECTS[effect.slug].title if effect.slug in EFFECTS else Law(effect.slug).title,
         joints=effect.joints,
-        parameters={
-            name: Estimate(value=value, standard_error=error, unit=unit)
-            for name, value, error, unit in zip(
-                effect.names, effect.values.tolist(), effect.standard_errors.tolist(), effect.units, strict=True
-            )
-        },
+        parameters=Estimate.by_name(effect.names, effect.values.tolist(), errors, effect.units),
         evidence=effect.evidence,
         only_motion=effect.only_motion or None,
         at_rest=effect.at_rest,
