@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,8 @@ from cellapp.estimation.calibration.parameters import (
     estimated_parameters,
     prior_sds,
     prior_spreads,
+    sds_of,
+    sigma_by_name,
 )
 from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult, RecordingResult
 from cellapp.estimation.motion.fit import GROSS, Problem, Solution, allow_for_missing, solve, thinned
@@ -347,8 +348,7 @@ def _identification(problem: Problem, solution: Solution, model: Model) -> Ident
     information = _of_arm(solution.information, size)
     chosen = estimated
     if estimated.name == "auto":
-        with np.errstate(divide="ignore"):
-            chosen = determined_set(estimated, information, 1.0 / np.sqrt(problem.precision[:size]))
+        chosen = determined_set(estimated, information, sds_of(problem.precision[:size]))
     to_table, kept = chosen.from_estimated(estimated)
     in_table = covariance if chosen is estimated else to_table @ covariance @ to_table.T
     at_stops = np.zeros((0, 3))
@@ -356,33 +356,28 @@ def _identification(problem: Problem, solution: Solution, model: Model) -> Ident
         at_stops = residuals(model, stops, len(problem.tracks), np.arange(len(stops.q)))
     gram = information[kept[:, None], kept]
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    of_geometry = solution.precision[:size]
-    values: dict[str, Any] = {
-        "geometry": model.geometry,
-        "estimated": estimated,
-        "estimated_covariance": covariance,
-        "prior_sigma": {
-            name: float(p**-0.5) for name, p in zip(estimated.names, of_geometry.tolist(), strict=True) if p > 0.0
-        },
-        "parameter_set": chosen,
-        "names": chosen.names,
-        "units": chosen.units,
-        "values": problem.mean[:size][kept] + to_table @ (solution.values[:size] - problem.mean[:size]),
-        "standard_errors": np.sqrt(np.maximum(np.diag(in_table), 0.0)),
-        "covariance": in_table,
-        "effect_values": np.zeros(0),
-        "iterations": len(solution.steps),
-        "converged": True,  # else ``solve`` refused it
-        "message": "converged",
-        "scale": float(np.median([source.sigma_m for source in solution.sources])),
-        "degrees_of_freedom": max(1, round(3 * sum(s.worth * len(s.rows) for s in solution.sources) - arm)),
-        "residuals": at_stops,
-        "weights": np.ones(len(at_stops)),
-        "steps": solution.steps,
-        "gram": gram / (scale * scale[:, None]),
-        "configurations": sum(len(source.rows) for source in solution.sources),
-    }
-    return Identification(**values)
+    return Identification(
+        geometry=model.geometry,
+        estimated=estimated,
+        estimated_covariance=covariance,
+        prior_sigma=sigma_by_name(estimated.names, solution.precision[:size]),
+        parameter_set=chosen,
+        names=chosen.names,
+        units=chosen.units,
+        values=problem.mean[:size][kept] + to_table @ (solution.values[:size] - problem.mean[:size]),
+        covariance=in_table,
+        effect_values=np.zeros(0),
+        iterations=len(solution.steps),
+        converged=True,  # else ``solve`` refused it
+        message="converged",
+        scale=float(np.median([source.sigma_m for source in solution.sources])),
+        degrees_of_freedom=max(1, round(3 * sum(s.worth * len(s.rows) for s in solution.sources) - arm)),
+        residuals=at_stops,
+        weights=np.ones(len(at_stops)),
+        steps=solution.steps,
+        gram=gram / (scale * scale[:, None]),
+        configurations=sum(len(source.rows) for source in solution.sources),
+    )
 
 
 def _of_arm(information: Array, size: int) -> Array:

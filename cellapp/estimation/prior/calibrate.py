@@ -228,7 +228,6 @@ def _identification(profile: Profile, alone: Identification, found: Posterior) -
         names=chosen.names,
         units=chosen.units,
         values=reference[kept] + to_table @ found.values[:count],
-        standard_errors=np.sqrt(np.diag(in_table)),
         covariance=in_table,
         residuals=found.residuals_M,
         angular=found.measured.angular,
