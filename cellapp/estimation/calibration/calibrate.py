@@ -755,16 +755,10 @@ def with_networks(
     if not in_a_pair(profile):
         return arm
     # The same shape, not rotated with joint 1: the tracker frame has no relation to that axis.
-    in_tracker = train_network(
-        q,
-        left_M,
-        seed=seed,
-        folds=profile.network.folds,
-        iterations=profile.network.iterations,
-        shapes=(replace(training.shape, rotates_with_joint_1=False),),
-        steps=steps.after(learning_steps(profile.network), "tracker frame"),
-    ).network
-    return replace(arm, tracker_frame_network=in_tracker)
+    shape = replace(training.shape, rotates_with_joint_1=False)
+    later = steps.after(learning_steps(profile.network), "tracker frame")
+    in_tracker = train_network(profile.network, q, left_M, seed, later, shapes=(shape,))
+    return replace(arm, tracker_frame_network=in_tracker.network)
 
 
 def in_a_pair(profile: Profile) -> bool:
