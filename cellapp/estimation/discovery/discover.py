@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.calibrate import (
     ROUNDS,
@@ -24,7 +23,7 @@ from cellapp.estimation.calibration.calibrate import (
 from cellapp.estimation.calibration.learning import learning_steps
 from cellapp.estimation.calibration.least_squares import mean_variance
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
-from cellapp.estimation.calibration.quantities import ArmReadings, measured_quantities, states_nothing
+from cellapp.estimation.calibration.quantities import ArmReadings, states_nothing
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions, pictures
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
 from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData, smoothness_of
@@ -140,7 +139,7 @@ def discover_arm(
     ``robot.model.nominal``; if None, those of the profile.
     """
     started = time.perf_counter()
-    wrong = _gross_errors(arm)
+    wrong = gross_errors_of_geometry(arm.model.geometry, arm.model.nominal, arm.readings)
     right = arm.take(~wrong)
     if prior_sigma is None:
         prior_sigma = prior_sigmas(arm.model.nominal, arm.profile.calibration.priors, arm.profile.arms[arm.name].fixed)
@@ -149,13 +148,6 @@ def discover_arm(
     held_out = HeldOut.of(right.readings, right.conditions)
     result = _judged_by_held_out(replace(found, left_out=left_out), held_out)
     return _evaluated(arm, result, held_out, started)
-
-
-def _gross_errors(arm: ArmReadings) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the readings that are gross errors for the geometry alone."""
-    model, its = arm.model, measured_quantities(arm.readings)
-    wrong = gross_errors_of_geometry(model.geometry, model.nominal, its.readings.q, its.readings.p_M, R_M_S=its.R_M_S)
-    return its.readings_with(wrong)
 
 
 def _evaluated(arm: ArmReadings, result: Searched, held_out: HeldOut, started: float) -> Discovery:
