@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, SerializerFunctionWrapHandler, ValidationError, model_serializer
@@ -163,6 +163,14 @@ class Estimate(Record):
     value: float
     standard_error: float | None
     unit: str
+
+    @classmethod
+    def by_name(
+        cls, names: Iterable[str], values: Iterable[float], errors: Iterable[float], units: Iterable[str]
+    ) -> dict[str, Estimate]:
+        """Return estimates by their names."""
+        found = zip(names, values, errors, units, strict=True)
+        return {name: Estimate(value=value, standard_error=error, unit=unit) for name, value, error, unit in found}
 
 
 class Provenance(Record):

@@ -16,7 +16,7 @@ import numpy as np
 from cellapp.estimation.calibration.calibrate import calibrate_arm
 from cellapp.estimation.calibration.learning import learn
 from cellapp.estimation.calibration.least_squares import NORMAL_95
-from cellapp.estimation.calibration.quantities import measured_quantities, measurement_conditions
+from cellapp.estimation.calibration.quantities import ArmReadings, measured_quantities, measurement_conditions
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.grouping import grouped
@@ -66,7 +66,7 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
     conditions = measurement_conditions(readings)
     geometry = calibrate_arm(profile, entrant.arm, readings)[0].model
     began = time.process_time()
-    found = discover_arm(profile, entrant.arm, geometry, readings, conditions=conditions)
+    found = discover_arm(ArmReadings(profile, entrant.arm, geometry, readings, conditions))
     seconds = time.process_time() - began
     models = (geometry, found.model, replace(geometry, network=_network(profile, geometry, readings, conditions)))
     left = [readings.p_M - model.predict(readings.q, conditions=conditions) for model in models]

@@ -17,7 +17,7 @@ from cellapp.cell.driving.cell import build_plant
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.quantities import measurement_conditions
+from cellapp.estimation.calibration.quantities import ArmReadings, measurement_conditions
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.readings import Readings
 from cellapp.ground.grouping import grouped
@@ -61,7 +61,7 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
     conditions = measurement_conditions(readings)
     began = time.process_time()
     geometry = calibrate_arm(profile, name, readings)[0].model
-    found = discover_arm(profile, name, geometry, readings, conditions=conditions)
+    found = discover_arm(ArmReadings(profile, name, geometry, readings, conditions))
     seconds = time.process_time() - began
     rows = readings.in_split("validate")
     p_M, q, then = readings.p_M[rows], readings.q[rows], conditions.take(rows)

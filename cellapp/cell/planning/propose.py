@@ -32,7 +32,7 @@ from cellapp.cell.planning.transit_paths import ArmRoadmap
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion, visible_stops
-from cellapp.estimation.calibration.quantities import conditions_of_arms
+from cellapp.estimation.calibration.quantities import ArmReadings
 from cellapp.estimation.design.information import HOPELESS, Discrimination, SequentialDesign, joint_gains
 from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData
 from cellapp.estimation.discovery.outcome import Discovery
@@ -204,11 +204,8 @@ class ArmHypotheses:
     @classmethod
     def of(
         cls,
-        profile: Profile,
-        name: str,
-        model: CellModel,
-        readings: Readings,
-        conditions: MeasurementConditions,
+        measured: ArmReadings,
+        models: Mapping[str, ArmModel],
         discovery: Discovery,
         poses: CandidatePoses,
         count: int,
@@ -216,14 +213,13 @@ class ArmHypotheses:
         rng: np.random.Generator,
     ) -> ArmHypotheses:
         """Derive the hypotheses from the outcome of discovery in the arm's readings."""
-        arm = profile.arms[name]
-        rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
+        profile, name, readings = measured.profile, measured.name, measured.readings
+        arm, rows = profile.arms[name], readings.in_split("identify", "train")
         rows = rows[~np.isin(readings.configuration[rows], discovery.result.left_out_configurations)]
-        sigma = prior_sigmas(model.arms[name].nominal, profile.calibration.priors, arm.fixed)
-        geometry_only = ArmData.of(profile, model.arms[name], readings.take(rows), conditions.take(rows), sigma)
-        data, fit = refitted_discovery(geometry_only, discovery)
-        others = [(other, model.arms[other]) for other in model.arms if other != name]
-        run = RunConditions(name, others[0] if len(others) == 1 else None, conditions, count)
+        sigma = prior_sigmas(measured.model.nominal, profile.calibration.priors, arm.fixed)
+        data, fit = refitted_discovery(ArmData.of(measured.take(rows), sigma), discovery)
+        others = [(other, model) for other, model in models.items() if other != name]
+        run = RunConditions(name, others[0] if len(others) == 1 else None, measured.conditions, count)
         approaches = all_approaches(len(poses), readings.joints, rng)
         joined = joined_context(data, *run.all_candidates(poses, approaches))
         hypotheses = tuple(open_hypotheses(data, fit, discovery, joined))
@@ -570,10 +566,9 @@ def propose_stops(
     rng = np.random.default_rng([profile.seed, _PROPOSAL_SEED, max(len(arm) for arm in readings.values())])
     listener(Progress("propose", 0, count, "candidates"))
     poses, notes = candidate_poses(profile, readings, effort, rng, cancel)
-    conditions = conditions_of_arms(model.arms, readings)
     hypotheses = [
-        ArmHypotheses.of(profile, name, model, readings[name], conditions[name], found[name], poses, count, effort, rng)
-        for name in model.arms
+        ArmHypotheses.of(arm, model.arms, found[name], poses, count, effort, rng)
+        for name, arm in ArmReadings.of_cell(profile, model.arms, readings).items()
     ]
     if not any(arm.hypotheses for arm in hypotheses):
         raise InputError("propose: no effect is ambiguous or hidden, so further stops have nothing to decide")

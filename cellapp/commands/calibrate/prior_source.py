@@ -12,6 +12,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.run_arms import ControllerIdentity, recorded_controllers
 from cellapp.commands.stages import PriorBasis, StoredStage, earlier_digest, read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
+from cellapp.estimation.calibration.quantities import ArmReadings
 from cellapp.estimation.calibration.records import ArmPriorResult, CalibrateResult
 from cellapp.estimation.prior.belief import Belief
 from cellapp.estimation.prior.calibrate import Earlier, believed
@@ -113,15 +114,16 @@ def _earlier(run: RunFile, stage: StoredStage, name: str, notes: tuple[str, ...]
 
 def _believed(run: RunFile, stage: StoredStage, name: str, depth: int) -> tuple[Belief, int]:
     """Return a run's belief about an arm, including its own earlier priors, and the number of readings."""
-    models, readings = model_of(run, stage).arms, {arm: run.readings(arm) for arm in run.profile.arms}
+    readings = {arm: run.readings(arm) for arm in run.profile.arms}
+    arm = ArmReadings.of_cell(run.profile, model_of(run, stage).arms, readings)[name]
     record = _prior_of(run, name)
     if record is None:
-        return believed(run.profile, name, models, readings)
+        return believed(arm)
     if depth >= _MOST_EARLIER:
         raise InputError(f"{run.folder}: more than {_MOST_EARLIER} earlier runs in a row")
     with open_recorded(run, record) as earlier:
         before, _ = _believed(earlier, stage_in_force(earlier, read_stages(earlier)), name, depth + 1)
-    return believed(run.profile, name, models, readings, before, record.since)
+    return believed(arm, before, record.since)
 
 
 def open_recorded(run: RunFile, record: ArmPriorResult) -> RunFile:

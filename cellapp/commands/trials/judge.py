@@ -34,7 +34,7 @@ from cellapp.commands.trials.scoring import (
 )
 from cellapp.commands.trials.sealed import DescribedTerm, GroundTruth, check_readings, check_seal, open_truth
 from cellapp.commands.trials.sealed_setup import HARD, POSITION
-from cellapp.estimation.calibration.quantities import conditions_of_arms
+from cellapp.estimation.calibration.quantities import ArmReadings, conditions_of_arms
 from cellapp.estimation.discovery.arm_data import UNKNOWN
 from cellapp.estimation.discovery.outcome import Discovery, HeldOut
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter
@@ -42,7 +42,7 @@ from cellapp.estimation.motion.calibrate import SearchWithRecordings
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.executors import Work, gather
-from cellapp.ground.progress import JobSteps, Progress
+from cellapp.ground.progress import Progress
 from cellapp.ground.results import CALIBRATE, Record
 from cellapp.ground.version import __version__
 from cellapp.robot.effects import EFFECTS
@@ -209,13 +209,12 @@ def judge_run(folder: Path, source: str) -> None:
         calibrated = read_stages(run).current[CALIBRATE]
         model = CellModel.from_json(calibrated.model or "", str(folder))
         readings = {name: known_readings(run, name) for name in model.arms}
-        conditions = conditions_of_arms(model.arms, readings)
         stops = {name: run.readings(name) for name in model.arms}
         recordings = {name: read_recordings_of(run, name) for name in model.arms}
         search, arms = SearchWithRecordings(model.arms, stops, recordings), dict[str, StoredFindings]()
-        for name, arm in model.arms.items():
+        for name, arm in ArmReadings.of_cell(run.profile, model.arms, readings).items():
             wall_s, cpu_s = time.perf_counter(), time.process_time()
-            found = search(run.profile, name, arm, readings[name], conditions[name], JobSteps())
+            found = search(arm)
             result = _judged_at_rest(model, name, found, stops) if recordings[name] else found.result
             arms[name] = StoredFindings(
                 seconds=time.perf_counter() - wall_s,

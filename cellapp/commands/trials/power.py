@@ -34,7 +34,7 @@ from cellapp.commands.view.charts import Axis, Chart, bar_chart
 from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.table import Interval, Table, table_of
 from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_splits, rms_length_mm
-from cellapp.estimation.calibration.quantities import conditions_of_arms
+from cellapp.estimation.calibration.quantities import ArmReadings, conditions_of_arms
 from cellapp.estimation.discovery.arm_data import UNKNOWN
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.records import AcceptedEffect, SmallestSize
@@ -212,8 +212,8 @@ def _searched(cell: TrialCell, asked: NamingTrial, readings: Readings, visible: 
     splits, _ = profile_splits(profile, cell.readings)  # by the stops, independent of the measurements
     own = replace(readings, split=splits[name])
     model = calibrate_arm(profile, name, own)[0].model
-    conditions = conditions_of_arms({**cell.models, name: model}, {**cell.readings, name: own})[name]
-    accepted = discover_arm(profile, name, model, own, conditions=conditions).result.accepted
+    measured = ArmReadings.of_cell(profile, {**cell.models, name: model}, {**cell.readings, name: own})
+    accepted = discover_arm(measured[name]).result.accepted
     named = next((one for one in accepted if one.effect == asked.effect), None)
     return asked.model_copy(
         update={

@@ -59,7 +59,7 @@ from cellapp.ground.results import Provenance, Stage, StageErrors
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.effects.registry import program_of
 from cellapp.robot.kinematics.chain import TOOL_NAMES, Geometry, smr_positions
-from cellapp.robot.kinematics.transforms import Array, angular_rows, apply, register
+from cellapp.robot.kinematics.transforms import Array, apply, register
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.robot.model.nominal import nominal_arm, prior_sigmas
 
@@ -109,7 +109,7 @@ def gross_errors(left_M: Array, angular: NDArray[np.bool_] | None = None) -> NDA
 
 
 def gross_errors_of_geometry(
-    start: Geometry, nominal: Geometry, q: Array, p_M: Array, fitted: int = 0, R_M_S: Array | None = None
+    start: Geometry, nominal: Geometry, readings: Readings, fitted: int = 0
 ) -> NDArray[np.bool_]:
     """Return a mask (n,) of the readings that are gross errors by a robust fit, which gives them no weight.
 
@@ -119,18 +119,15 @@ def gross_errors_of_geometry(
         Start of the identification; ``nominal`` is used if that fits most readings better.
     nominal : Geometry
         Mean of the priors.
-    q : array, shape (n, N) [rad]
-    p_M : array, shape (n, 3) [m]
+    readings : Readings
     fitted : int
         Number of readings that ``start`` was fitted to by least squares. If there are enough, clean readings need no
         further fit. 0 if ``start`` may hide gross errors.
-    R_M_S : array, shape (n, 3, 3), optional
-        Measured orientations, NaN at positions.
     """
-    none = np.zeros(len(q), dtype=np.bool_)
+    none, its = np.zeros(len(readings), dtype=np.bool_), measured_quantities(readings)
+    q, p_M, R_M_S, angular = its.readings.q, its.readings.p_M, its.R_M_S, its.angular
     if len(q) < _LEAST_READINGS:
         return none
-    angular = angular_rows(R_M_S)
 
     def lengths(geometry: Geometry) -> list[Array]:
         """Compute the lengths of the residuals of positions, and of orientations."""
@@ -146,7 +143,7 @@ def gross_errors_of_geometry(
     offset = unknown_offset(nominal, q, R_M_S)
     found = identify(begin, q, p_M, R_M_S=R_M_S, prior_sigma=offset, prior_mean=nominal, robust="tukey", tolerance=1e-6)
     found = found.settled("robust fit that finds gross errors")
-    return gross_errors(p_M - smr_positions(found.geometry, q, R_M_S), angular)
+    return its.readings_with(gross_errors(p_M - smr_positions(found.geometry, q, R_M_S), angular))
 
 
 def gross_errors_of_model(model: ArmModel, readings: Readings, conditions: MeasurementConditions) -> NDArray[np.bool_]:
@@ -512,25 +509,16 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
     """
     fitted = _fitted(profile, name, readings)
     for _ in range(ROUNDS):
-        wrong = _gross_errors(fitted)
+        good, geometry = fitted.readings, fitted.identification.geometry
+        wrong = gross_errors_of_geometry(geometry, fitted.nominal, good, len(good.in_split("identify")))
         if not wrong.any():
             break
-        fitted = _fitted(profile, name, fitted.readings.take(~wrong), robust=True)
+        fitted = _fitted(profile, name, good.take(~wrong), robust=True)
     calibration = _evaluated(profile, name, readings, fitted)
     notes = _arm_notes(name, calibration, fitted)
     if doubt := factory_doubt(profile.arms[name], fitted.readings):
         notes.append(f"arm '{name}': {doubt}; no program, command or export is made of such a model")
     return calibration, notes
-
-
-def _gross_errors(fitted: _Fitted) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the readings that are gross errors by the fit to the identify split."""
-    good, geometry = fitted.readings, fitted.identification.geometry
-    learned, its = len(good.in_split("identify")), measured_quantities(good)
-    wrong = gross_errors_of_geometry(
-        geometry, fitted.nominal, its.readings.q, its.readings.p_M, learned, R_M_S=its.R_M_S
-    )
-    return its.readings_with(wrong)
 
 
 @dataclass(frozen=True, eq=False)
@@ -709,7 +697,8 @@ def train_arm(profile: Profile, arm: ArmCalibration, readings: Readings, steps: 
     held_out = readings.take(readings.in_split("validate"))
     if len(taught) < 2 * profile.network.folds:
         return arm
-    left_M = taught.p_M - arm.model.predict(taught.q, taught.approach, taught.payload_kg)
+    loaded = MeasurementConditions(approach=taught.approach, payload_kg=taught.payload_kg)
+    left_M = taught.p_M - arm.model.predict(taught.q, conditions=loaded)
     arm = with_networks(profile, arm, taught.q, left_M, taught.time_s, steps)
     if arm.model.network is None:
         return arm
@@ -754,16 +743,10 @@ def with_networks(
     if not in_a_pair(profile):
         return arm
     # The same shape, not rotated with joint 1: the tracker frame has no relation to that axis.
-    in_tracker = train_network(
-        q,
-        left_M,
-        seed=seed,
-        folds=profile.network.folds,
-        iterations=profile.network.iterations,
-        shapes=(replace(training.shape, rotates_with_joint_1=False),),
-        steps=steps.after(learning_steps(profile.network), "tracker frame"),
-    ).network
-    return replace(arm, tracker_frame_network=in_tracker)
+    shape = replace(training.shape, rotates_with_joint_1=False)
+    later = steps.after(learning_steps(profile.network), "tracker frame")
+    in_tracker = train_network(profile.network, q, left_M, seed, later, shapes=(shape,))
+    return replace(arm, tracker_frame_network=in_tracker.network)
 
 
 def in_a_pair(profile: Profile) -> bool:

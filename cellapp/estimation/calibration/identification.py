@@ -16,7 +16,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Protocol
 
 import numpy as np
@@ -50,6 +50,8 @@ from cellapp.estimation.calibration.parameters import (
     estimated_parameters,
     prior_sds,
     prior_spreads,
+    sds_of,
+    sigma_by_name,
     unknown_offset,
 )
 from cellapp.estimation.calibration.quantities import with_probe
@@ -91,7 +93,7 @@ class Identification:
         into them. Otherwise all estimated parameters.
     names, units : tuple of str, length k
         Of the parameters in the table, geometry first, then effects.
-    values, standard_errors : array, shape (k,)
+    values : array, shape (k,)
         Values with the merged parameters at nominal and the same predictions.
     covariance : array, shape (k, k)
         Of the values, scaled by the scatter of the residuals (``scale``) unless effects have priors.
@@ -133,7 +135,6 @@ class Identification:
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: Array
-    standard_errors: Array
     covariance: Array
     effect_values: Array
     iterations: int
@@ -155,6 +156,11 @@ class Identification:
         if not self.converged:
             raise NotConverged.of(fit, self.message, "allow more steps (calibration.max_iterations), or report it")
         return self
+
+    @cached_property
+    def standard_errors(self) -> Array:
+        """Standard errors (k,) of the values."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
     def positions(self) -> slice | NDArray[np.bool_]:
@@ -391,11 +397,7 @@ class _Problem:
         precision, own = (np.where(held, FIXED_SD**-2, its) for its in (self.precision, point.precision))
         here = replace(minimum, point=replace(point, precision=own))
         found = replace(self, precision=precision, mean=mean)._result(here)
-        return replace(found, prior_sigma=self._prior_sigma(point))
-
-    def _prior_sigma(self, point: Estimate) -> dict[str, float]:
-        stated = zip(self.parameters.names, point.precision.tolist(), strict=False)
-        return {name: precision**-0.5 for name, precision in stated if precision > 0.0}
+        return replace(found, prior_sigma=sigma_by_name(self.parameters.names, point.precision))
 
     def _result(self, minimum: Minimum[Estimate]) -> Identification:
         point, effects = minimum.point, self.observations.effects
@@ -407,22 +409,23 @@ class _Problem:
         variance = max(normal.cost / freedom, _SMALLEST)
         if covariance is None:
             covariance = point.covariance(variance)
-        chosen = self._determined(normal.A / point.variance) if self.tabulated else self.parameters
+        chosen, size = self.parameters, len(self.parameters.columns)
+        if self.tabulated:
+            chosen = determined_set(chosen, normal.A[:size, :size] / point.variance, sds_of(self.precision[:size]))
         to_table, kept = chosen.from_estimated(self.parameters)
         in_table = covariance if chosen is self.parameters else _in_table(_in_table(covariance, to_table).T, to_table)
-        gram, size = normal.gram[kept[:, None], kept], len(self.parameters.columns)
+        gram = normal.gram[kept[:, None], kept]
         scale = parameter_scale(np.diag(gram), n, chosen)
         angular = self.observations.angles.angular
         return Identification(
             geometry=geometry,
             estimated=self.parameters,
             estimated_covariance=covariance,
-            prior_sigma=self._prior_sigma(point),
+            prior_sigma=sigma_by_name(self.parameters.names, point.precision),
             parameter_set=chosen,
             names=chosen.names + (() if effects is None else effects.names),
             units=chosen.units + (() if effects is None else effects.units),
             values=_in_table(point.values - self.mean, to_table) + np.concatenate([self.mean[kept], self.mean[size:]]),
-            standard_errors=np.sqrt(np.diag(in_table)),
             covariance=in_table,
             effect_values=effect_values,
             iterations=len(minimum.steps),
@@ -438,13 +441,6 @@ class _Problem:
             angular=angular,
             freedom_of_rotations=_freedom_of_rotations(point, angular),
         )
-
-    def _determined(self, information: Array) -> ParameterSet:
-        """Choose the estimated parameters of the geometry that the ``information`` matrix (K + m, K + m) determines."""
-        size = len(self.parameters.columns)
-        with np.errstate(divide="ignore"):
-            prior_sd = 1.0 / np.sqrt(self.precision[:size])
-        return determined_set(self.parameters, information[:size, :size], prior_sd)
 
     def _degrees_of_freedom(self, point: Estimate, by_priors: Array) -> float:
         """Compute the number of measured coordinates less the number of parameters that they determine."""

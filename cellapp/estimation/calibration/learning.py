@@ -201,35 +201,32 @@ class Training:
 
 
 def train_network(
+    network: Network,
     q: Array,
     residual: Array,
-    *,
     seed: int,
-    folds: int = 5,
-    iterations: int = 150,
+    steps: JobSteps = UNTOLD,
+    *,
     shapes: Sequence[Shape] | None = None,
     fold: NDArray[np.int64] | None = None,
-    steps: JobSteps = UNTOLD,
 ) -> Training:
     """Train a residual network on at most ``_MOST_READINGS`` readings; draw them by ``seed`` if there are more.
 
     Parameters
     ----------
+    network : Network
+        Number of folds and of members, and the largest number of iterations of a member.
     q : array, shape (n, N)
         Joint positions [rad].
     residual : array, shape (n, 3)
         Measured minus computed positions in the frame of the correction, the base frame [m].
     seed : int
-    folds : int
-        Number of folds and of members.
-    iterations : int
-        Maximum number of iterations of a member.
+    steps : JobSteps
+        There are ``training_steps(len(shapes))``.
     shapes : sequence of Shape, optional
         Candidates; the default depends on the number of readings.
     fold : array of int, shape (n,), optional
         Fold of each reading; drawn by ``seed`` if not given.
-    steps : JobSteps
-        There are ``training_steps(len(shapes))``.
     """
     shapes = candidate_shapes(len(q)) if shapes is None else shapes
     low, high = q.min(axis=0), q.max(axis=0)
@@ -238,10 +235,10 @@ def train_network(
         q, residual, fold = q[sample], residual[sample], None if fold is None else fold[sample]
     scale = max(float(np.sqrt(np.mean(residual**2))), 1e-12)
     group = undivided(q)
-    if group.max() + 1 < 2 * folds:
+    if group.max() + 1 < 2 * network.folds:
         rms = float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
         return Training(network=None, shape=shapes[0], left_out_rms=rms, without_rms=rms, tried=())
-    fold = folds_of(group, folds, np.random.default_rng([seed, 0xF01D])) if fold is None else fold
+    fold = folds_of(group, network.folds, np.random.default_rng([seed, 0xF01D])) if fold is None else fold
     outputs = {False: residual / scale, True: rotate_about_z(residual / scale, -q[:, 0])}
     inputs = {kind: network_inputs(kind, low, high, q) for kind in {shape.inputs for shape in shapes}}
     candidates = [
@@ -250,20 +247,20 @@ def train_network(
     ]
     for number, candidate in enumerate(candidates if len(shapes) > 1 else ()):
         steps(number, f"network {number + 1} of {len(shapes)}")
-        candidate.train(_SCREENED, min(_SCREENING, iterations), steps)
+        candidate.train(_SCREENED, min(_SCREENING, network.iterations), steps)
     tried = tuple((candidate.shape, candidate.left_out() * scale) for candidate in candidates if candidate.members)
     committee = min(candidates, key=_Committee.left_out) if len(shapes) > 1 else candidates[0]
     steps(len(shapes), "best network")
-    committee.train(int(fold.max()) + 1, iterations, steps)
+    committee.train(int(fold.max()) + 1, network.iterations, steps)
     steps(len(shapes) + 1, "network trained")
     shape, squares = committee.shape, committee.left_out_squares()
     of_none = np.sum((residual / scale) ** 2, axis=1)
     left_out, without = (float(np.sqrt(one.mean())) for one in (squares, of_none))
     margin = MARGIN * np.maximum(high - low, 1e-3)
     members = tuple(committee.net.layers(member.best) for member in committee.members)
-    network = ResidualNetwork(shape.inputs, low, high, margin, shape.rotates_with_joint_1, scale, members)
+    found = ResidualNetwork(shape.inputs, low, high, margin, shape.rotates_with_joint_1, scale, members)
     return Training(
-        network=network if left_out < WORTH * without and standard_errors(of_none - squares, group) > 1.0 else None,
+        network=found if left_out < WORTH * without and standard_errors(of_none - squares, group) > 1.0 else None,
         shape=shape,
         left_out_rms=left_out * scale,
         without_rms=without * scale,
@@ -423,9 +420,7 @@ def require_learner(network: Network) -> None:
         load_torch()
 
 
-def learn(
-    network: Network, q: Array, residual: Array, time_s: Array, *, seed: int, steps: JobSteps = UNTOLD
-) -> Training:
+def learn(network: Network, q: Array, residual: Array, time_s: Array, seed: int, steps: JobSteps = UNTOLD) -> Training:
     """Train the network that the profile requests.
 
     Parameters
@@ -448,16 +443,15 @@ def learn(
     Cancelled
         On request.
     """
-    folds, iterations = network.folds, network.iterations
-    fewest = 2 * folds * _BLOCKS_A_FOLD
-    if network.kind != "batches" or len(q) < fewest:
-        return train_network(q, residual, seed=seed, folds=folds, iterations=iterations, steps=steps)
+    folds = network.folds
+    if network.kind != "batches" or len(q) < 2 * folds * _BLOCKS_A_FOLD:
+        return train_network(network, q, residual, seed, steps)
     order = np.argsort(time_s, kind="stable")
     q, residual = q[order], residual[order]
     block = np.arange(len(q)) * (folds * _BLOCKS_A_FOLD) // len(q)
     fold = (np.random.default_rng([seed, _SEED]).permutation(folds * _BLOCKS_A_FOLD) % folds)[block]
     fold = fold[np.unique(group := repeats(q), return_index=True)[1]][group]
-    committee = train_network(q, residual, seed=seed, folds=folds, iterations=iterations, fold=fold, steps=steps)
+    committee = train_network(network, q, residual, seed, steps, fold=fold)
     network_of_all, device = _in_batches(committee, q, residual, fold, seed, steps)
     steps(training_steps() + 1, "networks compared")
     return _better(committee, network_of_all, device, q, residual, fold, block)

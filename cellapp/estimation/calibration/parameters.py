@@ -8,7 +8,7 @@ states the *determined* set with standard errors; the other parameters are merge
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from types import MappingProxyType
@@ -273,6 +273,18 @@ def estimated_parameters(
     if wanted == "full":
         return full_set(geometry), prior_sigma
     return replace(full_set(geometry), name="auto"), {**weak_priors(geometry.joints), **prior_sigma}
+
+
+def sds_of(precision: Array) -> Array:
+    """Return the standard deviations of priors by their precisions, infinite without one."""
+    with np.errstate(divide="ignore"):
+        return np.asarray(1.0 / np.sqrt(precision))
+
+
+def sigma_by_name(names: Sequence[str], precision: Array) -> dict[str, float]:
+    """Return the standard deviations of the priors by parameter, without those that have none."""
+    stated = zip(names, precision.tolist(), strict=False)
+    return {name: value**-0.5 for name, value in stated if value > 0.0}
 
 
 def determined_set(estimated: ParameterSet, information: Array, prior_sd: Array) -> ParameterSet:

@@ -21,6 +21,7 @@ from cellapp.estimation.readings import Readings, stated_uncertainty
 from cellapp.estimation.readings.readings import repeats
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
+from cellapp.ground.profile import Profile
 from cellapp.ground.results import ErrorSummary, StageErrors
 from cellapp.robot.effects import MeasurementConditions, TemperatureRecord
 from cellapp.robot.kinematics.chain import Geometry, flange_poses
@@ -260,6 +261,38 @@ def conditions_of_arms(
         other = (models[others[0]], readings[others[0]]) if len(others) == 1 else None
         found[name] = measurement_conditions(own, other)
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class ArmReadings:
+    """Readings of one arm of a cell with their conditions, and the arm as calibrated with them."""
+
+    profile: Profile
+    name: str
+    model: ArmModel
+    readings: Readings
+    conditions: MeasurementConditions
+
+    @classmethod
+    def alone(cls, profile: Profile, name: str, model: ArmModel, readings: Readings) -> ArmReadings:
+        """Return the readings with the conditions that follow from those of this arm alone."""
+        return cls(profile, name, model, readings, measurement_conditions(readings))
+
+    @classmethod
+    def of_cell(
+        cls, profile: Profile, models: Mapping[str, ArmModel], readings: Mapping[str, Readings]
+    ) -> dict[str, ArmReadings]:
+        """Return the readings of every arm of ``models``."""
+        conditions = conditions_of_arms(models, readings)
+        return {name: cls(profile, name, model, readings[name], conditions[name]) for name, model in models.items()}
+
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> ArmReadings:
+        """Return some of the rows."""
+        return replace(self, readings=self.readings.take(rows), conditions=self.conditions.take(rows))
+
+    def quantities(self) -> Quantities:
+        """Return the measured positions and orientations."""
+        return measured_quantities(self.readings, self.conditions)
 
 
 def _order(readings: Readings) -> Array | None:

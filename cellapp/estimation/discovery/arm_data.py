@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.identification import identify_with_excess
 from cellapp.estimation.calibration.least_squares import whitener, with_excess
 from cellapp.estimation.calibration.parameters import ParameterSet
-from cellapp.estimation.calibration.quantities import measured_quantities
+from cellapp.estimation.calibration.quantities import ArmReadings
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import Groups, repeats, undivided
 from cellapp.ground.grouping import grouped
@@ -363,21 +363,13 @@ class ArmData:
     cache: dict[tuple[str, str, tuple[str, ...] | None], list[EffectColumn]] = field(default_factory=dict)
 
     @classmethod
-    def of(
-        cls,
-        profile: Profile,
-        model: ArmModel,
-        readings: Readings,
-        conditions: MeasurementConditions,
-        prior_sigma: Mapping[str, float] | None = None,
-    ) -> ArmData:
+    def of(cls, arm: ArmReadings, prior_sigma: Mapping[str, float] | None = None) -> ArmData:
         """Set the weights from the stated uncertainty, and select the geometric parameters.
 
         ``prior_sigma`` [m, rad] replaces the profile's, about ``robot.model.nominal``.
         """
-        geometry_only = replace(model, effects=(), network=None)
+        profile, model, its = arm.profile, arm.model, arm.quantities()
         settings = profile.calibration
-        its = measured_quantities(readings, conditions)
         readings, conditions, stated = its.readings, its.conditions, its.stated
         found, excess_m = identify_with_excess(
             model.nominal,
@@ -393,7 +385,7 @@ class ArmData:
         sigma = np.full(len(readings), max(found.scale, LEAST_SCATTER_M)) if stated is None else stated
         if stated is not None and its.angular is not None:
             sigma = with_excess(stated, excess_m**2, its.angular, found.excess_rad**2)
-        geometry_only = replace(geometry_only, geometry=found.geometry)
+        geometry_only = replace(model, effects=(), network=None, geometry=found.geometry)
         return cls(profile, geometry_only, readings, conditions, stated, sigma, found.estimated, found.prior_sigma)
 
     def __len__(self) -> int:

@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.calibrate import (
     ROUNDS,
@@ -24,12 +23,7 @@ from cellapp.estimation.calibration.calibrate import (
 from cellapp.estimation.calibration.learning import learning_steps
 from cellapp.estimation.calibration.least_squares import mean_variance
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
-from cellapp.estimation.calibration.quantities import (
-    conditions_of_arms,
-    measured_quantities,
-    measurement_conditions,
-    states_nothing,
-)
+from cellapp.estimation.calibration.quantities import ArmReadings, states_nothing
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions, pictures
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
 from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData, smoothness_of
@@ -49,7 +43,7 @@ from cellapp.ground.errors import NotConverged, with_not_fitted
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import UNTOLD, CancelToken, JobSteps, Listener, Progress, SharedProgress, ignore
 from cellapp.ground.threads import give_back
-from cellapp.robot.effects import EFFECTS, MeasurementConditions
+from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
 from cellapp.robot.model.nominal import prior_sigmas
@@ -61,7 +55,7 @@ _SUBSET_SEED = 0x5EA
 """Combined with the profile's seed, so that the draw of these readings is independent of all other draws."""
 
 
-ArmSearch = Callable[[Profile, str, ArmModel, Readings, MeasurementConditions, JobSteps], "Discovery"]
+ArmSearch = Callable[[ArmReadings, JobSteps], "Discovery"]
 """Search of one calibrated arm, as ``discover_arm``."""
 
 
@@ -83,7 +77,8 @@ def discover_cell(
         On request.
     """
     readings = {name: one_a_stop(its) for name, its in readings.items()}
-    arms = _discover_arms(profile, model, readings, listener, cancel or CancelToken(), search_arm or discover_arm)
+    searched = ArmReadings.of_cell(profile, model.arms, readings)
+    arms = _discover_arms(profile, searched, listener, cancel or CancelToken(), search_arm or discover_arm)
     pair = None
     if any(discovery.terms for discovery in arms.values()):
         good = {name: without(readings[name], found.result.left_out_configurations) for name, found in arms.items()}
@@ -106,26 +101,20 @@ def _may_train(profile: Profile) -> bool:
 
 
 def _discover_arms(
-    profile: Profile,
-    model: CellModel,
-    readings: Mapping[str, Readings],
-    listener: Listener,
-    cancel: CancelToken,
-    search_arm: ArmSearch,
+    profile: Profile, arms: Mapping[str, ArmReadings], listener: Listener, cancel: CancelToken, search_arm: ArmSearch
 ) -> dict[str, Discovery]:
-    conditions = conditions_of_arms(model.arms, readings)
     found: dict[str, Discovery] = {}
-    total = _total_steps(profile, len(model.arms))
+    total = _total_steps(profile, len(arms))
     searched = SharedProgress(listener, "discover", 0, total, cancel)
-    for name, arm in model.arms.items():
+    for name, arm in arms.items():
         steps = searched.part(f"arm {name}")
         steps(0, "search")
         steps.check()
-        found[name] = search_arm(profile, name, arm, readings[name], conditions[name], steps)
+        found[name] = search_arm(arm, steps)
         steps(SEARCH_STEPS, found[name].result.verdict)
     if not _may_train(profile):
         return found
-    trained = SharedProgress(listener, "discover", SEARCH_STEPS * len(model.arms), total, cancel)
+    trained = SharedProgress(listener, "discover", SEARCH_STEPS * len(arms), total, cancel)
     with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
         tasks = {}
         for name, discovery in found.items():
@@ -134,54 +123,37 @@ def _discover_arms(
                 steps(learning_steps(profile.network), "no network is needed")
                 continue
             steps(0, "residual network beside the effects")
-            good = ~np.isin(readings[name].configuration, discovery.result.left_out_configurations)
-            its, its_conditions = readings[name].take(good), conditions[name].take(good)
-            tasks[name] = pool.submit(with_network, profile, model.arms[name], discovery, its, its_conditions, steps)
+            good = ~np.isin(arms[name].readings.configuration, discovery.result.left_out_configurations)
+            tasks[name] = pool.submit(with_network, arms[name].take(good), discovery, steps)
         return {**found, **{name: task.result() for name, task in tasks.items()}}
 
 
 def discover_arm(
-    profile: Profile,
-    name: str,
-    model: ArmModel,
-    readings: Readings,
-    conditions: MeasurementConditions | None = None,
-    steps: JobSteps = UNTOLD,
-    prior_sigma: Mapping[str, float] | None = None,
+    arm: ArmReadings, steps: JobSteps = UNTOLD, prior_sigma: Mapping[str, float] | None = None
 ) -> Discovery:
     """Search the identify and train splits for effects, and evaluate the models on the validate split.
 
     Gross errors of the geometry are left out of all splits, as ``calibrate`` leaves them out.
 
-    ``conditions`` are those of ``readings``; if None, they are derived from the readings of this arm alone. There are
-    ``SEARCH_STEPS`` steps. ``prior_sigma`` are standard deviations [m, rad] of geometric
-    parameters about ``robot.model.nominal``; if None, those of the profile.
+    There are ``SEARCH_STEPS`` steps. ``prior_sigma`` are standard deviations [m, rad] of geometric parameters about
+    ``robot.model.nominal``; if None, those of the profile.
     """
     started = time.perf_counter()
-    conditions = conditions or measurement_conditions(readings)
-    wrong = _gross_errors(model, readings)
-    held_out = HeldOut.of(readings.take(~wrong), conditions.take(~wrong))
-    rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
-    rows = rows[~wrong[rows]]
+    wrong = gross_errors_of_geometry(arm.model.geometry, arm.model.nominal, arm.readings)
+    right = arm.take(~wrong)
     if prior_sigma is None:
-        prior_sigma = prior_sigmas(model.nominal, profile.calibration.priors, profile.arms[name].fixed)
-    found = search_rows(profile, model, readings.take(rows), conditions.take(rows), steps, prior_sigma)
-    left_out = tuple(sorted({*readings.configuration[wrong].tolist(), *found.left_out}))
+        prior_sigma = prior_sigmas(arm.model.nominal, arm.profile.calibration.priors, arm.profile.arms[arm.name].fixed)
+    found = search_rows(right.take(right.readings.in_split("identify", "train")), steps, prior_sigma)
+    left_out = tuple(sorted({*arm.readings.configuration[wrong].tolist(), *found.left_out}))
+    held_out = HeldOut.of(right.readings, right.conditions)
     result = _judged_by_held_out(replace(found, left_out=left_out), held_out)
-    return _evaluated(name, model, result, held_out, started)
+    return _evaluated(arm, result, held_out, started)
 
 
-def _gross_errors(model: ArmModel, readings: Readings) -> NDArray[np.bool_]:
-    """Return a mask (n,) of the readings that are gross errors for the geometry alone."""
-    its = measured_quantities(readings)
-    wrong = gross_errors_of_geometry(model.geometry, model.nominal, its.readings.q, its.readings.p_M, R_M_S=its.R_M_S)
-    return its.readings_with(wrong)
-
-
-def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, started: float) -> Discovery:
+def _evaluated(arm: ArmReadings, result: Searched, held_out: HeldOut, started: float) -> Discovery:
     """Build the discovery from a search: evidence of the effects and errors on held-out readings.
 
-    ``model`` is the calibrated arm; ``started`` is the start of the search by ``time.perf_counter`` [s].
+    ``started`` is the start of the search by ``time.perf_counter`` [s].
     """
     searched, found, fitted_model = result.judged, result.found, result.model
     before, after = held_out.position_mm(found.geometry_only.model), held_out.position_mm(fitted_model)
@@ -199,7 +171,7 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
     if result.harmful:
         word = "unknown effect"  # the search fitted something real, but not by its true cause
     # if nothing was found, the arm stays as it was calibrated
-    final = replace(fitted_model, effects=terms) if terms else replace(model, posterior=fitted_model.posterior)
+    final = replace(fitted_model, effects=terms) if terms else replace(arm.model, posterior=fitted_model.posterior)
     invisible, not_found = detectability(found, scan if found is searched else remaining_scan(found))
     evaluated = ArmDiscoveryResult(
         noise_floor_mm=floor_mm if math.isfinite(floor_mm) else None,
@@ -226,7 +198,7 @@ def _evaluated(name: str, model: ArmModel, result: Searched, held_out: HeldOut, 
         unnamed=nameless,
         claim=claim,
         verdict=word,
-        sentence=f"arm {name}: {'; '.join(filter(None, [_with_what_was_left_out(sentence, result), claim]))}",
+        sentence=f"arm {arm.name}: {'; '.join(filter(None, [_with_what_was_left_out(sentence, result), claim]))}",
     )
     return Discovery(evaluated, terms, final, _scatter_m(found))
 
@@ -293,45 +265,39 @@ class Searched:
         return replace(self, judged=rest, found=rest, model=model, harmful=slugs)
 
 
-def search_rows(
-    profile: Profile,
-    model: ArmModel,
-    readings: Readings,
-    conditions: MeasurementConditions,
-    steps: JobSteps = UNTOLD,
-    prior_sigma: Mapping[str, float] | None = None,
-) -> Searched:
+def search_rows(arm: ArmReadings, steps: JobSteps = UNTOLD, prior_sigma: Mapping[str, float] | None = None) -> Searched:
     """Search at most ``_MOST_SEARCHED`` of the readings, drawn at random, then fit to all of them.
 
     Gross errors that show only beside the effects found are removed in rounds; the search is repeated only if some of
     them were searched. ``prior_sigma`` as for ``discover_arm``.
     """
-    order = np.arange(len(readings), dtype=np.intp)
+    order = np.arange(len(arm.readings), dtype=np.intp)
     if len(order) > _MOST_SEARCHED:
-        order = np.random.default_rng([profile.seed, _SUBSET_SEED]).permutation(order)
-    gross, searched, found = np.zeros(len(readings), dtype=np.bool_), order[:0], None
+        order = np.random.default_rng([arm.profile.seed, _SUBSET_SEED]).permutation(order)
+    gross, searched, found = np.zeros(len(order), dtype=np.bool_), order[:0], None
     slugs = [slug for slug in EFFECTS if slug != UNKNOWN]
     for _ in range(ROUNDS):
         kept = order[~gross[order]]
         some, every = np.sort(kept[:_MOST_SEARCHED]), np.sort(kept)
         if found is None or not np.array_equal(some, searched):
-            data = ArmData.of(profile, model, readings.take(some), conditions.take(some), prior_sigma)
+            data = ArmData.of(arm.take(some), prior_sigma)
             found, searched = search(data, slugs, steps), some
         if len(every) > len(some):
-            data = ArmData.of(profile, model, readings.take(every), conditions.take(every), prior_sigma)
+            data = ArmData.of(arm.take(every), prior_sigma)
         data = data.claiming(found.claim)
         result = _fitted_to_all(found, data, steps)
         fitted = some if result.only_some else every  # others may be far off because they were not fitted
-        wrong = fitted[gross_errors_of_model(result.model, readings.take(fitted), conditions.take(fitted))]
+        its = arm.take(fitted)
+        wrong = fitted[gross_errors_of_model(result.model, its.readings, its.conditions)]
         if not len(wrong):
             break
         gross[wrong] = True
     if found is not None and result.fitted is not None and not result.only_some:
         by_search = Searched.of_search(found, data, "the fit to all predicts those that were not searched worse")
-        further = np.setdiff1d(every, some)
-        if HeldOut(readings.take(further), conditions.take(further)).predicts_worse(result.model, by_search.model):
+        further = arm.take(np.setdiff1d(every, some))
+        if HeldOut(further.readings, further.conditions).predicts_worse(result.model, by_search.model):
             result = by_search
-    return replace(result, left_out=tuple(readings.configuration[gross].tolist()))
+    return replace(result, left_out=tuple(arm.readings.configuration[gross].tolist()))
 
 
 def _fitted_to_all(found: SearchResult, data: ArmData, steps: JobSteps) -> Searched:
@@ -424,45 +390,36 @@ def needs_network(profile: Profile, discovery: Discovery) -> bool:
     return asked == "always" or (asked == "unknown" and discovery.result.verdict == "unknown effect")
 
 
-def with_network(
-    profile: Profile,
-    calibrated: ArmModel,
-    discovery: Discovery,
-    readings: Readings,
-    conditions: MeasurementConditions,
-    steps: JobSteps = UNTOLD,
-) -> Discovery:
+def with_network(arm: ArmReadings, discovery: Discovery, steps: JobSteps = UNTOLD) -> Discovery:
     """Add to the outcome the corrections of a network before and after the accepted effects.
 
     The network joins the model only if an effect stays unknown and the network predicts the left-out folds of its
     training readings better than none. Held-out readings judge the result; they do not select it.
     """
-    held_out = HeldOut.of(readings, conditions)
+    held_out = HeldOut.of(arm.readings, arm.conditions)
     network = discovery.model.network
-    rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")])
+    learnt = replace(arm, model=discovery.model).take(arm.readings.in_split("identify", "train"))
     if discovery.terms:
-        network = _train(profile, discovery.model, readings.take(rows), conditions.take(rows), steps)
+        network = _train(learnt, steps)
     q = held_out.readings.q
-    corrections = BeforeAfter(before=_correction_mm(calibrated.network, q), after=_correction_mm(network, q))
+    corrections = BeforeAfter(before=_correction_mm(arm.model.network, q), after=_correction_mm(network, q))
     found = discovery.result.model_copy(update={"network_mm": corrections})
     discovery = replace(discovery, result=found)
     if not discovery.terms or found.verdict != "unknown effect" or network is None:
         return discovery
-    learnt = measured_quantities(readings.take(rows), conditions.take(rows))
-    network = replace(network, rotation=rotation_network(profile, discovery.model, learnt, steps))
+    network = replace(network, rotation=rotation_network(arm.profile, discovery.model, learnt.quantities(), steps))
     model = replace(discovery.model, network=network)
     step = GapStep(what="a network for the rest", effect="", heldout_mm=held_out.position_mm(model).rms)
     return discovery.with_model(model, held_out, steps=(*found.steps, step))
 
 
-def _train(
-    profile: Profile, model: ArmModel, readings: Readings, conditions: MeasurementConditions, steps: JobSteps
-) -> ResidualNetwork | None:
-    """Train a network on the residuals of ``model``; None if it does not predict left-out readings better than none."""
-    if len(readings) < _READINGS_A_FOLD * profile.network.folds:
+def _train(arm: ArmReadings, steps: JobSteps) -> ResidualNetwork | None:
+    """Train a network on the residuals of an arm; None if it does not predict left-out readings better than none."""
+    readings = arm.readings
+    if len(readings) < _READINGS_A_FOLD * arm.profile.network.folds:
         return None
-    left_M = readings.p_M - model.predict(readings.q, conditions=conditions)
-    return network_of_residuals(profile, model, readings, left_M, steps)
+    left_M = readings.p_M - arm.model.predict(readings.q, conditions=arm.conditions)
+    return network_of_residuals(arm.profile, arm.model, readings, left_M, steps)
 
 
 def _correction_mm(network: ResidualNetwork | None, q: Array) -> float:

@@ -659,7 +659,6 @@ def _reordered(found: Identification, effects: NDArray[np.intp]) -> Identificati
         names=tuple(found.names[i] for i in place),
         units=tuple(found.units[i] for i in place),
         values=found.values[place],
-        standard_errors=found.standard_errors[place],
         covariance=found.covariance[np.ix_(place, place)],
         effect_values=found.effect_values[effects],
     )

@@ -288,12 +288,7 @@ def accuracy_of(
         scatter_mm=1e3 * scatter_m,
         standard_error_mm=1e3 * math.sqrt(float(np.mean(variance))),
         largest_mm=1e3 * math.sqrt(float(np.max(variance))),
-        parameters={
-            name: Estimate(value=value, standard_error=error, unit=unit)
-            for name, unit, value, error in zip(
-                chosen.names, chosen.units, values.tolist(), errors.tolist(), strict=True
-            )
-        },
+        parameters=Estimate.by_name(chosen.names, values.tolist(), errors.tolist(), chosen.units),
     )
 
 

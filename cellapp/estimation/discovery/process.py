@@ -27,15 +27,8 @@ from cellapp.estimation.discovery.joint_fit import (
     uncertainty_with_scatter,
 )
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN
-from cellapp.robot.effects import EFFECTS, Effect, EffectColumn, Law, LawForm
-from cellapp.robot.effects.data_driven import (
-    FIELD,
-    FIELD_LENGTH,
-    box_of,
-    field_frequencies,
-    field_variances,
-    position_in_base,
-)
+from cellapp.robot.effects import EFFECTS, EffectColumn, Law, LawForm
+from cellapp.robot.effects.data_driven import FIELD, box_of, field_frequencies, field_variances, position_in_base
 from cellapp.robot.effects.law import AMPLITUDE, CYCLES, LENGTH, LengthRange, SmoothLaw, circle_variances
 from cellapp.robot.effects.periodic import CURVE, CURVE_AMPLITUDE, CURVE_LENGTH, LINE_AMPLITUDE, TransmissionError
 from cellapp.robot.kinematics.transforms import Array
@@ -164,24 +157,27 @@ def _same_joint(length_key: str, amplitude_keys: Sequence[str]) -> bool:
 
 def components(data: ArmData, fit: JointFit) -> list[Component]:
     """Return all components that the data allow beside a fit."""
-    smooth = (_plain(data, fit, effect, law) for effect in EFFECTS.values() for law in effect.smooth_laws(data.context))
+    smooth = (
+        _plain(data, fit, effect.slug, effect.form(law.form), law)
+        for effect in EFFECTS.values()
+        for law in effect.smooth_laws(data.context)
+    )
     found = [_curves(data, fit), *smooth, _field(data, fit)]
     return [one for one in found if one is not None]
 
 
-def _plain(data: ArmData, fit: JointFit, effect: Effect, law: SmoothLaw) -> Component | None:
+def _plain(data: ArmData, fit: JointFit, slug: str, form: LawForm, law: SmoothLaw) -> Component | None:
     """Build a component with one amplitude and at most one length scale for all its columns; None if nothing moves.
 
     The columns' priors at unit amplitude are the relative variances.
     """
-    form = effect.form(law.form)
     starts = {AMPLITUDE.name: 1.0} if law.lengths is None else {AMPLITUDE.name: 1.0, LENGTH.name: law.lengths.start}
-    columns = tuple(data.columns(effect.slug, form.law({**law.constants, **starts})))
+    columns = tuple(data.columns(slug, form.law({**law.constants, **starts})))
     rows = fit.displacements(columns) if columns else np.zeros((0, 3 * len(data)))
     if not rows.any():
         return None
     return Component(
-        slug=effect.slug,
+        slug=slug,
         columns=columns,
         rows=rows,
         form=form,
@@ -227,25 +223,11 @@ def _with_lever(by_joint: Array) -> NDArray[np.intp]:
     return np.flatnonzero(levers > _LEAST_LEVER * levers.max())
 
 
-def _field(data: ArmData, fit: JointFit) -> Component:
+def _field(data: ArmData, fit: JointFit) -> Component | None:
     """Build a field over the workspace: one amplitude for its three directions, one length scale."""
     box = box_of(position_in_base(data.context))
-    law = FIELD.law({**box, AMPLITUDE.name: 1.0, FIELD_LENGTH.name: FIELD_LENGTHS.start})
-    columns = tuple(data.columns(UNKNOWN, law))
-    return Component(
-        slug=UNKNOWN,
-        columns=columns,
-        rows=fit.displacements(columns),
-        form=FIELD,
-        constants=box,
-        groups=np.zeros(len(columns), dtype=np.intp),
-        amplitude_keys=(AMPLITUDE.name,),
-        start=2e-5,
-        weights=np.ones(len(columns)),
-        lengths=FIELD_LENGTHS,
-        length_keys=(FIELD_LENGTH.name,),
-        frequencies=np.tile(field_frequencies(box), 3),
-    )
+    found = _plain(data, fit, UNKNOWN, FIELD, SmoothLaw(FIELD.name, 2e-5, box, FIELD_LENGTHS))
+    return None if found is None else replace(found, frequencies=np.tile(field_frequencies(box), 3))
 
 
 # -- Evidence of a structured process from one Gram matrix, its gradient, and the hyperparameters that maximise it ----

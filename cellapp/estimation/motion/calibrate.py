@@ -29,19 +29,19 @@ from cellapp.estimation.calibration.calibrate import (
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.estimation.calibration.learning import require_learner
 from cellapp.estimation.calibration.quantities import (
+    ArmReadings,
     conditions_of_arms,
     evaluate,
     measurement_conditions,
     repeatability,
 )
-from cellapp.estimation.calibration.records import MotionResult, RecordingResult
+from cellapp.estimation.calibration.records import MotionResult
 from cellapp.estimation.discovery.accepted import accepted_effect
 from cellapp.estimation.discovery.discover import ArmSearch, discover_arm
 from cellapp.estimation.discovery.outcome import Discovery, HeldOut
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
     BeforeAfter,
-    Evidence,
     GapStep,
     HeldOutBeforeAfter,
     LawRecord,
@@ -66,7 +66,7 @@ from cellapp.estimation.readings import SPLITS, Readings, coordinate_uncertainty
 from cellapp.estimation.readings.readings import joined
 from cellapp.ground.errors import InputError, with_not_fitted
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, JobSteps, Listener, Progress, Told, ignore, ignore_words
+from cellapp.ground.progress import UNTOLD, CancelToken, JobSteps, Listener, Progress, Told, ignore, ignore_words
 from cellapp.ground.results import ErrorSummary, Estimate, Stage, StageErrors
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
@@ -168,8 +168,8 @@ def calibrate_arm_with_motion(
     start = start_from_nominal(recorded.nominal, some.q, some.p_M, tool_unknown=recorded.tool_unknown)
     held_out = readings.take(readings.in_split("validate"))
     in_motion = _errors_in_motion(name, fit)
-    points = {"identify": sum(one.learnt for one in fit.recordings.values()), "train": 0}
-    points["validate"] = sum(one.held_out for one in fit.recordings.values())
+    points = {"identify": sum(one.result.learnt for one in fit.recordings.values()), "train": 0}
+    points["validate"] = sum(one.result.held_out for one in fit.recordings.values())
     return fit, ArmCalibration(
         model=ArmModel.of(profile, name, found.geometry, start, found.estimated.names, found.estimated_covariance),
         identification=found,
@@ -274,26 +274,14 @@ def _stated_mm(readings: Readings, recordings: Sequence[Recording]) -> float | N
 
 
 def _motion_result(fit: MotionFit, errors: Mapping[Stage, StageErrors]) -> MotionResult:
-    play = zip(fit.half_play.tolist(), fit.half_play_standard_error.tolist(), strict=True)
+    play, error, N = fit.half_play.tolist(), fit.half_play_standard_error.tolist(), len(fit.half_play)
     return MotionResult(
-        recordings={name: _recording(one) for name, one in fit.recordings.items()},
+        recordings={name: one.result for name, one in fit.recordings.items()},
         effective_points=fit.effective,
-        half_play={
-            f"joint {joint}": Estimate(value=value, standard_error=error, unit="rad")
-            for joint, (value, error) in enumerate(play, start=1)
-        },
+        half_play=Estimate.by_name([f"joint {joint}" for joint in range(1, N + 1)], play, error, ["rad"] * N),
         stops_scatter_mm=None if fit.stops_scatter_m is None else fit.stops_scatter_m * 1e3,
         validate_=errors,
         undetermined=fit.undetermined,
-    )
-
-
-def _recording(one: RecordingFit) -> RecordingResult:
-    return RecordingResult.like(
-        one,
-        effective_points=one.effective,
-        scatter_mm=one.scatter_m * 1e3,
-        heldout_rms_mm=one.heldout_rms_mm if len(one.heldout_mm) else None,
     )
 
 
@@ -327,7 +315,8 @@ def train_arm_in_motion(
     stops = without(readings.take(rows if len(rows) else readings.in_split("identify")), arm.left_out)
     parts = [_points(fit, one, held_out=False) for one in fit.recordings.values()]
     if len(stops):
-        parts = [(stops.q, stops.p_M - arm.model.predict(stops.q, stops.approach, stops.payload_kg)), *parts]
+        loaded = MeasurementConditions(approach=stops.approach, payload_kg=stops.payload_kg)
+        parts = [(stops.q, stops.p_M - arm.model.predict(stops.q, conditions=loaded)), *parts]
     q, off_M = _joined(parts)
     in_order = np.arange(float(len(q)))  # in order of time in each recording, by which blocks are cut
     arm = with_networks(profile, arm, q, off_M, in_order, JobSteps(lambda _, words: told(words), cancel))
@@ -359,7 +348,7 @@ def _points(fit: MotionFit, one: RecordingFit, *, held_out: bool) -> _Residuals:
     q, _ = track.path.at(time_s)
     moved = q - fit.half_play * track.path.direction_at(time_s)
     off_M = track.p_M[rows] - smr_positions(fit.identification.geometry, moved)
-    good = no_gross_errors(np.linalg.norm(off_M, axis=1), one.scatter_m)
+    good = no_gross_errors(np.linalg.norm(off_M, axis=1), one.result.scatter_mm * 1e-3)
     return q[good], off_M[good]
 
 
@@ -385,31 +374,24 @@ class SearchWithRecordings:
     recordings: Mapping[str, Sequence[Recording]]
     search_arm: ArmSearch = discover_arm
 
-    def __call__(
-        self,
-        profile: Profile,
-        name: str,
-        model: ArmModel,
-        readings: Readings,
-        conditions: MeasurementConditions,
-        steps: JobSteps,
-    ) -> Discovery:
-        """Search one arm; ``readings`` are stops and samples of its recordings."""
+    def __call__(self, arm: ArmReadings, steps: JobSteps = UNTOLD) -> Discovery:
+        """Search one arm; its readings are stops and samples of its recordings."""
+        profile, name = arm.profile, arm.name
 
         def told(words: str) -> None:
             steps.check()
             steps(0, f"recordings: {words}")
 
         if not self.recordings.get(name):
-            return self.search_arm(profile, name, model, readings, conditions, steps)
+            return self.search_arm(arm, steps)
         started = time.perf_counter()
-        arm = recorded_arm(profile, name, self.stops[name], self.recordings[name])
-        at_rest = MotionAtRest.of(arm, name, self.calibrated, self.stops, told)
+        recorded = recorded_arm(profile, name, self.stops[name], self.recordings[name])
+        at_rest = MotionAtRest.of(recorded, name, self.calibrated, self.stops, told)
         seconds = time.perf_counter() - started
 
         @cache
         def searched() -> Discovery:
-            return self.search_arm(profile, name, model, readings, conditions, steps)
+            return self.search_arm(arm, steps)
 
         if at_rest.stands_beside(lambda: searched().model):
             return at_rest.discovery(profile, seconds, steps)
@@ -494,7 +476,7 @@ class MotionAtRest:
         """
         q = self.model.true_joints(self.readings.q, conditions=self.conditions)
         bare, readings = replace(self.model, effects=(), covariance=None), replace(self.readings, q=q)
-        rest = discover_arm(profile, self.name, bare, readings, self.conditions, steps)
+        rest = discover_arm(ArmReadings(profile, self.name, bare, readings, self.conditions), steps)
         if not (rest.terms and _surely_better(self.held_out, self.model, _joined_models(rest.model, self.model))):
             rest = _without_terms(rest)
         return self._with_rest(rest, seconds)
@@ -571,7 +553,7 @@ def _accepted(effect: MotionEffect) -> AcceptedEffect:
     return accepted_effect(
         effect.term(),
         Place(joints=effect.joints, acts_on=tuple(f"joint {joint}" for joint in effect.joints)),
-        Evidence(statistic=effect.statistic, corrected_p=effect.p_value, heldout_mm=_before_after(effect)),
+        effect.evidence,
         effect.posterior,
     )
 
@@ -602,22 +584,14 @@ def _model(calibrated: ArmModel, motion: MotionDiscovery) -> ArmModel:
     )
 
 
-def _before_after(effect: MotionEffect) -> BeforeAfter:
-    return BeforeAfter(before=effect.heldout_before_mm, after=effect.heldout_after_mm)
-
-
 def _result(effect: MotionEffect) -> MotionEffectResult:
+    errors = effect.standard_errors.tolist()
     return MotionEffectResult(
         effect=effect.slug,
         title=EFFECTS[effect.slug].title if effect.slug in EFFECTS else Law(effect.slug).title,
         joints=effect.joints,
-        parameters={
-            name: Estimate(value=value, standard_error=error, unit=unit)
-            for name, value, error, unit in zip(
-                effect.names, effect.values.tolist(), effect.standard_errors.tolist(), effect.units, strict=True
-            )
-        },
-        evidence=Evidence(statistic=effect.statistic, corrected_p=effect.p_value, heldout_mm=_before_after(effect)),
+        parameters=Estimate.by_name(effect.names, effect.values.tolist(), errors, effect.units),
+        evidence=effect.evidence,
         only_motion=effect.only_motion or None,
         at_rest=effect.at_rest,
         law=LawRecord(name=effect.form, constants=effect.constants) if effect.at_rest else None,

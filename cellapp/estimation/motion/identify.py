@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +17,10 @@ from cellapp.estimation.calibration.parameters import (
     estimated_parameters,
     prior_sds,
     prior_spreads,
+    sds_of,
+    sigma_by_name,
 )
-from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult
+from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult, RecordingResult
 from cellapp.estimation.motion.fit import GROSS, Problem, Solution, allow_for_missing, solve, thinned
 from cellapp.estimation.motion.laws import JointTerm, Law, Masses
 from cellapp.estimation.motion.observe import Layout, Model, Stops, residuals
@@ -41,14 +42,7 @@ class RecordingFit:
     Attributes
     ----------
     clock : ClockResult
-    points, learnt, held_out, gross : int
-        Numbers of all points, of training points, of held-out points, and of gross errors left out of either.
-    in_gaps : int
-        Number of points at times without known joint positions.
-    effective : float
-        Number of independent points with the same information on the parameters.
-    scatter_m : float
-        Standard deviation of a coordinate of the residuals [m].
+    result : RecordingResult
     heldout_mm, heldout_nominal_mm : array, shape (h,)
         Distances of held-out points from the model and from the nominal arm at its base with the same clock [mm].
     track : Track
@@ -59,23 +53,12 @@ class RecordingFit:
     """
 
     clock: ClockResult
-    points: int
-    learnt: int
-    held_out: int
-    gross: int
-    in_gaps: int
-    effective: float
-    scatter_m: float
+    result: RecordingResult
     heldout_mm: Array = field(repr=False)
     heldout_nominal_mm: Array = field(repr=False)
     track: Track = field(repr=False)
     offsets_s: Array = field(repr=False)
     rate: float
-
-    @property
-    def heldout_rms_mm(self) -> float:
-        """Rms distance of held-out points from the model [mm]; NaN without any."""
-        return rms(self.heldout_mm)
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,7 +231,7 @@ def motion_fit(problem: Problem, solution: Solution) -> MotionFit:
         half_play=play,
         half_play_standard_error=play_error,
         recordings=found,
-        effective=sum(one.effective for one in found.values()),
+        effective=sum(one.result.effective_points for one in found.values()),
         stops_scatter_m=solution.sources[-1].sigma_m if has_stops else None,
         undetermined=_undetermined(problem, identification, found),
     )
@@ -283,24 +266,21 @@ def _recording_fit(problem: Problem, solution: Solution, model: Model, number: i
     vector = problem.start.vector()
     bare = problem.model(_with_arm(problem, solution.values, vector))
     misses, good = _held_out(model, track, number, source.sigma_m)
+    heldout_mm = misses[good] * 1e3
     nominal = np.linalg.norm(residuals(bare, track, number, rows), axis=1)
-    return RecordingFit(
-        clock=_clock_fit(problem, solution, number),
+    in_gaps = ~track.path.known(track.controller_times(np.arange(len(track.time_s)), offsets, rate))
+    result = RecordingResult(
         points=len(track.time_s),
         learnt=len(source.rows),
-        held_out=int(np.count_nonzero(good)),
+        held_out=len(heldout_mm),
         gross=int(track.learnt.sum()) - len(source.rows) + int(np.count_nonzero(~good)),
-        in_gaps=int(
-            np.count_nonzero(~track.path.known(track.controller_times(np.arange(len(track.time_s)), offsets, rate)))
-        ),
-        effective=min(1.0, source.worth) * len(source.rows),
-        scatter_m=source.sigma_m,
-        heldout_mm=misses[good] * 1e3,
-        heldout_nominal_mm=nominal[good] * 1e3,
-        track=track,
-        offsets_s=offsets + _mean_lag(problem, solution),
-        rate=rate,
+        in_gaps=int(np.count_nonzero(in_gaps)),
+        effective_points=min(1.0, source.worth) * len(source.rows),
+        scatter_mm=source.sigma_m * 1e3,
+        heldout_rms_mm=rms(heldout_mm) if len(heldout_mm) else None,
     )
+    clock, lag_s = _clock_fit(problem, solution, number), _mean_lag(problem, solution)
+    return RecordingFit(clock, result, heldout_mm, nominal[good] * 1e3, track, offsets + lag_s, rate)
 
 
 def _with_arm(problem: Problem, values: Array, vector: Array) -> Array:
@@ -368,8 +348,7 @@ def _identification(problem: Problem, solution: Solution, model: Model) -> Ident
     information = _of_arm(solution.information, size)
     chosen = estimated
     if estimated.name == "auto":
-        with np.errstate(divide="ignore"):
-            chosen = determined_set(estimated, information, 1.0 / np.sqrt(problem.precision[:size]))
+        chosen = determined_set(estimated, information, sds_of(problem.precision[:size]))
     to_table, kept = chosen.from_estimated(estimated)
     in_table = covariance if chosen is estimated else to_table @ covariance @ to_table.T
     at_stops = np.zeros((0, 3))
@@ -377,33 +356,28 @@ def _identification(problem: Problem, solution: Solution, model: Model) -> Ident
         at_stops = residuals(model, stops, len(problem.tracks), np.arange(len(stops.q)))
     gram = information[kept[:, None], kept]
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    of_geometry = solution.precision[:size]
-    values: dict[str, Any] = {
-        "geometry": model.geometry,
-        "estimated": estimated,
-        "estimated_covariance": covariance,
-        "prior_sigma": {
-            name: float(p**-0.5) for name, p in zip(estimated.names, of_geometry.tolist(), strict=True) if p > 0.0
-        },
-        "parameter_set": chosen,
-        "names": chosen.names,
-        "units": chosen.units,
-        "values": problem.mean[:size][kept] + to_table @ (solution.values[:size] - problem.mean[:size]),
-        "standard_errors": np.sqrt(np.maximum(np.diag(in_table), 0.0)),
-        "covariance": in_table,
-        "effect_values": np.zeros(0),
-        "iterations": len(solution.steps),
-        "converged": True,  # else ``solve`` refused it
-        "message": "converged",
-        "scale": float(np.median([source.sigma_m for source in solution.sources])),
-        "degrees_of_freedom": max(1, round(3 * sum(s.worth * len(s.rows) for s in solution.sources) - arm)),
-        "residuals": at_stops,
-        "weights": np.ones(len(at_stops)),
-        "steps": solution.steps,
-        "gram": gram / (scale * scale[:, None]),
-        "configurations": sum(len(source.rows) for source in solution.sources),
-    }
-    return Identification(**values)
+    return Identification(
+        geometry=model.geometry,
+        estimated=estimated,
+        estimated_covariance=covariance,
+        prior_sigma=sigma_by_name(estimated.names, solution.precision[:size]),
+        parameter_set=chosen,
+        names=chosen.names,
+        units=chosen.units,
+        values=problem.mean[:size][kept] + to_table @ (solution.values[:size] - problem.mean[:size]),
+        covariance=in_table,
+        effect_values=np.zeros(0),
+        iterations=len(solution.steps),
+        converged=True,  # else ``solve`` refused it
+        message="converged",
+        scale=float(np.median([source.sigma_m for source in solution.sources])),
+        degrees_of_freedom=max(1, round(3 * sum(s.worth * len(s.rows) for s in solution.sources) - arm)),
+        residuals=at_stops,
+        weights=np.ones(len(at_stops)),
+        steps=solution.steps,
+        gram=gram / (scale * scale[:, None]),
+        configurations=sum(len(source.rows) for source in solution.sources),
+    )
 
 
 def _of_arm(information: Array, size: int) -> Array:
@@ -433,7 +407,7 @@ def _undetermined(
             f"these motions determine {determined} of {of} parameters of the geometry: predictions hold near them only;"
             " record motions of all joints, each alone and together, through a larger part of their range",
         )
-    far = [float(np.median(one.heldout_nominal_mm)) for one in found.values() if one.held_out]
+    far = [float(np.median(one.heldout_nominal_mm)) for one in found.values() if one.result.held_out]
     if far and (far_mm := float(np.median(far))) > _FAR_MM:
         said.insert(
             0,
@@ -469,11 +443,11 @@ def _unsteady_rates(found: Mapping[str, RecordingFit]) -> list[str]:
 
 def _bad_recordings(found: Mapping[str, RecordingFit]) -> list[str]:
     """Return sentences on the recordings that disagree with the arm fitted to all others."""
-    usual = float(np.median([one.scatter_m for one in found.values()]))
+    usual = float(np.median([one.result.scatter_mm for one in found.values()]))
     return [
-        f"recording '{name}': its points lie {one.scatter_m * 1e3:.2f} mm from the arm on which the other recordings"
-        f" agree to {usual * 1e3:.2f} mm, so that it counts little and its clock is known badly; look for an SMR that"
+        f"recording '{name}': its points lie {one.result.scatter_mm:.2f} mm from the arm on which the other recordings"
+        f" agree to {usual:.2f} mm, so that it counts little and its clock is known badly; look for an SMR that"
         " was loose or another one, an arm that slipped, a tracker that was moved"
         for name, one in found.items()
-        if len(found) > 2 and one.scatter_m > _BAD * usual
+        if len(found) > 2 and one.result.scatter_mm > _BAD * usual
     ]

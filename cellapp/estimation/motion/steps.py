@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.arm_data import whitening
+from cellapp.estimation.discovery.records import BeforeAfter, Evidence
 from cellapp.estimation.motion.fit import Problem, Solution
 from cellapp.estimation.motion.laws import JointState, JointTerm, Law
 from cellapp.estimation.motion.observe import residuals
@@ -59,12 +60,9 @@ class MotionEffect:
         Parameters of the joints that show it.
     joints : tuple of int
         Joints that show it, from 1.
-    statistic : float
-        Chi-square of the parameters.
-    log_p : float
-        Logarithm of the probability of such a statistic by chance, corrected for the alternatives.
-    heldout_before_mm, heldout_after_mm : float
-        Rms distance of held-out points before and after it entered.
+    evidence : Evidence
+        Chi-square of the parameters, its corrected probability by chance, at least 1e-300, and the rms distance of
+        held-out points before and after it entered.
     only_motion : str
         Reason why stops cannot show it; empty if they can.
     at_rest : bool
@@ -82,20 +80,12 @@ class MotionEffect:
     values: Array = field(repr=False)
     standard_errors: Array = field(repr=False)
     joints: tuple[int, ...]
-    statistic: float
-    log_p: float
-    heldout_before_mm: float
-    heldout_after_mm: float
+    evidence: Evidence
     only_motion: str
     at_rest: bool
     posterior: float
     form: str
     constants: Mapping[str, float]
-
-    @property
-    def p_value(self) -> float:
-        """Probability of such a statistic by chance, corrected for the alternatives; at least 1e-300."""
-        return math.exp(max(self.log_p, _LEAST_LOG))
 
     def term(self) -> EffectTerm:
         """Return the effect as a term of an arm model.
@@ -284,10 +274,11 @@ def _effect_of(
         values=np.array(values),
         standard_errors=np.array(errors),
         joints=tuple(sorted({term.joint + 1 for term in terms})),
-        statistic=statistic,
-        log_p=log_p,
-        heldout_before_mm=own[0].before_mm,
-        heldout_after_mm=own[-1].after_mm,
+        evidence=Evidence(
+            statistic=statistic,
+            corrected_p=math.exp(max(log_p, _LEAST_LOG)),
+            heldout_mm=BeforeAfter(before=own[0].before_mm, after=own[-1].after_mm),
+        ),
         only_motion=only,
         at_rest=law in AT_REST,
         posterior=_probability(state, statistic, sum(len(tested(step.terms)) for step in own), log_p)

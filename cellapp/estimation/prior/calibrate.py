@@ -17,12 +17,7 @@ from cellapp.estimation.calibration.identification import Identification
 from cellapp.estimation.calibration.least_squares import readings_noise
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.parameters import ParameterSet, candidate_columns, determined_set
-from cellapp.estimation.calibration.quantities import (
-    conditions_of_arms,
-    evaluate_quantities,
-    measured_orientations,
-    measured_quantities,
-)
+from cellapp.estimation.calibration.quantities import ArmReadings, evaluate_quantities, measured_orientations
 from cellapp.estimation.calibration.records import ArmPriorResult
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.outcome import Discovery, HeldOut
@@ -39,7 +34,7 @@ from cellapp.estimation.prior.belief import (
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.estimation.readings import Readings
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import JobSteps
+from cellapp.ground.progress import UNTOLD, JobSteps
 from cellapp.ground.results import ModelStage
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions, place_in_words
 from cellapp.robot.kinematics.transforms import Array, quaternions_of
@@ -68,44 +63,29 @@ class Earlier:
     notes: tuple[str, ...]
 
 
-def believed(
-    profile: Profile,
-    name: str,
-    models: Mapping[str, ArmModel],
-    readings: Mapping[str, Readings],
-    before: Belief | None = None,
-    since: str = "",
-) -> tuple[Belief, int]:
-    """Return the belief about one arm of a calibrated cell from all its readings, and their number.
+def believed(arm: ArmReadings, before: Belief | None = None, since: str = "") -> tuple[Belief, int]:
+    """Return the belief about one calibrated arm from all its readings, and their number.
 
     ``before`` is the belief that served as prior of this calibration, of the day ``since``.
     """
-    found, measured = calibration_posterior(profile, name, models, readings, before, since)
-    return Belief.of(found, sizes(profile, found.model, measured)), len(measured)
+    found, measured = calibration_posterior(arm, before, since)
+    return Belief.of(found, sizes(arm.profile, found.model, measured)), len(measured)
 
 
 def calibration_posterior(
-    profile: Profile,
-    name: str,
-    models: Mapping[str, ArmModel],
-    readings: Mapping[str, Readings],
-    before: Belief | None = None,
-    since: str = "",
+    arm: ArmReadings, before: Belief | None = None, since: str = ""
 ) -> tuple[Posterior, Measured]:
-    """Return the posterior of one arm of a calibrated cell from all its readings, and these without gross errors."""
-    model, conditions = models[name], conditions_of_arms(models, readings)[name]
-    its = readings[name]
-    good = ~gross_errors_of_model(model, its, conditions)
-    some, conditions = its.take(good), conditions.take(good)
-    model = replace(model, network=None, posterior=None)
-    measured = Measured.of(some, conditions)
+    """Return the posterior of one calibrated arm from all its readings, and these without gross errors."""
+    arm = arm.take(~gross_errors_of_model(arm.model, arm.readings, arm.conditions))
+    model = replace(arm.model, network=None, posterior=None)
+    measured = Measured.of(arm.readings, arm.conditions)
     if measured.angular is None:
         model = model.of_positions()
     if before is None:
-        return posterior(model, measured, _first_prior(model, sizes(profile, model, measured))), measured
+        return posterior(model, measured, _first_prior(model, sizes(arm.profile, model, measured))), measured
     carried = {_key(term) for term in before.terms}
     further = tuple(term for term in model.effects if _key(term) not in carried)
-    return update(profile, name, some, conditions, before, since, further).found, measured
+    return update(arm, before, since, further).found, measured
 
 
 def _key(term: EffectTerm) -> tuple[str, str, tuple[str, ...]]:
@@ -127,11 +107,10 @@ def calibrate_with_prior(
     profile: Profile, readings: Mapping[str, Readings], calibration: Calibration, earlier: Mapping[str, Earlier]
 ) -> Calibration:
     """Calibrate the arms in ``earlier`` again with their prior, and the pair with them."""
-    models = {name: arm.model for name, arm in calibration.arms.items()}
-    conditions = conditions_of_arms(models, readings)
+    measured = ArmReadings.of_cell(profile, {name: arm.model for name, arm in calibration.arms.items()}, readings)
     arms, notes = dict(calibration.arms), list(calibration.notes)
     for name, its in earlier.items():
-        arms[name] = _calibrated(profile, name, readings[name], conditions[name], arms[name], its)
+        arms[name] = _calibrated(measured[name], arms[name], its)
         notes += its.notes
         prior = arms[name].prior
         notes += [] if prior is None else [f"arm '{name}': {change.sentence}" for change in prior.changes]
@@ -152,47 +131,32 @@ def calibrate_with_prior(
     return replace(calibration, model=model, arms=arms, pair=pair, notes=tuple(notes))
 
 
-def learned(
-    profile: Profile, name: str, readings: Readings, conditions: MeasurementConditions, earlier: Earlier
-) -> tuple[Readings, MeasurementConditions]:
+def learned(arm: ArmReadings, earlier: Earlier) -> ArmReadings:
     """Return the training readings: the identify and train splits without gross errors."""
-    rows = np.concatenate([readings.in_split("identify"), readings.in_split("train")]).astype(np.intp)
-    some, its = readings.take(rows), conditions.take(rows)
-    model = first_model(profile, name, Measured.of(some, its), earlier.belief)
-    good = ~gross_errors_of_model(model, some, its)
-    return some.take(good), its.take(good)
+    some = arm.take(arm.readings.in_split("identify", "train"))
+    model = first_model(arm.profile, arm.name, Measured.of(some.readings, some.conditions), earlier.belief)
+    return some.take(~gross_errors_of_model(model, some.readings, some.conditions))
 
 
-def updated_arm(
-    profile: Profile, name: str, readings: Readings, conditions: MeasurementConditions, earlier: Earlier
-) -> Updated:
+def updated_arm(arm: ArmReadings, earlier: Earlier) -> Updated:
     """Calibrate one arm from its training readings with its earlier calibration as prior."""
-    learn, its = learned(profile, name, readings, conditions, earlier)
-    return update(profile, name, learn, its, earlier.belief, earlier.since)
+    return update(learned(arm, earlier), earlier.belief, earlier.since)
 
 
-def _calibrated(
-    profile: Profile,
-    name: str,
-    readings: Readings,
-    conditions: MeasurementConditions,
-    alone: ArmCalibration,
-    earlier: Earlier,
-) -> ArmCalibration:
-    outcome = updated_arm(profile, name, readings, conditions, earlier)
+def _calibrated(arm: ArmReadings, alone: ArmCalibration, earlier: Earlier) -> ArmCalibration:
+    outcome = updated_arm(arm, earlier)
     if not outcome.used:
-        return replace(alone, prior=prior_result(name, earlier, outcome))
-    model = stated_model(outcome.found, profile.seed)
-    rows = readings.in_split("validate")
-    rows = rows[~np.isin(readings.configuration[rows], alone.left_out)]
-    held_out = measured_quantities(readings.take(rows), conditions.take(rows))
+        return replace(alone, prior=prior_result(arm.name, earlier, outcome))
+    model = stated_model(outcome.found, arm.profile.seed)
+    rows = arm.readings.in_split("validate")
+    held_out = arm.take(rows[~np.isin(arm.readings.configuration[rows], alone.left_out)]).quantities()
     computed = model.predict(held_out.readings.q, conditions=held_out.conditions)
     return replace(
         alone,
         model=model,
-        identification=_identification(profile, alone.identification, outcome.found),
+        identification=_identification(arm.profile, alone.identification, outcome.found),
         validate={**alone.validate, "effects": evaluate_quantities(held_out, computed)},
-        prior=prior_result(name, earlier, outcome),
+        prior=prior_result(arm.name, earlier, outcome),
     )
 
 
@@ -264,7 +228,6 @@ def _identification(profile: Profile, alone: Identification, found: Posterior) -
         names=chosen.names,
         units=chosen.units,
         values=reference[kept] + to_table @ found.values[:count],
-        standard_errors=np.sqrt(np.diag(in_table)),
         covariance=in_table,
         residuals=found.residuals_M,
         angular=found.measured.angular,
@@ -285,41 +248,27 @@ class SearchWithPriors:
 
     earlier: Mapping[str, Earlier]
 
-    def __call__(
-        self,
-        profile: Profile,
-        name: str,
-        model: ArmModel,
-        readings: Readings,
-        conditions: MeasurementConditions,
-        steps: JobSteps,
-    ) -> Discovery:
-        """Search one arm; ``model`` is the calibrated arm."""
-        its = self.earlier.get(name)
+    def __call__(self, arm: ArmReadings, steps: JobSteps = UNTOLD) -> Discovery:
+        """Search one arm."""
+        its, model = self.earlier.get(arm.name), arm.model
         if its is None:
-            return discover_arm(profile, name, model, readings, conditions, steps)
-        learn = learned(profile, name, readings, conditions, its)
-        if not update(profile, name, *learn, its.belief, its.since).used:
-            return discover_arm(profile, name, model, readings, conditions, steps)
+            return discover_arm(arm, steps)
+        learn = learned(arm, its)
+        if not update(learn, its.belief, its.since).used:
+            return discover_arm(arm, steps)
         final, terms = model, model.effects[:0]
         for _ in range(_SEARCHES):
-            belief = update(profile, name, *learn, its.belief, its.since, terms).belief
+            belief = update(learn, its.belief, its.since, terms).belief
             known = replace(final, effects=final.effects[: len(belief.terms)])
-            found = discover_arm(
-                profile,
-                name,
-                replace(known, effects=(), network=None, posterior=None, nominal=belief.geometry(model.nominal)),
-                without_effects(known, readings, conditions),
-                conditions,
-                steps,
-                prior_sigma=belief.sigma(),
-            )
+            bare = replace(known, effects=(), network=None, posterior=None, nominal=belief.geometry(model.nominal))
+            left = without_effects(known, arm.readings, arm.conditions)
+            found = discover_arm(replace(arm, model=bare, readings=left), steps, belief.sigma())
             terms = found.terms
             if not terms:
                 final = model
                 break
-            final = stated_model(update(profile, name, *learn, its.belief, its.since, terms).found, profile.seed)
-        return _with_final_model(found, final, its, HeldOut.of(readings, conditions))
+            final = stated_model(update(learn, its.belief, its.since, terms).found, arm.profile.seed)
+        return _with_final_model(found, final, its, HeldOut.of(arm.readings, arm.conditions))
 
 
 def _with_final_model(found: Discovery, final: ArmModel, earlier: Earlier, held_out: HeldOut) -> Discovery:

@@ -18,14 +18,13 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import start_from_nominal
-from cellapp.estimation.calibration.quantities import with_probe
+from cellapp.estimation.calibration.quantities import ArmReadings, with_probe
 from cellapp.estimation.calibration.records import PartDrift, SignatureChange, SignaturePart
 from cellapp.estimation.prior.belief import Belief, Measured, Posterior, design, is_own, posterior, sizes, term_columns
-from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import plain
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.profile import Profile
-from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, MeasurementConditions
+from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm
 from cellapp.robot.kinematics.chain import parameter_names, parameter_unit
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
@@ -383,25 +382,17 @@ def first_model(profile: Profile, name: str, measured: Measured, belief: Belief)
     return replace(model, geometry=geometry, nominal=replace(model.nominal, probe=geometry.probe))
 
 
-def update(
-    profile: Profile,
-    name: str,
-    readings: Readings,
-    conditions: MeasurementConditions,
-    belief: Belief,
-    since: str,
-    further: Sequence[EffectTerm] = (),
-) -> Updated:
-    """Calibrate the arm from ``readings`` and the ``belief``; ``further`` effects have only the priors of their laws.
+def update(arm: ArmReadings, belief: Belief, since: str, further: Sequence[EffectTerm] = ()) -> Updated:
+    """Calibrate an arm from readings and the ``belief``; ``further`` effects have only the priors of their laws.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         If readings are not finite.
     """
-    measured = Measured.of(readings, conditions)
-    supported = _supported(profile, name, measured, belief)
-    model = first_model(profile, name, measured, supported)
+    profile, measured = arm.profile, Measured.of(arm.readings, arm.conditions)
+    supported = _supported(profile, arm.name, measured, belief)
+    model = first_model(profile, arm.name, measured, supported)
     judged = measured.take(_subset(profile, len(measured), _MOST_READINGS))
     changed, drifts, changes, tested = _changed(supported, model, judged, since)
     first = len(sizes(profile, model, measured))

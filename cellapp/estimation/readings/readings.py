@@ -245,10 +245,10 @@ class Readings:
             extras={name: tuple(texts[index] for index in chosen) for name, texts in self.extras.items()},
         )
 
-    def in_split(self, name: str) -> NDArray[np.intp]:
-        """Return the indices of the rows of one split; empty if no splits are assigned."""
+    def in_split(self, *names: str) -> NDArray[np.intp]:
+        """Return the indices of the rows of some splits, one split after the other; empty if none are assigned."""
         split = self.split or ()
-        return np.array([index for index, word in enumerate(split) if word == name], dtype=np.intp)
+        return np.array([index for name in names for index, word in enumerate(split) if word == name], dtype=np.intp)
 
 
 def readings_from_columns(values: Mapping[str, Values | None], extras: dict[str, tuple[str, ...]]) -> Readings:
@@ -647,7 +647,7 @@ def one_a_stop(readings: Readings) -> Readings:
 def neighbours_words(readings: Readings) -> str:
     """Say how many held-out rows have a learnt neighbour, or repeat a learnt row; empty for few."""
     held_out = readings.q[readings.in_split("validate")]
-    learnt = readings.q[np.concatenate([readings.in_split("identify"), readings.in_split("train")])]
+    learnt = readings.q[readings.in_split("identify", "train")]
     count = int(np.count_nonzero(beside(held_out, learnt)))
     if not count or count < _MANY * len(held_out):
         return ""

@@ -150,7 +150,7 @@ PAIRS = LawForm("pairs", "smoothly with neighbouring joints", (AMPLITUDE,))
 """Joints that depend on their neighbours' angles, and on both angles together: a part of the unnamed term."""
 _PAIR_WAVES = ((0, 1), (0, 2), (1, 1), (1, 2), (2, 1), (2, 2))
 """Cycles per revolution of the joint that moves, and of its neighbour; its own angle alone has a curve."""
-_LARGEST = 1e-2
+_BOUNDS = (-1e-2, 1e-2)
 """Bound of each parameter [rad, m]; nothing is known about the size of an unknown effect."""
 _PERIODS = 48
 """Periods to try, 7 % apart over the range that a run of a few hundred stops resolves."""
@@ -226,23 +226,14 @@ class Unknown(Effect):
             assert acts_on.joint is not None
             prefix = _label(acts_on)
             return [
-                joint_column(f"{prefix}.{name}", "rad", acts_on.joint, one, -_LARGEST, _LARGEST, acts_on.name)
+                joint_column(f"{prefix}.{name}", "rad", acts_on.joint, one, *_BOUNDS, acts_on.name)
                 for name, one in values.items()
             ]
-        columns = []
-        for part, (unit, moved) in zip(acts_on.parts, _shifts(context, acts_on), strict=True):
-            columns += [
-                shift_column(
-                    f"{_label(part)}.{name}",
-                    unit,
-                    acts_on.acts_on,
-                    one[:, None] * moved,
-                    -_LARGEST,
-                    _LARGEST,
-                    acts_on.name,
-                )
-                for name, one in values.items()
-            ]
+        columns = [
+            shift_column(f"{_label(part)}.{name}", unit, acts_on.acts_on, one[:, None] * moved, *_BOUNDS, acts_on.name)
+            for part, (unit, moved) in zip(acts_on.parts, _shifts(context, acts_on), strict=True)
+            for name, one in values.items()
+        ]
         return _with_priors(columns, law) if data_driven_form(law).is_field else columns
 
 
@@ -333,7 +324,7 @@ def _of_neighbours(context: EffectContext, amplitude: float, names: Collection[s
                 if names is None or name in names:
                     offset = waves[own](a * context.q[:, joint]) * waves[of_other](b * context.q[:, other])
                     sd = amplitude * (math.sqrt(2.0) if a else 1.0) / (a * a + b * b) / total
-                    columns.append(joint_column(name, "rad", joint, offset, -_LARGEST, _LARGEST, prior_sd=sd))
+                    columns.append(joint_column(name, "rad", joint, offset, *_BOUNDS, prior_sd=sd))
     return columns
 
 

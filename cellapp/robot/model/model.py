@@ -281,21 +281,16 @@ class ArmModel:
         return q if not self.effects else q + self.effect_displacement(q, conditions).joints
 
     def predict(
-        self,
-        q: Array,
-        approach: Signs | None = None,
-        payload_kg: Array | None = None,
-        conditions: MeasurementConditions | None = None,
+        self, q: Array, approach: Signs | None = None, conditions: MeasurementConditions | None = None
     ) -> Array:
         """Predict SMR positions (n, 3) in the tracker frame [m] at controller readings ``q`` (n, N) [rad].
 
-        ``approach`` (n, N) are the signs of each joint's last motion, ``payload_kg`` (n,) the payload; unknown if not
-        given. ``conditions`` replaces both; it also holds times, temperatures and the state of the other arm. Rows with
-        a measured orientation return the rotation vector from it to the computed one [rad] instead. Raise
-        ``InputError`` if ``q`` has another shape.
+        ``approach`` (n, N) are the signs of each joint's last motion, unknown if not given. ``conditions`` replaces
+        them; it also holds payloads, times, temperatures and the state of the other arm. Rows with a measured
+        orientation return the rotation vector from it to the computed one [rad] instead. Raise ``InputError`` if ``q``
+        has another shape.
         """
-        q = configurations(q, self.geometry.joints)
-        conditions = conditions or MeasurementConditions(approach=approach, payload_kg=payload_kg)
+        q, conditions = configurations(q, self.geometry.joints), conditions or MeasurementConditions(approach=approach)
         if self.effects:
             moved = self.effect_displacement(q, conditions)
             p_M = smr_positions(self.geometry, q + moved.joints, conditions.R_M_S) + moved.shift_M
@@ -461,7 +456,8 @@ class CellModel:
         model = of_arm(self.arms, arm, "this model")
         q = configurations(q, model.geometry.joints, arm)
         require_radians(q, arm)
-        return model.predict(q, approach, payload_kg, conditions)
+        conditions = conditions or MeasurementConditions(approach=approach, payload_kg=payload_kg)
+        return model.predict(q, conditions=conditions)
 
     def to_json(self) -> str:
         """Return JSON text with floats in their shortest exact form."""

@@ -16,6 +16,7 @@ from cellapp.ground.profile import Network
 from cellapp.ground.progress import Cancelled, CancelToken, JobSteps
 from cellapp.robot.model.model import network_from_json, network_to_json, rotate_about_z
 
+QUICK = Network(iterations=80)
 SMALL = (Shape("sincos", 6), Shape("sincos", 6, rotates_with_joint_1=True))
 
 
@@ -33,7 +34,7 @@ def poses(n, seed=0):
 def trained():
     q = poses(200)
     noise = np.random.default_rng(1).normal(0.0, 15e-6, (200, 3))
-    return q, train_network(q, bend(q) + noise, seed=3, shapes=SMALL, iterations=80)
+    return q, train_network(QUICK, q, bend(q) + noise, 3, shapes=SMALL)
 
 
 def test_a_smooth_residual_is_learnt_from_200_poses(trained):
@@ -49,9 +50,8 @@ def test_a_smooth_residual_is_learnt_from_200_poses(trained):
 
 def test_pure_noise_gets_no_network():
     q = poses(200)
-    training = train_network(
-        q, np.random.default_rng(4).normal(0.0, 15e-6, (200, 3)), seed=3, shapes=SMALL, iterations=40
-    )
+    noise = np.random.default_rng(4).normal(0.0, 15e-6, (200, 3))
+    training = train_network(Network(iterations=40), q, noise, 3, shapes=SMALL)
     assert training.network is None
     assert training.left_out_rms > training.without_rms, "a fold that ends the training is no judge of it"
 
@@ -59,7 +59,7 @@ def test_pure_noise_gets_no_network():
 def test_the_same_seed_gives_the_same_network(trained):
     q, training = trained
     noise = np.random.default_rng(1).normal(0.0, 15e-6, (200, 3))
-    again = train_network(q, bend(q) + noise, seed=3, shapes=SMALL, iterations=80)
+    again = train_network(QUICK, q, bend(q) + noise, 3, shapes=SMALL)
     assert again.network is not None
     assert json.dumps(network_to_json(again.network)) == json.dumps(network_to_json(training.network))
 
@@ -86,7 +86,7 @@ def test_beyond_the_trained_ranges_the_correction_fades_to_zero(trained):
 def test_the_spread_grows_where_data_are_missing(trained):
     q = poses(400)
     gap = (q[:, 1] > 0.2) & (q[:, 1] < 1.4)
-    training = train_network(q[~gap], bend(q[~gap]), seed=3, shapes=SMALL[1:], iterations=80)
+    training = train_network(QUICK, q[~gap], bend(q[~gap]), 3, shapes=SMALL[1:])
     new = poses(500, seed=6)
     inside = (new[:, 1] > 0.4) & (new[:, 1] < 1.2)
     assert training.network is not None

@@ -10,7 +10,7 @@ from cellapp.cell.planning.propose import Effort, Proposal, propose_stops
 from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.stages import CALIBRATION_FILE
-from cellapp.estimation.calibration.quantities import measurement_conditions
+from cellapp.estimation.calibration.quantities import ArmReadings
 from cellapp.estimation.design.information import NuisanceProjector
 from cellapp.estimation.discovery.arm_data import ArmData, CandidateLaw, LawScore
 from cellapp.estimation.discovery.discover import discover_cell
@@ -103,7 +103,7 @@ def data_of(
         p_M=p_M,
         sigma_m=None if sigma_m is None else np.full(n, sigma_m),
     )
-    return ArmData.of(profile, model, readings, measurement_conditions(readings))
+    return ArmData.of(ArmReadings.alone(profile, "left", model, readings))
 
 
 def calibrated_and_searched(run: RunFile) -> CellDiscovery:

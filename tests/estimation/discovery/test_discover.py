@@ -21,7 +21,7 @@ from cellapp.commands.run_results import read_results
 from cellapp.commands.stages import CALIBRATION_FILE
 from cellapp.commands.trials.blind import Noise, blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.quantities import conditions_of_arms, measured_quantities, measurement_conditions
+from cellapp.estimation.calibration.quantities import ArmReadings, measured_quantities, measurement_conditions
 from cellapp.estimation.discovery import all_readings, discover
 from cellapp.estimation.discovery.all_readings import fit_to_all
 from cellapp.estimation.discovery.arm_data import has_smooth_terms
@@ -103,10 +103,10 @@ def test_an_effect_that_makes_held_out_errors_larger_is_left_out_and_said(tmp_pa
     with measured_run(tmp_path / "run", plan, {"left": {"backlash": {"play": PLAY}}}) as run:
         calibrate_run(run)
         model, readings = CellModel.load(run.folder / CALIBRATION_FILE).arms["left"], run.readings("left")
-        as_recorded = discover_arm(run.profile, "left", model, readings)
+        as_recorded = discover_arm(ArmReadings.alone(run.profile, "left", model, readings))
         approach = readings.approach.copy()
         approach[readings.in_split("validate")] *= -1
-        found = discover_arm(run.profile, "left", model, replace(readings, approach=approach))
+        found = discover_arm(ArmReadings.alone(run.profile, "left", model, replace(readings, approach=approach)))
     assert names(as_recorded) == {"backlash"}
     assert found.terms == ()
     assert found.result.accepted == ()
@@ -174,8 +174,7 @@ def blind(plan, effects, seed, noise=None, stops=FEW, **watched):
     profile = with_hidden(load_profile(ROOT / "profiles" / "twin.yaml"), {"left": effects}, seed)
     readings = blind_readings(profile, {name: q[:stops] for name, q in plan.items()}, seed, noise)
     models = {name: calibrate_arm(profile, name, readings[name])[0].model for name in profile.arms}
-    conditions = conditions_of_arms(models, readings)
-    return discover_arm(profile, "left", models["left"], readings["left"], conditions=conditions["left"], **watched)
+    return discover_arm(ArmReadings.of_cell(profile, models, readings)["left"], **watched)
 
 
 def drawn(slug, seed):
@@ -257,7 +256,7 @@ def test_look_alikes_that_the_data_cannot_distinguish_are_an_answer_set(plan):
         dwell_s=np.full(len(readings), 2.0),
     )
     model = calibrate_arm(profile, "left", tied)[0].model
-    found = discover_arm(profile, "left", model, tied)
+    found = discover_arm(ArmReadings.alone(profile, "left", model, tied))
     assert found.result.verdict == "ambiguous"
     answers = set(found.result.accepted[0].answer_set)
     assert {"backlash", "unsettled_measurement"} <= answers
@@ -367,7 +366,7 @@ def both():
     found = {}
     for name, its in (("both", readings), ("points", replace(readings, quaternion_M=None, sigma_rad=None))):
         arm, _ = calibrate_arm(profile, "left", its)
-        found[name] = discover_arm(profile, "left", arm.model, its)
+        found[name] = discover_arm(ArmReadings.alone(profile, "left", arm.model, its))
     return readings, found
 
 
@@ -424,25 +423,23 @@ SEARCHED, ROWS = 200, 320
 
 @cache
 def drawn_beyond():
-    """A draw of a real UR10: its profile, calibrated model, readings with splits, and their conditions."""
+    """A draw of a real UR10: its readings with splits."""
     series = load_entrant("D")
     readings = draw_rows(series, ROWS, 3).split(series.readings)
     arm, _ = calibrate_arm(series.profile, series.arm, readings)
-    return series.profile, series.arm, arm.model, readings, measurement_conditions(readings)
+    return ArmReadings.alone(series.profile, series.arm, arm.model, readings)
 
 
 @cache
 def searched() -> Searched:
-    profile, _, model, readings, conditions = drawn_beyond()
-    rows = readings.in_split("identify")
+    drawn = drawn_beyond()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(discover, "_MOST_SEARCHED", SEARCHED)
-        return search_rows(profile, model, readings.take(rows), conditions.take(rows))
+        return search_rows(drawn.take(drawn.readings.in_split("identify")))
 
 
 def held_out() -> HeldOut:
-    _, _, _, readings, conditions = drawn_beyond()
-    return HeldOut.of(readings, conditions)
+    return HeldOut.of(drawn_beyond().readings, drawn_beyond().conditions)
 
 
 def test_rows_beyond_those_that_are_searched_lower_the_error():
@@ -450,17 +447,16 @@ def test_rows_beyond_those_that_are_searched_lower_the_error():
     assert has_smooth_terms(result.found.fit.terms)
     assert (result.only_some, len(result.search.data), result.fitted) == ("", SEARCHED, ROWS)
     of_search = Searched.of_search(result.search, result.data).model
-    assert held_out().rms_mm(result.model) < held_out().rms_mm(of_search) < held_out().rms_mm(drawn_beyond()[2])
+    assert held_out().rms_mm(result.model) < held_out().rms_mm(of_search) < held_out().rms_mm(drawn_beyond().model)
 
 
 @pytest.mark.slow
 def test_where_the_fit_to_all_fails_the_model_of_the_search_is_in_force_and_said(monkeypatch):
-    profile, name, model, readings, conditions = drawn_beyond()
     found = searched().search
     monkeypatch.setattr(discover, "_MOST_SEARCHED", SEARCHED)
     monkeypatch.setattr(discover, "search", lambda *_: found)
     monkeypatch.setattr(all_readings, "_MOST_STEPS", 1)
-    result = discover_arm(profile, name, model, readings, conditions=conditions).result
+    result = discover_arm(drawn_beyond()).result
     assert [one.effect for one in result.accepted] == [term.slug for term in found.fit.terms]
     assert result.heldout_mm.after < 0.5 * result.heldout_mm.before
     assert f"the model rests on {SEARCHED} of {ROWS} readings" in result.sentence

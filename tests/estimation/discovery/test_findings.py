@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.profile import load_profile
-from cellapp.estimation.calibration.quantities import measurement_conditions
+from cellapp.estimation.calibration.quantities import ArmReadings
 from cellapp.estimation.discovery.accepted import accepted_effect, dominant_cycles, formulas, pictures
 from cellapp.estimation.discovery.arm_data import ArmData, ModelTerm
 from cellapp.estimation.discovery.discover import discover_arm
@@ -125,7 +125,7 @@ def discovered(sign: int) -> ArmDiscoveryResult:
         sigma_m=np.full(STOPS, SIGMA_M),
         split=("identify",) * (STOPS - HELD_OUT) + ("validate",) * HELD_OUT,
     )
-    return discover_arm(profile, "left", model, readings).result
+    return discover_arm(ArmReadings.alone(profile, "left", model, readings)).result
 
 
 def test_backlash_of_the_opposite_sign_is_said_and_unknown() -> None:
@@ -220,7 +220,7 @@ def fitted(bend, *terms, off_axis_m=0.1):
         sigma_m=np.full(N, SIGMA_M),
     )
     model = arm_of(profile, geometry)
-    data = ArmData.of(profile, model, readings, measurement_conditions(readings))
+    data = ArmData.of(ArmReadings.alone(profile, "left", model, readings))
     return data, fit_terms(data, tuple(terms))
 
 

@@ -17,7 +17,7 @@ from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from cellapp.commands.trials.blind import blind_readings, with_hidden
 from cellapp.estimation.calibration.calibrate import calibrate_arm, gross_errors
-from cellapp.estimation.calibration.quantities import measurement_conditions
+from cellapp.estimation.calibration.quantities import ArmReadings
 from cellapp.estimation.discovery.arm_data import ArmData
 from cellapp.estimation.discovery.discover import discover_arm, needs_network, with_network
 from cellapp.estimation.discovery.joint_fit import (
@@ -221,10 +221,11 @@ def test_discovery_of_a_real_arm_bears_gross_errors() -> None:
     split = tuple("identify" if row % 8 == 0 else "validate" for row in range(len(ur5.readings)))
     readings = replace(ur5.readings, split=split)
     arm, _ = calibrate_arm(ur5.profile, ur5.arm, readings)
-    plain = discover_arm(ur5.profile, ur5.arm, arm.model, readings)
+    calibrated = ArmReadings.alone(ur5.profile, ur5.arm, arm.model, readings)
+    plain = discover_arm(calibrated)
     p_M = readings.p_M.copy()
     p_M[[80, 320, 640]] += np.array([[0.002, 0.0, 0.0], [0.0, -0.01, 0.0], [0.0, 0.0, 0.03]])
-    disturbed = discover_arm(ur5.profile, ur5.arm, arm.model, replace(readings, p_M=p_M))
+    disturbed = discover_arm(replace(calibrated, readings=replace(readings, p_M=p_M)))
     disturbed_mm, plain_mm = (one.result.heldout_position_mm for one in (disturbed, plain))
     assert disturbed_mm is not None
     assert plain_mm is not None
@@ -253,7 +254,7 @@ def searched(plan):
     profile = with_hidden(PROFILE_OF_REMAINING_NETWORK.model_copy(update={"seed": 2}), COMPLIANT, 2)
     readings = blind_readings(profile, plan, 2)["left"]
     model = calibrate_arm(profile, "left", readings)[0].model
-    discovery = discover_arm(profile, "left", model, readings)
+    discovery = discover_arm(ArmReadings.alone(profile, "left", model, readings))
     assert discovery.terms
     return profile, readings, model, discovery
 
@@ -265,7 +266,7 @@ def judged(discovery, verdict):
 def trained(searched, readings, verdict="explained", **changes):
     profile, _, model, discovery = searched
     discovery = replace(judged(discovery, verdict), **changes)
-    return with_network(profile, model, discovery, readings, measurement_conditions(readings))
+    return with_network(ArmReadings.alone(profile, "left", model, readings), discovery)
 
 
 @pytest.mark.parametrize(

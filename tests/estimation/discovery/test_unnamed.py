@@ -11,7 +11,7 @@ from cellapp.cell.exports.arm_export import lost_parts, workspace
 from cellapp.cell.planning.propose import _unnamed_advice
 from cellapp.cell.profile import load_profile
 from cellapp.commands.discover.words import remainder_sentences
-from cellapp.estimation.calibration.quantities import measurement_conditions
+from cellapp.estimation.calibration.quantities import ArmReadings, measurement_conditions
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.search import stepwise
 from cellapp.estimation.discovery.search.state import Posteriors
@@ -59,7 +59,7 @@ def test_what_has_no_name_stays_in_the_model_whatever_is_stated(factor, monkeypa
     )  # no name is probable
     readings = readings_of(factor)
     conditions = measurement_conditions(readings)
-    found = discover_arm(PROFILE, "left", MODEL, readings, conditions=conditions)
+    found = discover_arm(ArmReadings(PROFILE, "left", MODEL, readings, conditions))
     result, unnamed = found.result, found.result.unnamed
     assert result.accepted == ()
     assert unnamed is not None
@@ -92,7 +92,7 @@ def test_joints_that_depend_on_their_neighbours_are_predicted_to_the_noise_witho
     q = rng.uniform(-2.0, 2.0, (N, 6))
     moved = np.zeros((N, 6))
     moved[:, 1], moved[:, 2] = 1e-4 * np.sin(2.0 * q[:, 1] + q[:, 2]), 1e-4 * np.cos(q[:, 2] - q[:, 3])
-    found = discover_arm(PROFILE, "left", MODEL, measured(q, moved, 1.0, rng)).result
+    found = discover_arm(ArmReadings.alone(PROFILE, "left", MODEL, measured(q, moved, 1.0, rng))).result
     assert found.unnamed is not None
     assert found.unnamed.in_force
     assert found.accepted == ()

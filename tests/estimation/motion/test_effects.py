@@ -153,7 +153,7 @@ def recordings_of_springs(rng, *, count=4, base_hz=0.0625, point_hz=100.0, knee=
 def test_elastic_joints_are_named_with_their_size_and_no_point_is_a_gross_error():
     recordings = recordings_of_springs(np.random.default_rng(6))
     rigid_fit = identify_from_motion(RecordedArm(NOMINAL, recordings, tool_unknown=True))
-    assert sum(one.gross for one in rigid_fit.recordings.values()) < 5
+    assert sum(one.result.gross for one in rigid_fit.recordings.values()) < 5
     discovery, found = found_in(*recordings, bodies=BODIES, up_M=np.array([0.0, 0.0, 1.0]))
     assert set(found) == {"joint_compliance"}
     spring = found["joint_compliance"]

@@ -114,7 +114,7 @@ def test_a_part_before_a_step_of_a_clock_of_which_nothing_is_learnt_leaves_the_r
     fit = fit_of(replace(recording, points=replace(recording.points, time_s=time, held_out=held_out)))
     clock = fit.clocks["sweep"]
     assert len(clock.segments) == 2
-    assert fit.recordings["sweep"].held_out == 1000
+    assert fit.recordings["sweep"].result.held_out == 1000
     assert clock.offset_standard_error_s < 1e-3
     assert clock.offset_s == pytest.approx(0.0178, abs=5e-4)
     assert fit.heldout_rms_mm < 0.1
@@ -142,10 +142,10 @@ def test_blocks_that_the_file_holds_out_are_kept_apart(case):
     spoilt = recording.points.p_M.copy()
     spoilt[3000:5000] += 2e-3
     fit = fit_of(replace(recording, points=replace(recording.points, p_M=spoilt, held_out=held_out)))
-    one = fit.recordings["sweep"]
+    one = fit.recordings["sweep"].result
     assert one.held_out == 2000
     assert one.heldout_rms_mm == pytest.approx(2.0 * np.sqrt(3.0), rel=0.05)  # nothing of them was learnt
-    assert one.scatter_m < 60e-6
+    assert one.scatter_mm < 60e-3
 
 
 def test_what_little_excitation_leaves_open_is_said(case):
@@ -212,10 +212,10 @@ def test_short_recordings_of_one_arm_with_errors_of_their_own_fit_alike_beside_a
     assert of_the_bad_one.startswith("recording '4': ")
     assert sum("the rate between the clocks" in sentence for sentence in fit.undetermined) == 1
     spoilt = found.pop("4")
-    scatter = np.array([one.scatter_m for one in found.values()])
+    scatter = np.array([one.result.scatter_mm for one in found.values()])
     assert scatter.max() < 2.5 * np.median(scatter)
-    assert spoilt.scatter_m > 5.0 * np.median(scatter)
-    assert sum(one.gross for one in found.values()) < 0.02 * sum(one.learnt for one in found.values())
+    assert spoilt.result.scatter_mm > 5.0 * np.median(scatter)
+    assert sum(one.result.gross for one in found.values()) < 0.02 * sum(one.result.learnt for one in found.values())
 
 
 def test_an_arm_of_which_one_joint_moves_is_fitted_and_the_sentence_says_what_it_is_worth(case):

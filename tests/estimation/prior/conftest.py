@@ -10,6 +10,7 @@ import pytest
 
 from cellapp.cell.profile import load_profile
 from cellapp.estimation.calibration.calibrate import calibrate_arm
+from cellapp.estimation.calibration.quantities import ArmReadings
 from cellapp.estimation.prior.belief import Belief
 from cellapp.estimation.prior.calibrate import Earlier, believed
 from cellapp.estimation.readings import Readings
@@ -107,7 +108,7 @@ def arm() -> SimulatedArm:
 def earlier(arm: SimulatedArm) -> Earlier:
     """What 200 readings say of the arm."""
     readings = arm.readings(200, seed=1)
-    belief, count = believed(arm.profile, "left", {"left": arm.model}, {"left": readings})
+    belief, count = believed(ArmReadings.alone(arm.profile, "left", arm.model, readings))
     return earlier_of(belief, count)
 
 

@@ -21,14 +21,13 @@ from cellapp.commands.stages import read_stages
 from cellapp.commands.stored_model import model_of, stage_in_force
 from cellapp.estimation.calibration.identification import identify
 from cellapp.estimation.calibration.parameters import candidate_columns, weak_priors
-from cellapp.estimation.calibration.quantities import measurement_conditions
+from cellapp.estimation.calibration.quantities import ArmReadings, measurement_conditions
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.prior.belief import Belief, Measured, is_own, posterior
 from cellapp.estimation.prior.calibrate import Earlier, SearchWithPriors, believed, stated_model, updated_arm
 from cellapp.estimation.prior.update import Updated, first_model, update
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import UNTOLD
 from cellapp.robot.effects import EFFECTS, EffectTerm
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_vectors
@@ -40,7 +39,7 @@ TOOL = np.array([-0.03, 0.05, 0.11])
 
 def again(arm: SimulatedArm, earlier: Earlier, count: int, seed: int = 2) -> Updated:
     readings = arm.readings(count, seed)
-    return update(arm.profile, "left", readings, measurement_conditions(readings), earlier.belief, earlier.since)
+    return update(ArmReadings.alone(arm.profile, "left", arm.model, readings), earlier.belief, earlier.since)
 
 
 def error_um(arm: SimulatedArm, outcome: Updated) -> float:
@@ -91,7 +90,7 @@ def test_orientation_of_few_stops_names_changes_that_their_positions_do_not_prov
     change[4, 0], change[2, 0] = 2e-4, 1e-4
     told = {}
     for kind in (arm, six):
-        belief, count = believed(kind.profile, "left", {"left": kind.model}, {"left": kind.readings(200, seed=1)})
+        belief, count = believed(ArmReadings.alone(kind.profile, "left", kind.model, kind.readings(200, seed=1)))
         now = kind.mounted(ELSEWHERE, TOOL).with_rows(change)
         now = now if kind is arm else now.with_probe(np.array([0.5, -0.2, 0.3]))
         told[kind is six] = now, again(now, earlier_of(belief, count), 14)
@@ -156,10 +155,9 @@ def test_an_effect_that_appeared_is_found_beside_what_was_carried_over(arm: Simu
     new = EffectTerm("encoder_eccentricity", names, np.full(len(some), 1e-4), np.zeros(len(some)), units, law)
     worn = replace(arm, model=replace(arm.model, effects=(*arm.model.effects, new))).mounted(ELSEWHERE, TOOL)
     readings = worn.readings(70, seed=6, learn=40)
-    conditions = measurement_conditions(readings)
-    outcome = updated_arm(worn.profile, "left", readings, conditions, earlier)
-    model = stated_model(outcome.found, 0)
-    found = SearchWithPriors({"left": earlier})(worn.profile, "left", model, readings, conditions, UNTOLD)
+    measured = ArmReadings.alone(worn.profile, "left", worn.model, readings)
+    outcome = updated_arm(measured, earlier)
+    found = SearchWithPriors({"left": earlier})(replace(measured, model=stated_model(outcome.found, 0)))
     assert [effect.effect for effect in found.result.accepted] == ["encoder_eccentricity"]
     assert "joint 2 has appeared since 2026-03-01" in found.result.sentence
     assert [term.slug for term in found.model.effects] == ["joint_compliance", "encoder_eccentricity"]

@@ -10,7 +10,7 @@ import pytest
 
 from cellapp.estimation.calibration.identification import identify
 from cellapp.ground.errors import InputError
-from cellapp.robot.effects import EFFECTS, EffectTerm
+from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.statics import Bodies
 from cellapp.robot.model import ArmModel, CellModel, ResidualNetwork
@@ -69,7 +69,8 @@ def test_a_saved_model_predicts_what_it_predicted(tmp_path):
     np.testing.assert_array_equal(loaded.arms["left"].covariance, model.arms["left"].covariance)
     assert loaded.to_json() == model.to_json()
     bare = replace(model.arms["left"], network=None)
-    gap = model.predict("left", q, approach, payload) - bare.predict(q, approach, payload)
+    conditions = MeasurementConditions(approach=approach, payload_kg=payload)
+    gap = model.predict("left", q, approach, payload) - bare.predict(q, conditions=conditions)
     rotation = bare.geometry.T_M_B()[:3, :3]  # the network speaks in the base frame
     np.testing.assert_allclose(gap, model.arms["left"].network.correct(q) @ rotation.T, atol=1e-15)
 
@@ -79,7 +80,8 @@ def test_effects_change_the_prediction_with_the_quantities_they_depend_on():
     q = np.random.default_rng(2).uniform(-3, 3, (20, 6))
     middle, above = arm.predict(q), arm.predict(q, approach=np.ones((20, 6)))
     assert np.linalg.norm(above - middle, axis=1).max() == pytest.approx(1e-4 * 1.4, rel=0.4)  # lever of joint 1
-    assert np.linalg.norm(arm.predict(q, payload_kg=np.full(20, 9.0)) - middle, axis=1).max() > 1e-4
+    heavier = arm.predict(q, conditions=MeasurementConditions(payload_kg=np.full(20, 9.0)))
+    assert np.linalg.norm(heavier - middle, axis=1).max() > 1e-4
 
 
 @pytest.mark.parametrize(
