@@ -17,7 +17,7 @@ class Key:
 
 
 KEYS: Mapping[str, Key] = {
-    "stop": Key("escape", "Escape", "STOP while something moves; else close a field or a dialog"),
+    "stop": Key("escape", "Escape", "STOP while something moves; else close a dialog"),
     "pause": Key("p", "p", "pause the job after the present stop; again: resume it"),
     "resume": Key("c", "c", "continue a paused or stopped job"),
     "abort": Key("x", "x", "end the job; Ctrl-X does so over a dialog, too"),
@@ -29,13 +29,10 @@ KEYS: Mapping[str, Key] = {
     "open": Key("o", "o", "open a profile, a list, a table, a log or a page"),
     "plots": Key("g", "g", "show the plots; again: the next one"),
     "tab": Key("t", "t", "show the next tab"),
-    "search": Key("slash", "/", "search, or filter while you type"),
-    "filter": Key("f", "f", "show only what needs attention or holds a text"),
-    "sort": Key("s", "s", "sort by the next column"),
+    "search": Key("slash", "/", "search in the handbook"),
+    "filter": Key("f", "f", "show only what needs attention"),
     "export": Key("e", "e", "write for others: arms, programs, plans, certificates"),
     "import": Key("i", "i", "take from elsewhere: readings, an earlier run"),
-    "save": Key("w", "w", "save what is shown: tables, the log"),
-    "copy": Key("y", "y", "copy what is shown or marked"),
     "add": Key("plus,insert", "+", "add: a profile, stops, a network from all readings"),
     "mark": Key("space", "Space", "mark the row"),
     "again": Key("r", "r", "again: read the folder, design the rest of a plan, measure marked stops"),
@@ -56,9 +53,7 @@ KEYS: Mapping[str, Key] = {
     "help": Key("question_mark", "?", "explain this screen, with all its keys"),
     "handbook": Key("f1,h", "F1", "the handbook: contents, search"),
     "palette": Key("ctrl+p", "Ctrl+P", "every action by its name, and the themes"),
-    "quit": Key(
-        "q", "q", "quit; asks while something runs; in a text to read: close it. Ctrl-Q does so in a text field"
-    ),
+    "quit": Key("q", "q", "quit; asks while something runs; in a text to read: close it. Ctrl-Q does so in a dialog"),
 }
 SHOWN: Mapping[str, str] = {meaning: key.shown for meaning, key in KEYS.items()}
 """Meaning -> display name of its key, for ``str.format_map``."""

@@ -1,4 +1,4 @@
-"""The list of runs: read in a thread, sorted, filtered, opened; broken ones are rows."""
+"""The list of runs: read in a thread, opened; broken ones are rows."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.ground.results import CALIBRATE, Result
 from cellapp.interfaces.tui import work
-from cellapp.interfaces.tui.dialogs.question import Answer, Reading
+from cellapp.interfaces.tui.dialogs.question import Answer, reading_of
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.offers import WRITE, offer_again
@@ -170,8 +170,7 @@ class CalibrateScreen(DayScreen):
         if isinstance(result, ExportResult) and self.app.screen is self:
             from cellapp.cell.exports.formats import export_lines
 
-            lines = export_lines(result)
-            self.app.push_screen(Reading("\n".join(["# Exported", "", "```text", *lines, "```"])))
+            self.app.push_screen(reading_of("Exported", export_lines(result)))
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 

@@ -177,11 +177,6 @@ class CellScreen(DayScreen):
         """List all runs."""
         self.query_one("#cell-tabs", TabbedContent).active = "tab-runs"
 
-    def leave_field(self) -> None:
-        """Leave the field that filters the runs."""
-        if self._runs is not None:
-            self._runs.enter_list()
-
     @property
     def _runs(self) -> RunsList | None:
         """The list of runs while it is shown."""

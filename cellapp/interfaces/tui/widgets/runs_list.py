@@ -17,15 +17,14 @@ from typing import TYPE_CHECKING, ClassVar, cast
 from rich.text import Text
 from textual import on, work
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
+from textual.binding import BindingType
 from textual.containers import Vertical, VerticalScroll
-from textual.widgets import DataTable, Input, Static
+from textual.widgets import DataTable, Static
 from textual.worker import get_current_worker
 
-from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.runs.result import RunsResult
-from cellapp.commands.runs.view import contains, run_cells, run_columns, run_lines, runs_sentences
+from cellapp.commands.runs.view import run_cells, run_columns, run_lines, runs_sentences
 from cellapp.ground.errors import CellappError
 from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.endings import REPORT_FILE
@@ -61,43 +60,29 @@ def _has_display() -> bool:
 
 
 _OPEN = "▸"
-_MARKS = "marks"
-"""Key of the column that shows which run is open; the keys of the others are their indices."""
-_BEGAN = 1
-"""Column by which the list is sorted initially."""
 _READING = "reading the folder of runs ..."
 
 
 class RunsList(Vertical):
-    """The runs of the folder, newest first, sorted and filtered; below them more of the one under the cursor."""
+    """The runs of the folder, newest first; below them more of the one under the cursor."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("open", "report", "Report", "open the report in a browser"),
-        bind("search", "filter", "Filter", "filter the list while you type"),
-        Binding("escape", "clear_filter", show=False),
-        bind("sort", "sort", "Sort", "sort by the next column"),
         bind("again", "read", "Read again", "read the folder of runs again", show=False),
     ]
 
     def __init__(self) -> None:
         super().__init__()
         self._found = RunsResult(folder="", runs=())
-        self._columns = run_columns("")
-        self._shown: dict[str, RunSummary] = {}
-        self._sorted, self._reverse = _BEGAN, True
 
     def compose(self) -> ComposeResult:
-        yield Input(placeholder="/ to filter: name, cell, effect, ...", id="filter", compact=True)
         yield TextTable(id="runs", cursor_type="row", zebra_stripes=True)
         with VerticalScroll(id="about-run", can_focus=False):
             yield Static(_READING, id="about", markup=False)
 
     def on_mount(self) -> None:
         """Create the columns."""
-        table = self._table
-        table.add_column(" ", key=_MARKS)
-        for place in range(len(self._columns)):
-            table.add_column(self._heading(place), key=str(place))
+        self._table.add_columns(" ", *run_columns(""))
         self.enter_list()
         self.action_read()
 
@@ -112,15 +97,8 @@ class RunsList(Vertical):
     @property
     def _run(self) -> RunSummary | None:
         """The run under the cursor."""
-        table = self._table
-        if not table.row_count:
-            return None
-        return self._shown.get(str(table.ordered_rows[table.cursor_row].key.value))
-
-    def _heading(self, place: int) -> Text:
-        """Return the title of a column, with an arrow if the list is sorted by it."""
-        order = ("▾" if self._reverse else "▴") if place == self._sorted else " "
-        return Text(f"{self._columns[place].title} {order}")
+        runs = self._found.runs
+        return runs[self._table.cursor_row] if self._table.cursor_row < len(runs) else None
 
     # -- reading -------------------------------------------------------------------------------------------------------
 
@@ -145,24 +123,22 @@ class RunsList(Vertical):
         if isinstance(found, str):
             self._host.say(found, "error")
             return
-        self._found, self._columns = found, run_columns(found.folder)
-        self._draw()
+        present = self._run
+        self._found = found
+        self._draw(present)
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
-    def _draw(self) -> None:
-        """Draw the rows that pass the filter, sorted; the cursor stays on its run."""
-        table, present, wanted = self._table, self._run, self.query_one("#filter", Input).value
-        chosen = [run for run in self._found.runs if contains(run, self._columns, wanted)]
-        chosen.sort(key=self._columns[self._sorted].order, reverse=self._reverse)
-        self._shown = {run.run: run for run in chosen}
+    def _draw(self, present: RunSummary | None) -> None:
+        """Draw the rows; the cursor stays on its run."""
+        table, columns = self._table, run_columns(self._found.folder)
         table.clear()
-        for run in chosen:
-            style = "dim" if run.problem else ""
-            mark = Text(_OPEN if self._is_open(run) else " ")
-            table.add_row(mark, *(Text(cell, style) for cell in run_cells(run, self._columns)), key=run.run)
-        if present is not None and present.run in self._shown:
-            table.move_cursor(row=table.get_row_index(present.run))
+        for run in self._found.runs:
+            cells = (_OPEN if self._is_open(run) else " ", *run_cells(run, columns))
+            table.add_row(*(Text(cell, "dim" if run.problem else "") for cell in cells), key=run.run)
+        names = [run.run for run in self._found.runs]
+        if present is not None and present.run in names:
+            table.move_cursor(row=names.index(present.run))
         self._draw_about()
 
     def _is_open(self, run: RunSummary) -> bool:
@@ -174,8 +150,6 @@ class RunsList(Vertical):
             lines = run_lines(run)
             if run.next_step and not self._is_open(run):
                 lines[-1] = lines[-1].replace(run.next_step, f"Enter, then {run.next_step}")
-        elif self._found.runs:
-            lines = [f"none of {len(self._found.runs)} runs passes the filter; {SHOWN['search']} changes it"]
         else:
             lines = runs_sentences(self._found)
         self.query_one("#about", Static).update(with_keys("\n".join(lines)))
@@ -186,46 +160,9 @@ class RunsList(Vertical):
         event.stop()
         self._draw_about()
 
-    # -- sort and filter -----------------------------------------------------------------------------------------------
-
-    def action_filter(self) -> None:
-        """Focus the filter field."""
-        self.query_one("#filter").focus()
-
-    @on(Input.Changed, "#filter")
-    def filter_rows(self) -> None:
-        """Filter while a person types."""
-        self._draw()
-
-    @on(Input.Submitted, "#filter")
     def enter_list(self) -> None:
-        """Go to the list; the typed text stays."""
+        """Let the keys go through the list."""
         self._table.focus()
-
-    def action_clear_filter(self) -> None:
-        """Show all runs again; Escape does so while no job runs."""
-        self.query_one("#filter", Input).clear()
-        self._table.focus()
-
-    def action_sort(self) -> None:
-        """Sort by the next column."""
-        self._sort((self._sorted + 1) % len(self._columns), again=False)
-
-    @on(DataTable.HeaderSelected)
-    def sort_by(self, event: DataTable.HeaderSelected) -> None:
-        """Sort by the column whose heading was clicked; a second click reverses the order."""
-        if event.column_key.value != _MARKS:
-            self._sort(int(event.column_key.value or 0), again=True)
-
-    def _sort(self, place: int, *, again: bool) -> None:
-        turned = again and place == self._sorted
-        self._reverse = not self._reverse if turned else self._columns[place].newest_first
-        self._sorted = place
-        for column in self._table.ordered_columns:
-            if column.key.value != _MARKS:
-                column.label = self._heading(int(column.key.value or 0))
-        self._draw()
-        self._host.say(f"Sorted by {self._columns[place].title}{', largest first' if self._reverse else ''}.")
 
     # -- what can be done with a run -----------------------------------------------------------------------------------
 
