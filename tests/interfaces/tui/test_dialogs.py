@@ -81,8 +81,7 @@ async def test_a_format_proposes_its_file_and_what_is_typed_stays() -> None:
 DAY = Path("logs") / "day"
 ASKED = {
     "plan a new run": ("2", "b"),
-    "append stops": ("2", "plus"),
-    "design the rest again": ("2", "r"),
+    "change the plan": ("2", "plus"),
     "calibrate": ("4", "b"),
     "calibrate with a prior": ("4", "i"),
     "search": ("5", "b"),

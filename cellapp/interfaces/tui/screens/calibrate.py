@@ -58,7 +58,9 @@ class ExportArms(VerbQuestion):
 
     def __init__(self, folder: Path, arms: Sequence[str], answers: Sequence[Answer]) -> None:
         choices = {"arm": arms, "stage": STAGES}
-        super().__init__(VERB, "Several arms get a file each.", answers, {"folder": folder}, choices=choices)
+        super().__init__(
+            VERB, "Several arms get a file each.", answers, {"folder": folder, "plan": None}, choices=choices
+        )
         self._folder, self._file = folder, ""
 
     def fields(self) -> ComposeResult:
