@@ -358,11 +358,6 @@ class StationTie:
     nests: tuple[str, ...]
     residual_m: Array
 
-    def uncertainty(self, p_M: Array) -> Array:
-        """Return the coordinate standard deviation (n,) that the tie adds to points (n, 3) in the first frame [m]."""
-        J = twist_columns(p_M)
-        return np.asarray(np.sqrt(np.einsum("nai,ij,naj->n", J, self.covariance, J) / 3.0))
-
 
 class TooFewNests(ValueError):
     """Error for a station that cannot be tied to the first one; ``station`` is its name."""

@@ -210,12 +210,8 @@ class CellScreen(DayScreen):
         self.start(verbs.verb_job(DOCTOR, DoctorRequest(profile=path)))
 
     def show_result(self, result: Result) -> None:
-        """Draw the doctor's findings, or open the report of a run."""
+        """Draw the doctor's findings."""
         from cellapp.commands.doctor.result import DoctorResult
-        from cellapp.commands.run_results import ReportResult
-
-        if isinstance(result, ReportResult) and self._runs is not None:
-            self._runs.open_page(Path(result.page))
 
         if isinstance(result, DoctorResult):
             self._doctor, self._doctor_path, self._doctor_at = result, self._asked_path, datetime.now()

@@ -154,7 +154,6 @@ class CollectScreen(DayScreen):
         bind("again", "measure_again", "Measure again", "visit the marked stops again: THE ARMS MOVE", show=False),
         bind("plots", "view('plots')", "Plots", "show the plots; again: the next one"),
         bind("tab", "next_tab", "Next tab", "from the log to the plots, the stops, the tables"),
-        bind("open", "other_log", "Other log", "log of this session, or the stored one", show=False),
         bind("after", "step(1)", "Next stop", "go to the next stop of the list", show=False),
         bind("before", "step(-1)", "Stop before", "go to the stop before", show=False),
         *(bind(level, f"least('{level}')", f"Log: {level}", KEYS[level].meaning, show=False) for level in LEVELS),
@@ -278,16 +277,6 @@ class CollectScreen(DayScreen):
         self.query_one(LogPane).show_from(level_of(level))
 
     # -- the stored log ------------------------------------------------------------------------------------------------
-
-    def action_other_log(self) -> None:
-        """Switch between the log of this session and the stored one."""
-        pane, folder = self.query_one(LogPane), self.workspace.folder
-        if not pane.shows_session:
-            pane.show_session(self.cell_app.record)
-        elif folder is None:
-            self.say(self.state.no_run, "warning")
-        else:
-            self._read_log(folder)
 
     @work(thread=True, exclusive=True, group="stored log")
     def _read_log(self, folder: Path) -> None:

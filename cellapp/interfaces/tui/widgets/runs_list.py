@@ -1,15 +1,11 @@
 """Every run in the folder of runs: open it, or its report.
 
 Runs are read in threads, which also load the packages for it.
-
-Opening of a page in a graphical browser, with a sentence about the outcome.
 """
 
 from __future__ import annotations
 
 import os
-import sys
-import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, cast
@@ -28,35 +24,12 @@ from cellapp.commands.runs.view import run_cells, run_columns, run_lines, runs_s
 from cellapp.ground.errors import CellappError
 from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.endings import REPORT_FILE
-from cellapp.interfaces.tui.host import Host, ShowsResults
+from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.widgets.tables import TextTable
 
 if TYPE_CHECKING:
     from cellapp.commands.runs.result import RunSummary
-
-
-def open_page(page: Path) -> str:
-    """Open a file in a browser; without a browser, the sentence says where the file is.
-
-    A text browser is never started: it would draw over this program.
-    """
-    where = page.resolve()
-    if _has_display():
-        try:
-            browser = webbrowser.get()
-            in_terminal = type(browser) is webbrowser.GenericBrowser  # links, lynx, w3m
-            if not in_terminal and browser.open(where.as_uri()):
-                return f"The report opens in a browser: {where}"
-        except (webbrowser.Error, OSError):
-            pass
-    return f"No browser with a window was found here; open {where} in one."
-
-
-def _has_display() -> bool:
-    if os.name != "posix" or sys.platform == "darwin":
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 _OPEN = "▸"
@@ -67,7 +40,7 @@ class RunsList(Vertical):
     """The runs of the folder, newest first; below them more of the one under the cursor."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
-        bind("open", "report", "Report", "open the report in a browser"),
+        bind("open", "report", "Report", "say where the report is, or write it"),
         bind("again", "read", "Read again", "read the folder of runs again", show=False),
     ]
 
@@ -173,29 +146,18 @@ class RunsList(Vertical):
         self._with_run(lambda run: host.open_run(Path(run.run), host.workspace.profile_path))
 
     def action_report(self) -> None:
-        """Open the report; write it first if there is none."""
+        """Say where the report is; write it if there is none."""
 
         def report(run: RunSummary) -> None:
             page = Path(run.run) / REPORT_FILE
             if page.is_file():
-                self.open_page(page)
+                self._host.say(f"The report is {page.resolve()}: open it in a browser.")
             elif any(stage.name == "calibrate" for stage in run.stages):
-                if self._host.start_job(jobs_of_verbs.job_of(REPORT, folder=Path(run.run))):
-                    self._host.asked_by = cast(ShowsResults, self.screen)
+                self._host.start_job(jobs_of_verbs.job_of(REPORT, folder=Path(run.run)))
             else:
                 self._host.say(f"{run.run} is not calibrated; there is nothing to report yet.", "warning")
 
         self._with_run(report)
-
-    @work(thread=True, group="report in a browser")
-    def open_page(self, page: Path) -> None:
-        """Open a page in a browser."""
-        self.call_later(self._say_opened, open_page(page))
-
-    def _say_opened(self, sentence: str) -> None:
-        """Show the sentence twice: the message line may get news of the job that wrote the page."""
-        self._host.say(sentence)
-        self.notify(sentence)
 
     def _with_run(self, act: Callable[[RunSummary], None]) -> None:
         """Call ``act`` with the run under the cursor if it can be read."""
