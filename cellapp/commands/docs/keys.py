@@ -27,7 +27,7 @@ KEYS: Mapping[str, Key] = {
     "runs": Key("8", "8", "all runs: open one, its report"),
     "day": Key("f5", "F5", "the whole day in a new run; asks first"),
     "open": Key("o", "o", "open a profile or a list; of a run, say where its page is"),
-    "plots": Key("g", "g", "show the plots; again: the next one"),
+    "plots": Key("g", "g", "show the plots of a collection; again: the next one"),
     "tab": Key("t", "t", "show the next tab"),
     "search": Key("slash", "/", "search in the handbook"),
     "filter": Key("f", "f", "show only what needs attention"),

@@ -106,7 +106,6 @@ class CalibrateScreen(DayScreen):
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "begin", "Calibrate", "identify and evaluate; nothing moves"),
         bind("import", "otherwise", "Otherwise", "with an earlier run as prior, or another network", show=False),
-        bind("plots", "plots", "Plots", "show the errors as charts"),
         bind("tab", "next_tab", "Next tab"),
         bind("export", "export", "Export", "write the calibrated arms for other programs"),
     ]
@@ -137,10 +136,6 @@ class CalibrateScreen(DayScreen):
         if (folder := self.open_folder()) is not None:
             text = "What is stored stays. An earlier run of the same arms is a prior. Nothing moves."
             self.ask_verb(VerbQuestion(request.VERB, text, BEGIN, {"folder": folder, "parameters": False}))
-
-    def action_plots(self) -> None:
-        """Show the charts."""
-        self.query_one("#calibration", TabbedContent).active = "errors"
 
     def action_export(self) -> None:
         """Ask for format and file, then write the calibrated arms."""

@@ -56,7 +56,6 @@ class CellScreen(DayScreen):
         bind("open", "open", "Open profile", "open a profile by its path"),
         bind("edit", "edit", "Edit profile", "change the profile in $EDITOR, then check it again"),
         bind("import", "own_readings", "Own readings", "calibrate readings that were recorded elsewhere", show=False),
-        bind("plots", "map", "Map", "where bases, tracker and stops are"),
         bind("tab", "next_tab", "Next tab", "show the next of the tabs"),
         bind("add", "write", "New profile", "write a profile that explains its keys, and edit it"),
     ]
@@ -90,7 +89,6 @@ class CellScreen(DayScreen):
                         yield CellMap("above", id="cell-map")
                     yield TabPane("Runs", id="tab-runs")
                 yield Static("", id="cell-detail", markup=False)
-            yield CellMap("above", id="cell-side-map")
 
     def on_mount(self) -> None:
         """List the profiles and open the first one."""
@@ -193,10 +191,6 @@ class CellScreen(DayScreen):
             from cellapp.interfaces.tui.widgets.runs_list import RunsList  # numerics, which the start must not wait for
 
             event.pane.mount(RunsList())
-
-    def action_map(self) -> None:
-        """Show the map."""
-        self.query_one("#cell-tabs", TabbedContent).active = "tab-map"
 
     # -- doctor and devices --------------------------------------------------------------------------------------------
 

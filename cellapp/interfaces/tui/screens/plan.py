@@ -9,7 +9,6 @@ from rich.text import Text
 from textual import on, work
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.containers import Horizontal, Vertical
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
 from cellapp.commands.docs.keys import SHOWN
@@ -23,7 +22,7 @@ from cellapp.interfaces.tui.offers import BEGIN
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.widgets.tables import CellMap, StopsTable, explain_tabs, show_next_of
+from cellapp.interfaces.tui.widgets.tables import CellMap, StopsTable, explain_tabs
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
@@ -41,7 +40,6 @@ _NEW = {"profile": None, "sweeps": None, "source": None, "keep": False}
 _EDITS = {"edit": False, "add": None, "replan": False, "freeze": None}
 """Fields of requests for a new plan, and for a changed one."""
 _OTHER_EXPORTS = dict.fromkeys(("csv", "joints", "points", "form", "out", "arm", "stage"))
-_PLOTS = ("tab-design", "tab-above", "tab-tracker")
 _NO_CHECK = f"{SHOWN['check']} checks the plan again."
 _NO_FORECAST = f"Not foreseen yet: {SHOWN['forecast']} computes time, expected errors and visible effects."
 
@@ -56,7 +54,6 @@ class PlanScreen(DayScreen):
         bind("forecast", "forecast", "Forecast", "time, joint ranges, expected errors, effects that can be seen"),
         bind("add", "change", "Change", "append stops, freeze some, or design the rest again"),
         bind("export", "write", "Write", "write the plan as a table that can be edited"),
-        bind("plots", "plots", "Plots", "the design as charts; again: the maps", show=False),
         bind("tab", "next_tab", "Next tab", "show the next of the tabs"),
     ]
 
@@ -70,30 +67,25 @@ class PlanScreen(DayScreen):
         self._file_check: PlanCheckResult | None = None
 
     def body(self) -> ComposeResult:
-        with Horizontal():
-            with Vertical(id="plan-middle"):
-                yield Static("", id="plan-state", markup=False)
-                yield Static("", id="plan-safety", markup=False)
-                yield Static("", id="plan-time", markup=False)
-                with TabbedContent(id="plan-tabs", initial="tab-constraints"):
-                    with TabPane("Limits", id="tab-constraints"):
-                        yield PartsView(id="constraints")
-                    with TabPane("Design", id="tab-design"):
-                        yield PartsView(id="plan-design")
-                    with TabPane("Stops", id="tab-stops"):
-                        yield StopsTable(id="stops")
-                    with TabPane("Forecast", id="tab-forecast"):
-                        yield PartsView(_NO_FORECAST, id="forecast")
-                    with TabPane("Check", id="tab-check"):
-                        yield PartsView(_NO_CHECK, id="refusals")
-                    with TabPane("Above", id="tab-above"):
-                        yield CellMap("above", id="plan-above")
-                    with TabPane("Tracker", id="tab-tracker"):
-                        yield CellMap("tracker", id="plan-tracker")
-                yield Static("", id="plan-detail", markup=False)
-            with Vertical(id="plan-side"):
-                yield CellMap("above", id="side-above")
-                yield CellMap("tracker", id="side-tracker")
+        yield Static("", id="plan-state", markup=False)
+        yield Static("", id="plan-safety", markup=False)
+        yield Static("", id="plan-time", markup=False)
+        with TabbedContent(id="plan-tabs", initial="tab-constraints"):
+            with TabPane("Limits", id="tab-constraints"):
+                yield PartsView(id="constraints")
+            with TabPane("Design", id="tab-design"):
+                yield PartsView(id="plan-design")
+            with TabPane("Stops", id="tab-stops"):
+                yield StopsTable(id="stops")
+            with TabPane("Forecast", id="tab-forecast"):
+                yield PartsView(_NO_FORECAST, id="forecast")
+            with TabPane("Check", id="tab-check"):
+                yield PartsView(_NO_CHECK, id="refusals")
+            with TabPane("Above", id="tab-above"):
+                yield CellMap("above", id="plan-above")
+            with TabPane("Tracker", id="tab-tracker"):
+                yield CellMap("tracker", id="plan-tracker")
+        yield Static("", id="plan-detail", markup=False)
 
     def on_mount(self) -> None:
         """Explain the tabs."""
@@ -147,10 +139,6 @@ class PlanScreen(DayScreen):
         """Forecast the results of the open run's plan."""
         if folder := self.planned_folder():
             self.start(verbs.forecast_plan(folder))
-
-    def action_plots(self) -> None:
-        """Show the design, then the maps."""
-        show_next_of(self.query_one("#plan-tabs", TabbedContent), _PLOTS)
 
     def tab_shown(self, tabs: TabbedContent) -> None:
         """Focus the stops or the tables of the tab."""

@@ -110,7 +110,6 @@ class TargetsScreen(DayScreen):
         bind("export", "correct", "Program", "correct the targets of a UR program; nothing moves"),
         bind("locate", "locate", "Locate", "measure where the moved tracker stands: THE ARMS MOVE"),
         bind("filter", "attention", "Attention", "only targets that need attention, or all", show=False),
-        bind("plots", "plots", "Plots", "show what was measured", show=False),
         bind("tab", "next_tab", "Next tab"),
     ]
 
@@ -279,10 +278,6 @@ class TargetsScreen(DayScreen):
             self.app.push_screen(reading_of("Program", correct_lines(result)))
 
     # -- tabs ----------------------------------------------------------------------------------------------------------
-
-    def action_plots(self) -> None:
-        """Show what was measured."""
-        self._show_tab("results")
 
     def _show_tab(self, name: str) -> None:
         tabs = self.query_one("#targets", TabbedContent)

@@ -50,11 +50,6 @@ class TextTable(DataTable[Text]):
 # -- Functions for screens with tabs ----------------------------------------------------------------------------------
 
 
-def show_next_of(tabs: TabbedContent, some: Sequence[str]) -> None:
-    """Show the next one of some tabs; if another tab is shown, the first of them."""
-    tabs.active = some[(some.index(tabs.active) + 1) % len(some)] if tabs.active in some else some[0]
-
-
 def explain_tabs(tabs: TabbedContent) -> None:
     """Set a tooltip that explains the tabs."""
     tabs.query_one(Tabs).tooltip = f"Left and right choose a tab; {SHOWN['tab']} shows the next one"
