@@ -25,7 +25,6 @@ from cellapp.commands.collect.charts import (
     drift_chart,
     live_drift_chart,
     live_residual_chart,
-    live_sweep_chart,
     standard_error_chart,
     stored_residual_chart,
     sweep_chart,
@@ -393,12 +392,11 @@ class CollectScreen(DayScreen):
             return
         chosen = self.query_one(CollectedStops).chosen
         stops = (record.name, sum(map(len, record.stops.values())), len(record.references), self.workspace, chosen)
-        states = dict.fromkeys(_PLOTS, stops) | {"sweep": (*stops, record.sweep, record.state is None)}
         oldest_first = (*(name for name in _PLOTS if name not in self._plotted), *self._plotted)
-        for name in (name for name in oldest_first if self._plotted.get(name) != states[name]):
+        for name in (name for name in oldest_first if self._plotted.get(name) != stops):
             self.query_one(f"#{name}", ChartPlot).chart = self._chart(name, record)
             self._plotted.pop(name, None)
-            self._plotted[name] = states[name]  # now the newest
+            self._plotted[name] = stops  # now the newest
             if record.state is not None:
                 self._plot_waits = True
                 self.set_timer(_PLOTTING_S, partial(self._draw_next_plot, record))
@@ -421,8 +419,6 @@ class CollectScreen(DayScreen):
         """Return a chart of the job, or of the stored data if the job has no stop or no reference."""
         collection = self.workspace.collection
         if name == "sweep":
-            if record.sweep is not None and (record.state is not None or collection is None):
-                return live_sweep_chart(record.sweep, record.sweep_trace)
             return sweep_chart(None if collection is None else collection.sweep)
         if name == "drift":
             if record.references or collection is None:
