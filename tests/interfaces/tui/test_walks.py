@@ -133,7 +133,8 @@ class Walk:
                 texts = (f"event {number} of arm {'left' if number % 3 else 'right'}" for number in range(int(rest)))
                 pane.show("A log", [LogRow(NOON, LEVELS[n % 4], text) for n, text in enumerate(texts)])
             case "edit":  # FILE OLD NEW: another text in a file
-                Path(name).write_text(Path(name).read_text("utf-8").replace(*text.split(" ")), "utf-8")
+                old, new = text.split(" ")
+                Path(name).write_text(Path(name).read_text("utf-8").replace(old, new), "utf-8")
             case "bend":  # FILE NEW: a plan whose third row is bent down into the floor
                 cells = [line.split(",") for line in Path(name).read_text("utf-8").splitlines()]
                 cells[3][cells[0].index("q2")] = "0.6"
