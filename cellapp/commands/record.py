@@ -325,6 +325,5 @@ ProfilePath = Annotated[Path, Asked("The cell, as YAML.", "PROFILE", argument=Tr
 TargetsPath = Annotated[Path | tuple[Any, ...], Asked("Target list: .yaml or .csv.", "TARGETS", argument=True)]
 """A list's file; a program that has targets may give them as they are."""
 NewRun = Annotated[Path, Asked("Folder of the new run; must not hold one yet.", "DIR", option="--run")]
-Prior = Annotated[Path | None, Asked("Folder of an earlier calibrated run of the same arms, as prior.", "EARLIER")]
 OutOfDate = Annotated[bool, Asked("Use the latest model even if it no longer fits the run's data.")]
 Strict = Annotated[bool, Asked("Exit code 1 if a result, the page or the certificate is out of date.")]

@@ -242,8 +242,6 @@ class SweepLive:
         How often the beam broke.
     distance_m, point_age_s : float or None
         Distance of the newest point from the tracker [m], and how long ago it came [s]; None before the first point.
-    trace : tuple
-        What is new of the SMR's speed: times since the first point by the tracker's clock [s], and speeds [mm/s].
     """
 
     stop: int
@@ -259,7 +257,6 @@ class SweepLive:
     lost_beams: int = 0
     distance_m: float | None = None
     point_age_s: float | None = None
-    trace: tuple[tuple[float, float], ...] = ()
 
     def words(self) -> list[str]:
         """Return share and time, lost beams, the newest point, and what came; what is needed first comes first."""

@@ -26,7 +26,6 @@ from cellapp.commands.trials.power import (
     stored_power,
     trial_cell,
 )
-from cellapp.estimation.discovery.records import SmallestSize
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
 from cellapp.ground.errors import InputError
 from cellapp.ground.executors import Gathered, TimeLimit, Work
@@ -101,12 +100,10 @@ def test_a_large_effect_is_named_and_a_small_one_is_not(cell: TrialCell) -> None
     asked = NamingTrial(arm="left", effect="target_slip", size_mm=0.3, seed=7)
     found = naming_trial(cell, asked)
     assert "target_slip" in found.accepted
-    assert found.named is not None
-    assert found.named.unit == "m"
-    assert 1e-4 < found.named.value < 1e-3
+    assert found.named
     assert 0.2 < found.visible < 1.0
     assert naming_trial(cell, asked) == found
-    assert naming_trial(cell, asked.model_copy(update={"size_mm": 0.001})).named is None
+    assert naming_trial(cell, asked.model_copy(update={"size_mm": 0.001})).accepted == ()
 
 
 def test_a_real_cell_is_simulated_as_it_stands() -> None:
@@ -132,8 +129,7 @@ def _imitated(asked: NamingTrial) -> NamingTrial:
         return asked.model_copy(update={"visible": 0.01})
     if asked.size_mm < TRUE_MM.get(asked.effect, 1e9):
         return asked.model_copy(update={"visible": 0.9, "accepted": ("joint_drift",) if asked.size_mm > 0.1 else ()})
-    value = SmallestSize(value=1e-3 * asked.size_mm, unit="rad")
-    return asked.model_copy(update={"visible": 0.9, "accepted": (asked.effect,), "named": value})
+    return asked.model_copy(update={"visible": 0.9, "accepted": (asked.effect,)})
 
 
 def imitation(asked: Sequence[NamingTrial], all_may_fail: bool) -> Gathered[NamingTrial]:
@@ -176,9 +172,6 @@ def test_sizes_are_those_from_which_the_search_names(result: PowerResult) -> Non
         assert named.high_mm is not None
         assert named.low_mm < 1.5 * true_mm
         assert named.high_mm > true_mm
-        assert named.size is not None
-        assert named.size.unit == "rad"
-        assert named.size.value == pytest.approx(1e-3 * named.value_mm)
         assert found[effect].trials == 16
     lost = found["joint_compliance"]
     assert lost.named_from is None

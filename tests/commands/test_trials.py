@@ -19,12 +19,10 @@ import pytest
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.commands.trials.blind import beyond_geometry
-from cellapp.commands.trials.judge import TRIAL_RESULT, StoredTrial, judge_run, judge_trials, score_run, source_digest
+from cellapp.commands.trials.judge import TRIAL_RESULT, judge_run, judge_trials, score_run, source_digest
 from cellapp.commands.trials.scoring import ArmFindings, JudgeResult, NoiseLengths, ScoredRun, scores
 from cellapp.commands.trials.sealed import DescribedTerm, GroundTruth, HiddenLaw, check_seal, open_truth, seal_trials
 from cellapp.commands.trials.sealed_setup import CONFOUNDED, EXPECTED, PAIRS, TRIPLES, Setup, cases, library_name
-from cellapp.estimation.calibration.quantities import measurement_conditions
-from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.executors import Work
@@ -491,23 +489,6 @@ def test_readings_state_nothing_where_they_shall_not(tmp_path: Path) -> None:
     assert np.array_equal(kept[True].p_M, kept[False].p_M)
     noise_um = open_truth(tmp_path / "False").trials[0].noise_um["left"]
     assert noise_um == open_truth(tmp_path / "True").trials[0].noise_um["left"] > 20.0
-
-
-def test_recordings_are_judged_by_stops_at_rest(tmp_path: Path) -> None:
-    seal_trials(small_twin(60), tmp_path / "t", 1, Setup(kind="none", sweeps=1, stops=25), seed=SEED)
-    (judged,) = judge_trials(tmp_path / "t", Work()).trials
-    with RunFile.open(tmp_path / "t" / "run-0001") as run:
-        stored = StoredTrial.model_validate_json(run.read_result(TRIAL_RESULT) or "")
-        assert [len(run.readings("left").in_split(split)) for split in ("identify", "validate")] == [1, 24]
-        floor_um = 1e3 * HeldOut.of(run.readings("left"), measurement_conditions(run.readings("left"))).noise_floor_mm()
-    for name, arm in judged.arms.items():
-        assert arm.names == ()
-        assert arm.seconds > 0.0
-        motion = stored.arms[name].discovery.motion
-        assert motion is not None
-        assert motion.effects == ()
-        assert arm.heldout_um.after != pytest.approx(1e3 * motion.heldout_mm.after), "blocks of the recording"
-    assert judged.arms["left"].noise_um.stated == pytest.approx(floor_um)
 
 
 def test_brier_score_and_reliability() -> None:

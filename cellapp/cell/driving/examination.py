@@ -12,17 +12,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
 from cellapp.cell.driving.cell import arm_context, build_plant, tracker_context
 from cellapp.cell.driving.records import ControllerCalibration
 from cellapp.cell.profile.files import controller_file_text
-from cellapp.cell.run.stations import read_reference_nests, tie_sentences
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.cell_bodies import ObstacleClearance, cell_bodies, cover, obstacle_clearances
-from cellapp.cell.safety.gate import CellBodies, clear_alone, predicted_smr, refuse_stop, visible
+from cellapp.cell.safety.gate import CellBodies, clear_alone, refuse_stop, visible
 from cellapp.estimation.calibration.identification import start_from_nominal
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
@@ -40,20 +38,18 @@ _DRAWS = 2000
 """Number of random configurations for the visible share; its standard error is about 1 %."""
 _LEAST_VISIBLE = 0.002
 """Smallest visible share (4 of the draws) with which planning is expected to find enough stops."""
-_LOOSE_MM = 0.05
-"""Uncertainty [mm] above which a tie is reported as loose: the tracker's own is some 40 µm at 4 m."""
 _OLDEST_PYTHON, _FIRST_UNTRIED_PYTHON = (3, 11), (3, 13)
 
 
-def examine(profile: Profile, reference_nests: Path | None = None) -> list[Finding]:
-    """Check everything that a profile names, and a file of reference nests; probe all devices concurrently.
+def examine(profile: Profile) -> list[Finding]:
+    """Check everything that a profile names; probe all devices concurrently.
 
     However many devices are dead, this takes about twice ``LONGEST_PROBE_S``, or the time limit of the slowest
     connection: a minute for LMF, a sensor's own ``timeout``. Problems become findings, not exceptions.
     """
     with ThreadPoolExecutor(max_workers=len(profile.arms) + 2, thread_name_prefix="probe") as pool:
         probes = _start_probes(pool, profile)
-        placement = _placement(profile, reference_nests)
+        placement = _placement(profile)
         findings = [_python(profile), *_found(profile, probes)]
     return findings + placement
 
@@ -140,12 +136,12 @@ def _shared_address(profile: Profile, name: str) -> list[Finding]:
 # -- placement --------------------------------------------------------------------------------------------------------
 
 
-def _placement(profile: Profile, reference_nests: Path | None) -> list[Finding]:
+def _placement(profile: Profile) -> list[Finding]:
     """Check that the arms are safe at home, and that the tracker sees enough of them."""
     placed = {name: arm for name, arm in profile.arms.items() if arm.base is not None and arm.home is not None}
     has_arms = any(arm.driver.has_device for arm in profile.arms.values())
     if not has_arms or not placed or profile.tracker.pose is None:
-        return [] if reference_nests is None else list(_reference_nests(reference_nests, None, {}))
+        return []
     findings = [] if profile.plant is None else [_plant(profile)]
     bare = [name for name, arm in placed.items() if not arm.type.capsules]
     if bare:
@@ -164,26 +160,7 @@ def _placement(profile: Profile, reference_nests: Path | None) -> list[Finding]:
         findings.append(Finding("home", "failed", text))
     else:
         findings.append(Finding("home", "ok", f"safe to stand at: {', '.join(placed)}"))
-    findings += [_visibility(cell, profile, name) for name in placed]
-    tied = () if reference_nests is None else _reference_nests(reference_nests, cell, homes)
-    return [*findings, *tied]
-
-
-def _reference_nests(path: Path, cell: CellBodies | None, homes: Mapping[str, Array]) -> Iterator[Finding]:
-    """Report how well the nests of a file tie each station to the first one, at the SMR of each arm at home."""
-    subject = "reference nests"
-    try:
-        first, ties = read_reference_nests(path, {})
-    except InputError as error:
-        yield Finding(subject, "failed", str(error))
-        return
-    at = {} if cell is None else {arm: predicted_smr(cell, arm, q[None]) for arm, q in homes.items()}
-    for (name, tie), sentence in zip(ties.items(), tie_sentences(first, ties, {}), strict=True):
-        known_mm = {arm: 1e3 * float(tie.uncertainty(p_M)[0]) for arm, p_M in at.items()}
-        words = "".join(f"; a coordinate of arm {arm} at home to {mm:.3f} mm" for arm, mm in known_mm.items())
-        loose = max(known_mm.values(), default=0.0) > _LOOSE_MM
-        advice = "; more nests, farther apart and around the arms, tie it better" if loose else ""
-        yield Finding(f"{subject}: station {name}", "warning" if loose else "ok", f"{sentence}{words}{advice}")
+    return [*findings, *(_visibility(cell, profile, name) for name in placed)]
 
 
 def _plant(profile: Profile) -> Finding:

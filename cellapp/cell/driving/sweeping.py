@@ -65,9 +65,6 @@ from drivers.trackers.protocol import (
     stream_of,
 )
 
-_TRACE_S = 0.1
-"""Time between two points of the speed trace [s]: the noise of a point is then some 0.3 mm/s."""
-
 
 @dataclass(frozen=True)
 class _Counts:
@@ -118,10 +115,6 @@ class LiveSweep:
     _part: _Part | None = None
     _ended: _Counts = _Counts()
     """Counts of the parts that have ended."""
-    _began_s: float | None = None
-    _last: tuple[float, Array] | None = None
-    """Timestamp [s] and position [m] of the newest point of the trace."""
-    _trace: list[tuple[float, float]] = field(default_factory=list)
     _arrived_s: float | None = None
 
     def received(self, packet: Packet) -> None:
@@ -130,7 +123,7 @@ class LiveSweep:
 
     def begin(self, arm: RecordingArm, clock: Clock, s_s: Array, period_s: float, *, recorded: bool = True) -> None:
         """Begin a part with the motion's times ``s_s`` (m,) [s], one per ``period_s`` [s]; usually recorded."""
-        self._part, self._last = _Part(arm, clock, s_s, period_s, recorded), None
+        self._part = _Part(arm, clock, s_s, period_s, recorded)
 
     def look(self) -> None:
         """Report the progress of the current part."""
@@ -155,7 +148,7 @@ class LiveSweep:
     def calculated(self, record: SweepRecord) -> None:
         """Report a sweep that was computed as a whole; points without the beam are NaN."""
         seen = np.isfinite(record.p_M[:, 0])
-        self._follow(record.point_time_s[seen], record.p_M[seen])
+        self._follow(record.p_M[seen])
         self.so_far = replace(self.so_far, lost_beams=int(np.sum(np.diff(seen.astype(int)) < 0)))
         joints_s = record.joint_time_s
         samples = counts_so_far(len(joints_s), joints_s[0], joints_s[-1], float(np.median(np.diff(joints_s))))
@@ -184,26 +177,15 @@ class LiveSweep:
                 part.first_s = float(packet.device_time_s[0])
             part.points, part.latest_s = part.points + len(packet.p_M), float(packet.device_time_s[-1])
             self._arrived_s = packet.arrived_s
-            self._follow(packet.device_time_s, packet.p_M)
+            self._follow(packet.p_M)
 
-    def _follow(self, time_s: Array, p_M: Array) -> None:
-        """Add points (n, 3) [m] at timestamps (n,) [s] to the trace."""
-        began_s = self._began_s = float(time_s[0]) if self._began_s is None else self._began_s
+    def _follow(self, p_M: Array) -> None:
+        """Note how far the newest of the points (n, 3) [m] is."""
         self.so_far = replace(self.so_far, distance_m=float(np.linalg.norm(p_M[-1])))
-        chosen = np.unique(np.floor((time_s - began_s) / _TRACE_S), return_index=True)[1]
-        for at_s, place in zip(time_s[chosen].tolist(), p_M[chosen], strict=True):
-            if self._last is not None:
-                since_s = at_s - self._last[0]
-                if since_s < 0.9 * _TRACE_S:
-                    continue
-                speed = 1e3 * float(np.linalg.norm(place - self._last[1])) / since_s
-                self._trace.append((round(at_s - 0.5 * since_s - began_s, 3), round(speed, 2)))
-            self._last = at_s, place
 
     def _say(self, now: SweepLive, counts: _Counts) -> None:
-        """Report the progress of the sweep with the counts and the new part of the trace."""
-        trace, self._trace = tuple(self._trace), []
-        self.so_far = replace(now, **asdict(counts), trace=trace)
+        """Report the progress of the sweep with the counts."""
+        self.so_far = replace(now, **asdict(counts))
         self.tell(self.so_far)
 
 

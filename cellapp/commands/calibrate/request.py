@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
-from cellapp.commands.record import Asked, Prior, Request, RunFolder, Stored, Verb
+from cellapp.commands.record import Asked, Request, RunFolder, Stored, Verb
 from cellapp.ground.network_kind import NetworkKind
 
 
@@ -13,12 +14,22 @@ class CalibrateRequest(Request):
 
     folder: RunFolder
     parameters: Annotated[bool, Asked("Print the parameters too; 'show DIR parameters' prints stored ones.")] = False
-    prior: Prior = None
+    prior: Annotated[
+        Path | None,
+        Asked(
+            "Folder of an earlier calibrated run of the same arms, as prior.",
+            "EARLIER",
+            label="prior",
+            hint="folder of a run; empty: none",
+        ),
+    ] = None
     network: Annotated[
         NetworkKind | None,
         Asked(
             "Residual network: mlp, a committee from at most 1200 readings; batches, from all readings and recordings"
-            " (extra learn), where that is better; none. The profile says it if left out."
+            " (extra learn), where that is better; none. The profile says it if left out.",
+            label="network",
+            hint="mlp, batches or none; empty: that of the profile",
         ),
     ] = None
 
@@ -27,6 +38,7 @@ VERB = Verb(
     "calibrate",
     CalibrateRequest,
     chapter="tutorial",
+    question="Calibrate",
     stored=(
         Stored("calibration", "no calibration is", ("calibrate",)),
         Stored("parameters", "no calibration is", ("calibrate",), view="parameters_view"),

@@ -13,15 +13,13 @@ from cellapp.cell.run.records import ReferenceDrift
 from cellapp.commands.view.charts import Axis, Chart, Kind, Limit, Series, enumerated, series
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.grouping import grouped
-from cellapp.ground.progress import ReferenceReport, StopReport, SweepLive
+from cellapp.ground.progress import ReferenceReport, StopReport
 from cellapp.robot.kinematics.transforms import Array
 
 NO_READINGS = "No stop was reported."
 NO_REFERENCES = "No reference was measured yet."
 NO_SWEEP = "No sweep is recorded yet."
 _STOP = Axis("stop")
-_GAP_S = 0.5
-"""Longest time between two speeds of a live sweep without a gap; they arrive every 0.1 s."""
 
 
 def live_residual_chart(reports: Sequence[StopReport], arms: Sequence[str] = (), nothing: str = NO_READINGS) -> Chart:
@@ -126,29 +124,6 @@ def _drift_message(drift_mm: Mapping[str, Sequence[tuple[int, float]]], limit_mm
     if farthest > limit_mm:
         return f"{words}: beyond the limit of {mm(limit_mm)}. Check its nest and the tracker's stand."
     return f"{words}; the limit is {mm(limit_mm)}."
-
-
-def live_sweep_chart(live: SweepLive, trace: Sequence[tuple[float, float]]) -> Chart:
-    """Show the speed of the SMR in the sweep being recorded: times since its first point [s], speeds [mm/s]."""
-    times, speeds = _with_gaps(trace)
-    seen = f"up to {max(speed for _, speed in trace):.0f} mm/s" if trace else "nothing yet"
-    lost = f"; {counted(live.lost_beams, 'lost beam')}" if live.lost_beams else ""
-    message = f"Arm {live.arm}, {live.name}: {seen}, {live.done_s:.0f} of {live.duration_s:.0f} s{lost}."
-    axes = Axis("time", "s"), Axis("speed of the SMR", "mm/s")
-    return Chart("Sweep that is recorded now", *axes, (series(live.name, times, speeds),) if trace else (), message)
-
-
-def _with_gaps(trace: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
-    """Return the times and speeds of a trace, with NaN in its gaps."""
-    times: list[float] = []
-    speeds: list[float] = []
-    for at_s, speed in trace:
-        if times and at_s - times[-1] > _GAP_S:
-            times.append(0.5 * (at_s + times[-1]))
-            speeds.append(math.nan)
-        times.append(at_s)
-        speeds.append(speed)
-    return times, speeds
 
 
 def sweep_chart(trace: SweepTrace | None) -> Chart:

@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cellapp.cell.targets.records import CompensateResult, VerifyResult
+from cellapp.cell.targets.records import VerifyResult
 from cellapp.commands.compensate.tables import measured_targets
-from cellapp.commands.compensate.words import PART_WORDS, Measured, bounds_and_errors, promise_words
-from cellapp.commands.view.charts import STAGE_STYLES, Axis, Chart, bar_chart, drawable_mm, noise_limit, series
-from cellapp.estimation.uncertainty.records import UncertaintyParts
+from cellapp.commands.compensate.words import Measured, bounds_and_errors, promise_words
+from cellapp.commands.view.charts import STAGE_STYLES, Axis, Chart, drawable_mm, noise_limit, series
 from cellapp.ground.counting import counted, mm
-from cellapp.ground.grouping import grouped
 
 _BEFORE, _AFTER = STAGE_STYLES["nominal"], STAGE_STYLES["effects"]
 _CORRECTED, _OUT = STAGE_STYLES["network"], 5
@@ -22,7 +20,7 @@ _NOT_YET = "No target was measured with both commands yet: push with verificatio
 def target_charts(verify: VerifyResult | None, floors_mm: Mapping[str, float | None]) -> list[Chart]:
     """Show all charts of measured targets; ``floors_mm`` is the noise floor of each arm of the cell.
 
-    Always the errors of each arm; cooperative targets, bounds and rounds only if there are any.
+    Always the errors of each arm; cooperative targets and bounds only if there are any.
     """
     charts = [target_chart(name, verify, floor) for name, floor in floors_mm.items()]
     if verify is None:
@@ -31,8 +29,6 @@ def target_charts(verify: VerifyResult | None, floors_mm: Mapping[str, float | N
         charts.append(pair_chart(verify))
     if bounds_and_errors(verify):
         charts.append(bound_chart(verify))
-    if any(len(target.rounds_mm) > 1 for target in verify.targets):
-        charts.append(rounds_chart(verify))
     return charts
 
 
@@ -64,48 +60,6 @@ def bound_chart(verify: VerifyResult) -> Chart:
     drawn.append(series("error = bound", diagonal, diagonal, "line", style=len(STAGE_STYLES) + 1, mark=":"))
     message = f"{promise_words(verify)[0].capitalize()}: 95 % are to be expected."
     return Chart(title, x, y, tuple(drawn), message)
-
-
-def rounds_chart(verify: VerifyResult) -> Chart:
-    """Show the mean and largest measured error by the model alone (0) and after each correction by measuring."""
-    corrected = [target.rounds_mm for target in verify.targets if len(target.rounds_mm) > 1]
-    length = max(map(len, corrected), default=0)
-    # a target with fewer corrections keeps the error of its last one
-    errors = np.array([[*rounds, *[rounds[-1]] * (length - len(rounds))] for rounds in corrected]).reshape(-1, length)
-    title, x, y = "Corrections by measuring", Axis("corrections"), Axis("measured error", "mm", True)
-    if not corrected:
-        return Chart(title, x, y, (), "No target was corrected by measuring.")
-    mean, largest = errors.mean(axis=0), errors.max(axis=0)
-    number = np.arange(float(length))
-    drawn = (
-        series("largest", number, drawable_mm(largest), style=_BEFORE),
-        series("mean", number, drawable_mm(mean), style=_AFTER),
-    )
-    message = (
-        f"Mean error at {counted(len(corrected), 'target')}: {mm(mean[0])} by the model alone, {mm(mean[-1])} in"
-        " the end."
-    )
-    return Chart(title, x, y, drawn, message, by_stage=True)
-
-
-def parts_charts(result: CompensateResult) -> list[Chart]:
-    """Show the sources of the uncertainty at each arm's targets; not for arms whose commands state none."""
-    by_arm = grouped((command.arm, command.parts) for command in result.targets if command.parts is not None)
-    return [parts_chart(f"Arm {name}: uncertainty at its targets by sources", parts) for name, parts in by_arm.items()]
-
-
-def parts_chart(title: str, parts: Sequence[UncertaintyParts]) -> Chart:
-    """Show the standard uncertainty of a coordinate by sources: of one command, or the rms over several."""
-    bars = {}
-    for part, words in PART_WORDS.items():
-        value = float(np.sqrt(np.mean([getattr(one, part) ** 2 for one in parts]))) if parts else 0.0
-        if value > 0.0:
-            bars[words] = (value, mm(value))
-    message = "The model states no uncertainty."
-    if bars:
-        largest = max(bars, key=lambda words: bars[words][0])
-        message = f"Most of it is {largest}: {bars[largest][1]}."
-    return bar_chart(title, bars, Axis("standard uncertainty", "mm"), message)
 
 
 def _errors(title: str, label: str, measured: Sequence[Measured], floor_mm: float | None) -> Chart:

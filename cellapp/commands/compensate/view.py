@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from cellapp.cell.programs.records import CorrectResult
 from cellapp.cell.targets.path import PathRecord, PathResult
 from cellapp.cell.targets.records import CompensateResult, VerifyResult
-from cellapp.commands.compensate.charts import parts_charts, target_charts
+from cellapp.commands.compensate.charts import target_charts
 from cellapp.commands.compensate.program import program_view
 from cellapp.commands.compensate.tables import (
     measured_tables,
@@ -39,7 +39,7 @@ def view(result: CompensateResult | PathResult | CorrectResult, request: Request
     if isinstance(result, CorrectResult):
         return program_view(result)
     tables = stored_tables(result) if request is None else predicted_tables(result)
-    return View((*tables, *compensate_lines(result), *parts_charts(result)))
+    return View((*tables, *compensate_lines(result)))
 
 
 def target_parts(results: RunResults, state: TargetState) -> list[Table | str]:
@@ -126,7 +126,7 @@ def targets_section(
         predicted = [*compensate_summary(compensate), *open_]
     measured = [] if verify is None else verify_summary(verify)
     message = predicted[0] if verify is None else verify_message(verify)
-    charts = [*target_charts(verify, floors_mm), *([] if compensate is None else parts_charts(compensate))]
+    charts = target_charts(verify, floors_mm)
     return section_of(
         [
             *(line for line in (*measured, *predicted) if line != message),

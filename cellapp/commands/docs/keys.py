@@ -17,7 +17,7 @@ class Key:
 
 
 KEYS: Mapping[str, Key] = {
-    "stop": Key("escape", "Escape", "STOP while something moves; else close a field or a dialog"),
+    "stop": Key("escape", "Escape", "STOP while something moves; else close a dialog"),
     "pause": Key("p", "p", "pause the job after the present stop; again: resume it"),
     "resume": Key("c", "c", "continue a paused or stopped job"),
     "abort": Key("x", "x", "end the job; Ctrl-X does so over a dialog, too"),
@@ -26,19 +26,16 @@ KEYS: Mapping[str, Key] = {
     "last": Key("a", "a", "go on with the last run: open it"),
     "runs": Key("8", "8", "all runs: open one, its report"),
     "day": Key("f5", "F5", "the whole day in a new run; asks first"),
-    "open": Key("o", "o", "open a profile, a list, a table, a log or a page"),
-    "plots": Key("g", "g", "show the plots; again: the next one"),
+    "open": Key("o", "o", "open a profile or a list; of a run, say where its page is"),
+    "plots": Key("g", "g", "show the plots of a collection; again: the next one"),
     "tab": Key("t", "t", "show the next tab"),
-    "search": Key("slash", "/", "search, or filter while you type"),
-    "filter": Key("f", "f", "show only what needs attention or holds a text"),
-    "sort": Key("s", "s", "sort by the next column"),
+    "search": Key("slash", "/", "search in the handbook"),
+    "filter": Key("f", "f", "show only what needs attention"),
     "export": Key("e", "e", "write for others: arms, programs, plans, certificates"),
     "import": Key("i", "i", "take from elsewhere: readings, an earlier run"),
-    "save": Key("w", "w", "save what is shown: tables, the log"),
-    "copy": Key("y", "y", "copy what is shown or marked"),
-    "add": Key("plus,insert", "+", "add: a profile, stops, a network from all readings"),
+    "add": Key("plus,insert", "+", "add: a profile, stops"),
     "mark": Key("space", "Space", "mark the row"),
-    "again": Key("r", "r", "again: read the folder, design the rest of a plan, measure marked stops"),
+    "again": Key("r", "r", "again: read the folder, measure marked stops"),
     "before": Key("comma", ",", "the stop before"),
     "after": Key("full_stop", ".", "the next stop"),
     "check": Key("k", "k", "check: the plan, the calibration"),
@@ -47,7 +44,6 @@ KEYS: Mapping[str, Key] = {
     "locate": Key("l", "l", "measure where the tracker stands. The arms move"),
     "edit": Key("u", "u", "change the profile, or the list of targets, in $EDITOR"),
     "forecast": Key("j", "j", "foresee what a plan gives"),
-    "freeze": Key("z", "z", "let later designs leave the marked stops"),
     "drift": Key("d", "d", "accept a drift of the references"),
     "debug": Key("D", "D", "show all lines of the log"),
     "info": Key("I", "I", "show lines of the log from info upwards"),
@@ -56,9 +52,7 @@ KEYS: Mapping[str, Key] = {
     "help": Key("question_mark", "?", "explain this screen, with all its keys"),
     "handbook": Key("f1,h", "F1", "the handbook: contents, search"),
     "palette": Key("ctrl+p", "Ctrl+P", "every action by its name, and the themes"),
-    "quit": Key(
-        "q", "q", "quit; asks while something runs; in a text to read: close it. Ctrl-Q does so in a text field"
-    ),
+    "quit": Key("q", "q", "quit; asks while something runs; in a text to read: close it. Ctrl-Q does so in a dialog"),
 }
 SHOWN: Mapping[str, str] = {meaning: key.shown for meaning, key in KEYS.items()}
 """Meaning -> display name of its key, for ``str.format_map``."""

@@ -13,15 +13,6 @@ class DoctorRequest(Request):
     """What is reachable, what is missing, what would be refused; nothing moves."""
 
     profile: ProfilePath
-    reference_nests: Annotated[
-        Path | None,
-        Asked(
-            "Say how well these reference nests tie tracker stations, at the arms at home.",
-            "FILE",
-            label="reference nests",
-            hint="empty: none",
-        ),
-    ] = None
     cell: Annotated[bool, Asked("First print what the profile says of the cell.")] = False
     explain: Annotated[bool, Asked("First print every value in force and where it comes from.")] = False
     controllers: Annotated[

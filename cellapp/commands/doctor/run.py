@@ -33,9 +33,9 @@ def run(request: DoctorRequest, work: Work) -> DoctorResult:
     profile = load_profile(request.profile)
     log = {} if request.bundle is None else run_log(request.run_folder or newest_run(profile))
     began_s = time.monotonic()
-    result = examine_run(profile, request.reference_nests)
+    result = examine_run(profile)
     if _end_left_programs(profile, result, work):
-        result = examine_run(profile, request.reference_nests)
+        result = examine_run(profile)
     result = result.model_copy(update={"findings": (*result.findings, *run_findings(profile, request.profile))})
     if request.explain:
         values = tuple(ProfileValue(key=key, value=value, origin=at) for key, value, at in explained(request.profile))
@@ -69,9 +69,9 @@ def _end_left_programs(profile: Profile, found: DoctorResult, work: Work) -> boo
     return ended
 
 
-def examine_run(profile: Profile, reference_nests: Path | None = None) -> DoctorResult:
+def examine_run(profile: Profile) -> DoctorResult:
     """Return the findings of ``examine``, after those on plug-ins, as the verb's result."""
-    found = DoctorResult(findings=(*installed_findings(), *examine(profile, reference_nests)))
+    found = DoctorResult(findings=(*installed_findings(), *examine(profile)))
     tables = factory_tables(profile, _reports(found))
     if not tables:
         return found

@@ -26,7 +26,7 @@ class ExportRequest(Request):
     csv: Annotated[Path | None, Asked("Where to write the readings.", "FILE", writes=Writes.FILE)] = None
     joints: Annotated[Path | None, Asked("Where to write the joints of recordings.", "FILE", writes=Writes.FILE)] = None
     points: Annotated[Path | None, Asked("Where to write the points of recordings.", "FILE", writes=Writes.FILE)] = None
-    plan: Annotated[Path | None, Asked("Where to write the plan.", "FILE", writes=Writes.FILE)] = None
+    plan: Annotated[Path | None, Asked("Where to write the plan.", "FILE", label="plan", writes=Writes.FILE)] = None
     form: Annotated[str | None, Asked(f"Write calibrated arms or commands as {_FORMATS}", "FORMAT", option="--as")] = (
         None
     )
@@ -55,4 +55,4 @@ class ExportRequest(Request):
         return self
 
 
-VERB = Verb("export", ExportRequest, chapter="exports", question="Calibrated arms and commands for other programs")
+VERB = Verb("export", ExportRequest, chapter="exports", question="Write for other programs")

@@ -13,14 +13,7 @@ import numpy as np
 
 from cellapp.cell.driving.records import PlannedStop
 from cellapp.cell.planning.candidates import joint_ranges
-from cellapp.cell.planning.records import (
-    ArmDesign,
-    FactorCorrelation,
-    PlanDesignResult,
-    PlannedTime,
-    PlanQuality,
-    TravelTime,
-)
+from cellapp.cell.planning.records import ArmDesign, PlanDesignResult, PlannedTime, PlanQuality, TravelTime
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.cell.safety.shapes import load_mesh
 from cellapp.commands.view.charts import Axis, Chart, Series, bar_chart, enumerated, series
@@ -40,20 +33,16 @@ from cellapp.robot.kinematics.chain import flange_poses, smr_positions
 from cellapp.robot.kinematics.transforms import Array, apply, invert
 from cellapp.robot.model.nominal import nominal_arm, pose_matrix
 
-MOST_CORRELATION = 0.1
-"""Bound that a plan should keep for the correlations of factors that can be chosen."""
-_MOST_BARS = 10
-"""Most correlations that are drawn, the largest first."""
 _EQUAL = {"parameters": "parameters", "mean": "mean error", "worst": "worst error"}
 _MEAN, _WORST, _OTHER_STYLE = 0, 1, 4
 
 
 def design_charts(design: PlanDesignResult | None, time: PlannedTime | None) -> tuple[Chart, ...]:
-    """Show each arm's expected errors by stops, time, correlations; only the time without a design (None)."""
+    """Show each arm's expected errors by stops, and the time; only the time without a design (None)."""
     if design is None:
         return (time_chart(None, time),)
     told = (information_chart(name, arm) for name, arm in design.arms.items())
-    return (*told, time_chart(design.travel, time), correlation_chart(design))
+    return (*told, time_chart(design.travel, time))
 
 
 # -- information ------------------------------------------------------------------------------------------------------
@@ -161,40 +150,6 @@ def time_chart(travel: TravelTime | None, time: PlannedTime | None) -> Chart:
     return bar_chart("Time of the plan", shown, Axis("time", "min"), " ".join(sentences) or "Time is not known yet.")
 
 
-# -- factors ----------------------------------------------------------------------------------------------------------
-
-
-def correlation_chart(design: PlanDesignResult) -> Chart:
-    """Show the largest correlations of planned factors with each other, with posture and with time."""
-    ordered = sorted(design.correlations, key=lambda one: abs(one.correlation), reverse=True)
-    pairs = {frozenset((one.factor, one.other)): one for one in reversed(ordered)}  # each pair is listed twice
-    largest = list(reversed(pairs.values()))[:_MOST_BARS]
-    bars = {_short(_pair(one)): (abs(one.correlation), f"{abs(one.correlation):.2f}") for one in largest}
-    return bar_chart("Largest correlations of factors", bars, Axis("correlation"), correlation_sentence(design))
-
-
-def correlation_sentence(design: PlanDesignResult) -> str:
-    """State the largest correlation of a factor that can be chosen, against the bound ``MOST_CORRELATION``."""
-    largest = design.largest_correlation
-    if largest is None:
-        return "No factor of this plan could be chosen."
-    size = abs(largest.correlation)
-    verdict = "as wanted" if size <= MOST_CORRELATION else "more than wanted: these two may be mistaken for each other"
-    return f"Largest correlation where a factor can be chosen: {size:.2f}, {_pair(largest)}; {verdict}."
-
-
-def _short(words: str) -> str:
-    """Shorten words for the label of a bar."""
-    for long, short in (("approach side", "side"), ("step size", "size"), ("gravity torque", "torque")):
-        words = words.replace(long, short)
-    return words
-
-
-def _pair(one: FactorCorrelation) -> str:
-    given = "" if one.can_be_chosen else " (given)"
-    return f"{one.factor} with {one.other}{given}"
-
-
 View = Literal["above", "tracker"]
 
 OBSTACLE_STYLE = 5
@@ -203,8 +158,6 @@ _AROUND = 24
 """Points around a circle: a chord is at most 1 % of the radius off."""
 _ALONG = 5
 """Points along an edge: straight edges look curved in azimuth and elevation."""
-_BEHIND = 1.15
-"""Length of drawn shadows, over the distance of the farthest stop."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,8 +166,6 @@ class Outlined:
 
     name: str
     p_C: Array
-    moves: bool = False
-    """Whether it is mounted on a flange."""
 
 
 def outlined_obstacles(profile: Profile) -> list[Outlined]:
@@ -232,7 +183,7 @@ def outlined_obstacles(profile: Profile) -> list[Outlined]:
         points = surface_points(one)
         if frame is not None and len(points):
             T_C_O = frame @ pose_matrix(Pose(position=one.pose.position, rpy=one.pose.rpy))
-            found.append(Outlined(name, apply(T_C_O, points), one.fixed_to == "flange"))
+            found.append(Outlined(name, apply(T_C_O, points)))
     return found
 
 
@@ -305,46 +256,6 @@ def outline(points: Array) -> Array:
     return np.asarray(points[[*vertices, vertices[0]]])
 
 
-@dataclass(frozen=True)
-class Blocked:
-    """The directions that an obstacle hides from the tracker: azimuths [deg], beyond its distance [m]."""
-
-    name: str
-    azimuth_deg: tuple[float, float]
-    distance_m: float
-
-
-def blocked_directions(obstacles: Iterable[Outlined], T_C_M: Array, p_C: Array) -> list[Blocked]:
-    """Find the obstacles that stand between the tracker and points (n, 3), or would at the points' elevations.
-
-    A table below all beams blocks nothing. Obstacles that move or are farther than every point are left out.
-    """
-    if not len(p_C):
-        return []
-    elevation, reach = seen_from(p_C, T_C_M, "tracker")[:, 1], np.linalg.norm(p_C - T_C_M[:3, 3], axis=1).max()
-    found = []
-    for one in (one for one in obstacles if not one.moves):
-        azimuth, up = seen_from(one.p_C, T_C_M, "tracker").T
-        nearest = float(np.linalg.norm(one.p_C - T_C_M[:3, 3], axis=1).min())
-        if up.max() > elevation.min() and up.min() < elevation.max() and nearest < reach:
-            found.append(Blocked(one.name, (float(azimuth.min()), float(azimuth.max())), nearest))
-    return found
-
-
-def shadow_series(blocked: Iterable[Blocked], T_C_M: Array, p_C: Array) -> Iterator[Series]:
-    """Yield the edges of each shadow from above, from the obstacle to beyond the farthest of the points (n, 3)."""
-    lines = []
-    reach = _BEHIND * np.linalg.norm(p_C - T_C_M[:3, 3], axis=1).max() if len(p_C) else 0.0
-    for one in blocked:
-        for azimuth in np.radians(one.azimuth_deg):
-            direction = T_C_M[:3, :3] @ np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-            ends = T_C_M[:3, 3] + np.array([[one.distance_m], [reach]]) * direction
-            lines += [ends[:, :2], np.full((1, 2), np.nan)]
-    if lines:
-        x, y = np.concatenate(lines).T
-        yield series("blocked directions", x, y, style=OBSTACLE_STYLE, mark=":")
-
-
 # -- Maps of the cell: bases, tracker, stops and obstacles from above, and as the tracker sees them -------------------
 
 
@@ -376,8 +287,7 @@ class _Marks:
 def cell_map_chart(profile: Profile, stops: Sequence[PlannedStop], view: View = "above") -> Chart:
     """Show bases, tracker, obstacles, and the SMR at planned and measured stops, with the nominal geometry.
 
-    From above in the cell frame C [m], with the outermost rays of the tracker to each arm's stops and the directions
-    that obstacles block; or as azimuth and elevation [deg] in the tracker frame M.
+    From above in the cell frame C [m], or as azimuth and elevation [deg] in the tracker frame M.
     """
     pose = profile.tracker.pose
     bases = {name: pose_matrix(arm.base) for name, arm in profile.arms.items() if arm.base is not None}
@@ -391,12 +301,8 @@ def cell_map_chart(profile: Profile, stops: Sequence[PlannedStop], view: View = 
     if view == "above":
         things.append(_Marks("tracker", T_C_M[:3, 3][np.newaxis], "T", _OTHER_STYLE))
     points = [thing.series(T_C_M, view) for thing in things if len(thing.p_C)]
-    obstacles, everywhere = outlined_obstacles(profile), np.concatenate(list(smr.values()))
-    blocked = blocked_directions(obstacles, T_C_M, everywhere)
-    lines = list(obstacle_series(obstacles, T_C_M, view))
-    if view == "above":
-        lines = [*_rays(smr, T_C_M), *shadow_series(blocked, T_C_M, everywhere), *lines]
-    message = _message(smr, stops, T_C_M, blocked)
+    lines = obstacle_series(outlined_obstacles(profile), T_C_M, view)
+    message = _message(smr, stops, T_C_M)
     return Chart(_TITLES[view], *_AXES[view], (*lines, *points), message, equal=view == "above")
 
 
@@ -414,28 +320,14 @@ def _stop_marks(smr: Mapping[str, Array], stops: Sequence[PlannedStop]) -> Itera
         yield _Marks(f"{name} measured", p_C[measured], _MEASURED[shape], style)
 
 
-def _rays(smr: Mapping[str, Array], T_C_M: Array) -> Iterator[Series]:
-    """Yield the outermost rays from the tracker to each arm's stops, from above: the range that it turns through."""
-    tracker, lines = T_C_M[:2, 3], []
-    for p_C in smr.values():
-        if len(p_C):
-            azimuth = seen_from(p_C, T_C_M, "tracker")[:, 0]
-            ends = p_C[[int(np.argmin(azimuth)), int(np.argmax(azimuth))], :2]
-            lines += [ends[0], tracker, ends[1], np.full(2, np.nan)]
-    if lines:
-        x, y = np.array(lines).T
-        yield series("outermost rays", x, y, style=_OTHER_STYLE, mark="·")
-
-
-def _message(smr: Mapping[str, Array], stops: Sequence[PlannedStop], T_C_M: Array, blocked: Sequence[Blocked]) -> str:
-    """Say how many stops are measured, how far they are from the tracker, and which obstacles block its view."""
+def _message(smr: Mapping[str, Array], stops: Sequence[PlannedStop], T_C_M: Array) -> str:
+    """Say how many stops are measured, and how far they are from the tracker."""
     if not stops:
         return f"Bases of {enumerated(smr)} and the tracker; no stops yet: plan first."
     away = np.linalg.norm(np.concatenate(list(smr.values())) - T_C_M[:3, 3], axis=1)
     measured = sum(stop.measured for stop in stops)
-    hidden = [f"{one.name} from azimuth {one.azimuth_deg[0]:.0f} to {one.azimuth_deg[1]:.0f} deg" for one in blocked]
     return (
         f"{measured} of {counted(len(stops), 'planned stop is', 'planned stops are')} measured; they are"
         f" {away.min():.1f} to {away.max():.1f} m from"
-        f" the tracker.{f' Beams are blocked by {enumerated(hidden)}.' if hidden else ''}"
+        " the tracker."
     )

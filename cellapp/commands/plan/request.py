@@ -21,28 +21,55 @@ class PlanRequest(Request):
 
     profile: Annotated[Path | None, Asked("The cell, as YAML.", "PROFILE", argument=True)] = None
     folder: Annotated[
-        Path | None, Asked("Folder of the new run; with --edit that of the run to change.", "DIR", option="--run")
+        Path | None,
+        Asked(
+            "Folder of the new run; with --edit that of the run to change.",
+            "DIR",
+            option="--run",
+            label="folder of the run",
+            hint="empty: only check the table",
+        ),
     ] = None
     sweeps: Annotated[
         int | None,
         Field(ge=1, le=MOST_STOPS),
-        Asked("Of a new plan: N stops, and at each of them a recorded sweep of every arm.", "N"),
+        Asked(
+            "Of a new plan: N stops, and at each of them a recorded sweep of every arm.", "N", label="stops with sweeps"
+        ),
     ] = None
     source: Annotated[
         Path | None,
-        Asked("Take the plan exactly as it is written; without --run only check it.", "CSV", option="--from"),
+        Asked(
+            "Take the plan exactly as it is written; without --run only check it.",
+            "CSV",
+            option="--from",
+            label="stops of table",
+            hint="empty: designed",
+            suffixes=(".csv",),
+        ),
     ] = None
-    keep: Annotated[bool, Asked("freeze its stops and design the rest around them.", of="source")] = False
+    keep: Annotated[
+        bool, Asked("freeze its stops and design the rest around them.", label="design the rest", of="source")
+    ] = False
     edit: Annotated[bool, Asked("Change the plan of the run --run, by the profile in it.")] = False
     add: Annotated[
         int | None,
         Field(ge=1, le=MOST_STOPS),
         Asked("append N stops.", "N", label="further stops", hint=f"1 to {MOST_STOPS}", of="edit"),
     ] = None
-    replan: Annotated[bool, Asked("design the stops that are not measured again.", of="edit")] = False
-    freeze: Annotated[str | None, Asked("configurations, as 0-9,12, that later designs leave.", "LIST", of="edit")] = (
-        None
-    )
+    replan: Annotated[
+        bool, Asked("design the stops that are not measured again.", label="design the rest again", of="edit")
+    ] = False
+    freeze: Annotated[
+        str | None,
+        Asked(
+            "configurations, as 0-9,12, that later designs leave.",
+            "LIST",
+            label="freeze",
+            hint="0-9,12 (stop 1 is 0), or none",
+            of="edit",
+        ),
+    ] = None
 
     def job_name(self) -> str:
         if self.source is not None and self.folder is None:
@@ -66,4 +93,4 @@ class PlanRequest(Request):
         return self
 
 
-VERB = Verb("plan", PlanRequest, chapter="planning", question="How many further stops?")
+VERB = Verb("plan", PlanRequest, chapter="planning", question="Plan stops")

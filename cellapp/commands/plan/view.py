@@ -78,8 +78,8 @@ def plan_section(run: RunFile) -> Section | None:
     sentences = [] if design is None else design_sentences(design)
     charts = plan_charts(run.profile, stops, read_planned_stops(run), design)
     about = (
-        "Where the planned stops are, in the cell frame and as the tracker sees them, with obstacles and the directions"
-        " that these hide, and how much of each joint's range they use."
+        "Where the planned stops are, in the cell frame and as the tracker sees them, with obstacles,"
+        " and how much of each joint's range they use."
     )
     if design is not None:
         about += (

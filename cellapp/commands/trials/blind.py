@@ -64,21 +64,10 @@ def with_hidden(profile: Profile, effects: Mapping[str, Mapping[str, Mapping[str
     return profile.model_copy(update={"plant": settings, "seed": seed})
 
 
-@dataclass(frozen=True)
-class Session:
-    """How a run is measured; by default in five hours, the time of 400 stops of the real cell.
-
-    ``payload_blocks`` is the number of parts, in turn with the profile's and the heavy payload. The payload is changed
-    by hand, so it changes seldom.
-    """
-
-    duration_s: float = 18000.0
-    payload_blocks: int = 4
-
-
-USUAL_SESSION = Session()
-SHORT_SESSION = Session(1800.0, 1)
-"""Half an hour with one payload: the time of recordings of motion with stops beside them."""
+DURATION_S = 18000.0
+"""Time in which a run is measured: that of 400 stops of the real cell."""
+_PAYLOAD_BLOCKS = 4
+"""Parts of a run, in turn with the profile's and the heavy payload: it is changed by hand, so it changes seldom."""
 
 
 def _visits(
@@ -100,11 +89,7 @@ def _visits(
 
 
 def blind_readings(
-    profile: Profile,
-    plan: Mapping[str, Array] | PlannedStops,
-    seed: int,
-    noise: Noise | None = None,
-    session: Session = USUAL_SESSION,
+    profile: Profile, plan: Mapping[str, Array] | PlannedStops, seed: int, noise: Noise | None = None
 ) -> dict[str, Readings]:
     """Simulate the readings of all arms at the stops of ``plan``.
 
@@ -117,8 +102,8 @@ def blind_readings(
     plant = build_plant(profile)
     n = len(plan) if isinstance(plan, PlannedStops) else len(next(iter(plan.values())))
     at, steps = _visits(profile, plan, rng.permutation(n))
-    time_s, dwell_s, air_c = _drawn_conditions(profile, n, session.duration_s, rng)
-    loads_kg = _loads_kg(profile, n, session.payload_blocks)
+    time_s, dwell_s, air_c = _drawn_conditions(profile, n, DURATION_S, rng)
+    loads_kg = _loads_kg(profile, n, _PAYLOAD_BLOCKS)
     readings = {}
     for place, (name, q) in enumerate(at.items()):
         step = steps[name]

@@ -6,7 +6,6 @@ The findings are stored in each run's file, so that judging can be resumed.
 from __future__ import annotations
 
 import hashlib
-import math
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -19,7 +18,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.recordings import known_readings, read_recordings_of
+from cellapp.cell.run.recordings import known_readings
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.stages import read_stages
 from cellapp.commands.trials.scoring import (
@@ -34,12 +33,10 @@ from cellapp.commands.trials.scoring import (
 )
 from cellapp.commands.trials.sealed import DescribedTerm, GroundTruth, check_readings, check_seal, open_truth
 from cellapp.commands.trials.sealed_setup import HARD, POSITION
-from cellapp.estimation.calibration.quantities import ArmReadings, conditions_of_arms
+from cellapp.estimation.calibration.quantities import ArmReadings
 from cellapp.estimation.discovery.arm_data import UNKNOWN
-from cellapp.estimation.discovery.outcome import Discovery, HeldOut
+from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter
-from cellapp.estimation.motion.calibrate import SearchWithRecordings
-from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.executors import Work, gather
 from cellapp.ground.progress import Progress
@@ -209,18 +206,15 @@ def judge_run(folder: Path, source: str) -> None:
         calibrated = read_stages(run).current[CALIBRATE]
         model = CellModel.from_json(calibrated.model or "", str(folder))
         readings = {name: known_readings(run, name) for name in model.arms}
-        stops = {name: run.readings(name) for name in model.arms}
-        recordings = {name: read_recordings_of(run, name) for name in model.arms}
-        search, arms = SearchWithRecordings(model.arms, stops, recordings), dict[str, StoredFindings]()
+        arms = dict[str, StoredFindings]()
         for name, arm in ArmReadings.of_cell(run.profile, model.arms, readings).items():
             wall_s, cpu_s = time.perf_counter(), time.process_time()
-            found = search(arm)
-            result = _judged_at_rest(model, name, found, stops) if recordings[name] else found.result
+            found = discover_arm(arm)
             arms[name] = StoredFindings(
                 seconds=time.perf_counter() - wall_s,
                 cpu_seconds=time.process_time() - cpu_s,
                 # without pictures: they are large, and 'discover' draws them again
-                discovery=result.model_copy(update={"pictures": ()}),
+                discovery=found.result.model_copy(update={"pictures": ()}),
             )
         stored = StoredTrial(
             written=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -243,15 +237,6 @@ def source_digest() -> str:
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
-
-
-def _judged_at_rest(model: CellModel, name: str, found: Discovery, stops: Mapping[str, Readings]) -> ArmDiscoveryResult:
-    """Return the findings in an arm with recordings, with the errors at its held-out stops only."""
-    at_rest = HeldOut.of(stops[name], conditions_of_arms(model.arms, stops)[name])
-    errors = BeforeAfter(before=at_rest.rms_mm(model.arms[name]), after=at_rest.rms_mm(found.model))
-    floor_mm = at_rest.noise_floor_mm()
-    stated = {"heldout_mm": errors, "noise_floor_mm": floor_mm if math.isfinite(floor_mm) else None}
-    return found.result.model_copy(update=stated)
 
 
 def _stored(folder: Path) -> StoredTrial | None:

@@ -37,10 +37,9 @@ from cellapp.estimation.calibration.calibrate import calibrate_arm, profile_spli
 from cellapp.estimation.calibration.quantities import ArmReadings, conditions_of_arms
 from cellapp.estimation.discovery.arm_data import UNKNOWN
 from cellapp.estimation.discovery.discover import discover_arm
-from cellapp.estimation.discovery.records import AcceptedEffect, SmallestSize
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
-from cellapp.ground.counting import counted, plain
+from cellapp.ground.counting import counted
 from cellapp.ground.executors import TimeLimit, Work, gather, local_cores
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant as PlantSection
@@ -214,21 +213,7 @@ def _searched(cell: TrialCell, asked: NamingTrial, readings: Readings, visible: 
     model = calibrate_arm(profile, name, own)[0].model
     measured = ArmReadings.of_cell(profile, {**cell.models, name: model}, {**cell.readings, name: own})
     accepted = discover_arm(measured[name]).result.accepted
-    named = next((one for one in accepted if one.effect == asked.effect), None)
-    return asked.model_copy(
-        update={
-            "visible": visible,
-            "accepted": tuple(one.effect for one in accepted),
-            "named": None if named is None else _largest(named),
-        }
-    )
-
-
-def _largest(effect: AcceptedEffect) -> SmallestSize:
-    """Return the largest value among the parameters with the unit that the law names first."""
-    values = list(effect.parameters.values())
-    unit = values[0].unit if values else ""
-    return SmallestSize(value=max((abs(one.value) for one in values if one.unit == unit), default=0.0), unit=unit)
+    return asked.model_copy(update={"visible": visible, "accepted": tuple(one.effect for one in accepted)})
 
 
 def _rms(vectors: Array) -> float:
@@ -338,7 +323,7 @@ class _Tried:
     def belief(self) -> NamingCurve:
         """Estimate of the share that is named, over the size [mm]."""
         sizes = [trial.size_mm for trial in self.trials]
-        named = [trial.named is not None for trial in self.trials]
+        named = [trial.named for trial in self.trials]
         return NamingCurve.of(_LOWEST * self.noise_mm, _HIGHEST * self.noise_mm, sizes, named)
 
     @property
@@ -372,16 +357,11 @@ class _Tried:
         low, middle, high = self.belief.size_at(SHARE, _LIMITS)
         largest = max((trial.size_mm for trial in self.trials), default=0.0)
         shown = middle <= largest and any(trial.named for trial in self.trials)
-        named = [trial for trial in self.trials if trial.named is not None]
+        named = [trial for trial in self.trials if trial.named]
         return EffectPower(
             effect=self.effect,
             title=EFFECTS[self.effect].title,
-            named_from=NamedSize(
-                value_mm=middle,
-                low_mm=low,
-                high_mm=high if np.isfinite(high) else None,
-                size=_in_its_unit(named, middle),
-            )
+            named_from=NamedSize(value_mm=middle, low_mm=low, high_mm=high if np.isfinite(high) else None)
             if shown
             else None,
             not_up_to_mm=None if shown or not largest else largest,
@@ -412,16 +392,6 @@ def _lacking(cell: TrialCell) -> dict[tuple[str, str], str]:
     }
 
 
-def _in_its_unit(named: Sequence[NamingTrial], size_mm: float) -> SmallestSize | None:
-    """Convert a size [mm] to an effect's largest value, by the trials that named it; None if their units differ."""
-    ratios = [(trial.named.value / trial.size_mm, trial.named.unit) for trial in named if trial.named is not None]
-    ((unit, count),) = Counter(unit for _, unit in ratios).most_common(1)
-    if 2 * count <= len(ratios):
-        return None
-    ratio = float(np.median([value for value, its in ratios if its == unit]))
-    return SmallestSize(value=size_mm * ratio, unit=unit)
-
-
 def _limit(trials: Sequence[NamingTrial], from_mm: float) -> str:
     """Say what limits naming, from the trials with sizes from ``from_mm`` [mm] on."""
     if not any(trial.visible for trial in trials):
@@ -430,7 +400,7 @@ def _limit(trials: Sequence[NamingTrial], from_mm: float) -> str:
     followed = 1.0 - float(np.median([trial.visible for trial in trials]))
     if followed > _FOLLOWED:
         said.append(f"geometry follows {followed:.0%} of it")
-    missed = [trial for trial in trials if trial.size_mm >= from_mm and trial.named is None]
+    missed = [trial for trial in trials if trial.size_mm >= from_mm and not trial.named]
     instead = Counter(_name(slug) for trial in missed for slug in dict.fromkeys(trial.accepted))
     for name, count in instead.most_common(1):
         said.append(f"taken for {name} in {count} of {len(missed)} misses")
@@ -453,8 +423,7 @@ SHARE = 0.95
 class NamingTrial(Record):
     """One blind trial: an effect hidden in an arm, its rms displacement of the SMR, and what was accepted.
 
-    ``visible`` is the share of the displacement that the geometry cannot follow. ``named`` is the largest value of the
-    effect where it was named.
+    ``visible`` is the share of the displacement that the geometry cannot follow.
     """
 
     arm: str
@@ -463,17 +432,20 @@ class NamingTrial(Record):
     seed: int
     visible: float = 0.0
     accepted: tuple[str, ...] = ()
-    named: SmallestSize | None = None
+
+    @property
+    def named(self) -> bool:
+        """Whether the effect was named."""
+        return self.effect in self.accepted
 
 
 class NamedSize(Record):
     """Rms displacement of the SMR [mm] from which an effect is named in ``SHARE`` of the trials: median of the belief,
-    and the limits of 90 %; ``high_mm`` is None where the trials set none. ``size`` is the effect's largest value."""
+    and the limits of 90 %; ``high_mm`` is None where the trials set none."""
 
     value_mm: float
     low_mm: float
     high_mm: float | None
-    size: SmallestSize | None
 
 
 class EffectPower(Record):
@@ -558,7 +530,6 @@ def power_table(name: str, arm: ArmPower) -> Table:
         ("effect", lambda one: one.title),
         ("named from", lambda one: one.named_from and one.named_from.value_mm, ".3f", "mm rms"),
         ("interval", _interval, ".3f", "mm rms"),
-        ("largest value", _value),
         ("not up to", lambda one: one.not_up_to_mm, ".2f", "mm rms"),
         ("trials", lambda one: one.trials, "d"),
         ("named", lambda one: one.named, "d"),
@@ -592,11 +563,6 @@ def _interval(one: EffectPower) -> Interval | str | None:
         return None
     low, high = one.named_from.low_mm, one.named_from.high_mm
     return f"{low:.3f} and more" if high is None else Interval(low, high)
-
-
-def _value(one: EffectPower) -> str:
-    size = None if one.named_from is None else one.named_from.size
-    return "" if size is None else f"{plain(size.value)} {size.unit}"
 
 
 def _words(size: NamedSize) -> str:

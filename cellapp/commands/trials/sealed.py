@@ -22,15 +22,9 @@ import numpy as np
 from pydantic import JsonValue
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.driving.sweeping import CYCLE_S, calculated_streams
-from cellapp.cell.planning.plan import make_stops
-from cellapp.cell.planning.planned_stops import Configuration, PlannedStops
-from cellapp.cell.planning.sweeps import PlannedSweep, plan_sweeps
+from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.run import RunFile
-from cellapp.cell.run.columns import KINDS
-from cellapp.cell.run.recordings import read_stream, recording_states, store_recording
-from cellapp.cell.run.recordings_csv import RecordedStreams
-from cellapp.commands.trials.blind import Noise, Session, beyond_geometry, blind_readings, with_hidden
+from cellapp.commands.trials.blind import DURATION_S, Noise, beyond_geometry, blind_readings, with_hidden
 from cellapp.commands.trials.sealed_setup import (
     EXPECTED,
     HARD,
@@ -51,49 +45,7 @@ from cellapp.ground.results import Record, Result
 from cellapp.ground.version import __version__
 from cellapp.robot.kinematics.transforms import Array
 from drivers.no_driver import NoDriver
-from drivers.plant import Plant, suggest, suggest_other_law
-from drivers.plant.sweep import record_sweep, recorder_of
-
-_SESSION = "sweeps"
-"""Name of the one recording that holds all sweeps of an arm."""
-_WAIT_S = 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class SweepPlan:
-    """Stops, and a sweep of each arm about each stop if gate and tracker allow it; the other arms rest."""
-
-    stops: PlannedStops
-    sweeps: tuple[PlannedSweep, ...]
-
-    @classmethod
-    def of(cls, profile: Profile, count: int, seed: int, cancel: CancelToken) -> SweepPlan:
-        """Plan sweeps about ``count`` stops. Raises ``InputError`` if no arm can sweep anywhere, and ``Cancelled``."""
-        plan = profile.plan.model_copy(update={"stops": count, "reserve": 0, "other_arm": "resting"})
-        asked = profile.model_copy(update={"plan": plan, "seed": seed})
-        stops, _ = make_stops(asked, cancel=cancel)
-        return cls(stops, plan_sweeps(asked, stops, cancel=cancel).sweeps)
-
-    def recorded(self, profile: Profile) -> list[RecordedStreams]:
-        """Record the sweeps in the simulated cell of ``profile``, with its own clocks and devices."""
-        plant, found = build_plant(profile), list[RecordedStreams]()
-        recorder = recorder_of(plant)
-        for sweep in self.sweeps:
-            at = self.stops.targets(sweep.stop)
-            _move(plant, at)
-            motion = sweep.motion(at[sweep.arm])
-            record = record_sweep(plant, recorder, sweep.arm, motion.at(motion.times(CYCLE_S)), CYCLE_S)
-            found.append(calculated_streams(profile, (sweep.arm, sweep.name), record, None, _SESSION))
-        return found
-
-
-def _move(plant: Plant, at: Configuration) -> None:
-    """Move all arms at once and wait until they rest."""
-    for arm in plant.config.arms:
-        plant.start_move(arm.name, at[arm.name], arm.speed, arm.acceleration)
-    while any(plant.moving(name) for name in plant.names):
-        plant.advance(_WAIT_S)
-
+from drivers.plant import suggest, suggest_other_law
 
 TRUTH_FILE = "truth.json"
 SEAL_FILE = "seal.txt"
@@ -301,18 +253,13 @@ def check_readings(folder: Path, truth: GroundTruth) -> None:
 
 
 def digest_of(run: RunFile) -> str:
-    """Return the SHA-256 of the joint positions, points and recordings of all arms, sorted by name."""
+    """Return the SHA-256 of the joint positions and points of all arms, sorted by name."""
     found = hashlib.sha256()
     for name in sorted(run.arms()):
         readings = run.readings(name)
         found.update(name.encode())
         found.update(np.ascontiguousarray(readings.q).tobytes())
         found.update(np.ascontiguousarray(readings.p_M).tobytes())
-    for state in recording_states(run):
-        for kind in KINDS:
-            for column, values in read_stream(run, state, kind)[0].items():
-                found.update(f"{state.arm} {state.name} {kind} {column}".encode())
-                found.update(values.tobytes())
     return found.hexdigest()
 
 
@@ -341,17 +288,15 @@ _Effects = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """Stops shared by some runs, the sweeps if recorded too, and the seed of both."""
+    """Stops shared by some runs, and their seed."""
 
     stops: Mapping[str, Array] | PlannedStops
-    sweeps: SweepPlan | None
     seed: int
 
     @classmethod
     def of(cls, profile: Profile, setup: Setup, seed: int, place: int, cancel: CancelToken) -> _Plan:
         own = int(np.random.default_rng([seed, 0x91A2, place]).integers(2**31))
-        sweeps = None if setup.sweeps is None else SweepPlan.of(profile, setup.sweeps, own, cancel)
-        return cls(setup.plan(profile, own, cancel), sweeps, own)
+        return cls(setup.plan(profile, own, cancel), own)
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,15 +312,14 @@ class _HiddenCell:
     plant_seed: int
     noise_seed: int
     split_seed: int
-    session: Session
 
     def measured(self, effects: _Effects, noise: Noise) -> dict[str, Readings]:
         """Simulate readings with noise."""
-        return blind_readings(self.cell(effects, noise=True), self.plan, self.noise_seed, noise, self.session)
+        return blind_readings(self.cell(effects, noise=True), self.plan, self.noise_seed, noise)
 
     def exact(self, effects: _Effects) -> dict[str, Readings]:
         """Simulate readings at the same stops without noise."""
-        return blind_readings(self.cell(effects, noise=False), self.plan, self.noise_seed, session=self.session)
+        return blind_readings(self.cell(effects, noise=False), self.plan, self.noise_seed)
 
     def cell(self, effects: _Effects, *, noise: bool) -> Profile:
         """Return the simulated cell with these effects."""
@@ -393,14 +337,12 @@ def _write_run(
     plant_seed, noise_seed = (int(value) for value in rng.integers(2**31, size=2))
     parameters = _drawn_parameters(profile, case, setup, rng)
     public = without_truth(profile, number)
-    cell = _HiddenCell(profile, case.arm, plan.stops, plant_seed, noise_seed, public.seed, setup.session)
+    cell = _HiddenCell(profile, case.arm, plan.stops, plant_seed, noise_seed, public.seed)
     readings, with_all = cell.measured(parameters, NOISES[setup.noise]), cell.exact(parameters)
 
     def fill(run: RunFile) -> None:
         for name, arm in readings.items():
             run.add_readings(name, setup.reported(arm))
-        for streams in () if plan.sweeps is None else plan.sweeps.recorded(cell.cell(parameters, noise=True)):
-            store_recording(run, streams)
 
     with RunFile.create(folder, public, fill) as run:
         measured = digest_of(run)
@@ -428,7 +370,7 @@ def _drawn_parameters(
         return {}
     config = next(arm for arm in build_plant(profile).config.arms if arm.name == case.arm)
     draw = suggest_other_law if (setup.laws == "other" and case.kind != OUT) or case.kind == HARD else suggest
-    return {slug: draw(slug, rng, config, setup.session.duration_s) for slug in case.slugs}
+    return {slug: draw(slug, rng, config, DURATION_S) for slug in case.slugs}
 
 
 def _hidden_laws(cell: _HiddenCell, parameters: _Effects, with_all: Mapping[str, Readings]) -> tuple[HiddenLaw, ...]:

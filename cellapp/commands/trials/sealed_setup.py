@@ -11,7 +11,7 @@ import numpy as np
 from cellapp.cell.planning.plan import draw_stops, make_stops, plan_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.safety.cell_bodies import cell_bodies
-from cellapp.commands.trials.blind import SHORT_SESSION, USUAL_SESSION, Noise, Session
+from cellapp.commands.trials.blind import Noise
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
@@ -84,21 +84,9 @@ HARD_CASES: tuple[tuple[str, ...], ...] = (
     ("crosstalk",),
 )
 """Cases once answered with a name too many: fields of short length, couplings, quadruples, slow drift; other laws."""
-IN_MOTION: tuple[tuple[str, ...], ...] = (
-    ("joint_compliance",),
-    ("backlash",),
-    ("friction_windup",),
-    ("encoder_eccentricity",),
-    ("transmission_error",),
-    ("joint_compliance", "backlash"),
-    ("transmission_error", "friction_windup"),
-)
-"""Effects of joints, which recordings of motion show."""
-
 IN_THE_LIBRARY = {"tracker_drift": "base_drift"}
 """Laws of the plant that one arm's data cannot tell from an effect of the library, and that effect."""
 ONE, NONE, OUT, PAIR, TRIPLE, HARD = "one", "none", "outside", "pair", "triple", "hard"
-MOTION = "motion"
 KINDS = (ONE, NONE, OUT, PAIR, TRIPLE)
 MIXED = "mixed"
 MIXTURE = (ONE, ONE, NONE, ONE, OUT, ONE, ONE, PAIR, ONE, NONE)
@@ -133,7 +121,6 @@ def cases(arms: Sequence[str], kind: str, n: int, seed: int) -> list[Case]:
         PAIR: [*((pair, False) for pair in PAIRS), *((pair, True) for pair in CONFOUNDED)],
         TRIPLE: [(triple, False) for triple in TRIPLES],
         HARD: [(hard, False) for hard in HARD_CASES],
-        MOTION: [(joints, False) for joints in IN_MOTION],
     }
     counts = dict.fromkeys(menus, 0)
     found = []
@@ -159,8 +146,6 @@ MASS_ERROR = 0.05
 FEWEST_HELD_OUT = 10
 FEWEST_STOPS = 15 + FEWEST_HELD_OUT
 """Least number of stops: 15 just determine the geometry, the others are held out."""
-HELD_OUT = 100
-"""Stops at rest that judge recordings of motion, unless a number is given."""
 _NARROW_RAD = (math.radians(10.0), math.radians(50.0))
 """Range of the width of narrow joint ranges."""
 _CENTRES = 30
@@ -179,16 +164,13 @@ class Setup(Record):
     laws : str
         same: by laws of the library's shape; other: by laws of other shapes.
     stops : int or None
-        Stops of each run, in place of the profile's, or of those to sweep at and ``HELD_OUT`` more.
+        Stops of each run, in place of the profile's.
     ranges : str
         full; narrow: each joint moves over 10 to 50 degrees about a drawn centre.
     stated : bool
         Whether readings state their uncertainty.
     plan_method : str
         random or designed: how the stops of each run are chosen.
-    sweeps : int or None
-        Stops with a sweep of each arm, which are recorded besides; readings are then taken in half an hour with one
-        payload, as many as these to learn from, all others to judge by.
     """
 
     kind: str = ONE
@@ -198,17 +180,11 @@ class Setup(Record):
     ranges: str = "full"
     stated: bool = True
     plan_method: str = "random"
-    sweeps: int | None = None
-
-    @property
-    def session(self) -> Session:
-        """How its readings are measured."""
-        return USUAL_SESSION if self.sweeps is None else SHORT_SESSION
 
     def check(self) -> None:
         """Raise ``InputError`` for an unknown word, or for what does not belong together."""
         words: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-            ("kind", self.kind, (*KINDS, HARD, MIXED, MOTION)),
+            ("kind", self.kind, (*KINDS, HARD, MIXED)),
             ("noise", self.noise, tuple(NOISES)),
             ("laws", self.laws, LAWS),
             ("ranges", self.ranges, RANGES),
@@ -221,18 +197,6 @@ class Setup(Record):
             raise InputError("--plan designed needs the full joint ranges; leave out --ranges narrow")
         if self.stops is not None and self.stops < FEWEST_STOPS:
             raise InputError(f"--stops: {self.stops} are too few to identify the geometry; give {FEWEST_STOPS} or more")
-        if self.sweeps is not None:
-            self._check_sweeps(self.sweeps)
-
-    def _check_sweeps(self, sweeps: int) -> None:
-        """Raise ``InputError`` for conditions that recordings of motion cannot have."""
-        if self.ranges != "full":
-            raise InputError("--sweeps needs the full joint ranges; leave out --ranges narrow")
-        if self.stops is not None and self.stops - sweeps < FEWEST_HELD_OUT:
-            raise InputError(
-                f"--stops: {self.stops} with {sweeps} to sweep at leave too few to judge by;"
-                f" give {sweeps + FEWEST_HELD_OUT} or more"
-            )
 
     def cell(self, profile: Profile) -> Profile:
         """Return the profile with these trials' number of stops, splits and masses, and nothing hidden."""
@@ -240,12 +204,9 @@ class Setup(Record):
         geometry = profile.plant.geometry.model_copy(update={"mass": MASS_ERROR})
         plant = profile.plant.model_copy(update={"geometry": geometry, "effects": {}})
         changes: dict[str, object] = {"plant": plant}
-        stops = self.stops if self.sweeps is None or self.stops is not None else self.sweeps + HELD_OUT
-        if stops is not None:
+        if (stops := self.stops) is not None:
             quarter = stops // 4
             identify, validate = max(quarter, 15), max(quarter, FEWEST_HELD_OUT)
-            if self.sweeps is not None:
-                identify, validate = self.sweeps, stops - self.sweeps
             splits = {
                 "identify": identify,
                 "validate_": validate,

@@ -191,16 +191,3 @@ def exact_cell(cell: Cell, text: str) -> str:
         return ""
     exact = repr(cell)
     return "" if exact == text else exact
-
-
-def markdown(tables: Sequence[Table], sentences: Sequence[str]) -> str:
-    """Format tables as Markdown, and the sentences as a paragraph at the end."""
-    parts = []
-    for table in tables:
-        lines = [f"**{table.title}**", "", _markdown_row(table.headings), "|" + " --- |" * len(table.columns)]
-        parts.append("\n".join([*lines, *map(_markdown_row, table.text_rows())]))
-    return "\n\n".join([*parts, " ".join(sentences)]) + "\n"
-
-
-def _markdown_row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

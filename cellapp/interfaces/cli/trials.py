@@ -34,9 +34,7 @@ def seal(
     ] = None,
     kind: Annotated[
         str,
-        typer.Option(
-            "--kind", metavar="KIND", help="What is hidden: one, none, outside, pair, triple, hard, motion, mixed."
-        ),
+        typer.Option("--kind", metavar="KIND", help="What is hidden: one, none, outside, pair, triple, hard, mixed."),
     ] = "one",
     noise: Annotated[
         str, typer.Option("--noise", metavar="NOISE", help="gaussian, heavy (tails) or repeatability (8 µrad a joint).")
@@ -52,10 +50,6 @@ def seal(
     plan: Annotated[
         str, typer.Option("--plan", metavar="PLAN", help="How stops are chosen: random or designed.")
     ] = "random",
-    sweeps: Annotated[
-        int | None,
-        typer.Option("--sweeps", min=1, help="Stops with a sweep of each arm on record; others at rest judge them."),
-    ] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Write runs of simulated cells whose hidden effects are stated in a sealed file only."""
@@ -65,7 +59,7 @@ def seal(
 
     setup = Setup(
         kind=kind, noise=noise, laws=laws, stops=stops, ranges=ranges,
-        stated=not unstated, plan_method=plan, sweeps=sweeps,
+        stated=not unstated, plan_method=plan,
     )  # fmt: skip
     with Job(json_file) as job:
         result = seal_trials(load_profile(profile), out, n, setup, seed=seed, listener=job.listen, cancel=job.control)

@@ -36,7 +36,7 @@ from textual.css.query import NoMatches
 from textual.driver import Driver
 from textual.screen import ModalScreen, Screen
 from textual.theme import Theme
-from textual.widgets import Input, Static
+from textual.widgets import Static
 
 from cellapp.commands.docs.keys import KEYS, SHOWN
 from cellapp.commands.registry import ALL
@@ -68,11 +68,11 @@ class JobKeys(Host):
 
     @property
     def escape_closes(self) -> bool:
-        """Whether Escape closes a dialog or leaves a field: there is one, and nothing can move."""
+        """Whether Escape closes a dialog: there is one, and nothing can move."""
         if self.jobs.moves or not self.jobs.running:
             return False  # stop first, or nothing to stop: Escape closes by itself
         with suppress(ScreenStackError):  # called by the thread that reads keys, also while screens are removed
-            return isinstance(self.screen, ModalScreen) or isinstance(self.screen.focused, Input)
+            return isinstance(self.screen, ModalScreen)
         return False
 
     def action_stop_job(self) -> None:
@@ -97,8 +97,6 @@ class JobKeys(Host):
 
     def _say_stop(self, arms: bool) -> None:
         self._refuse_motion()
-        if isinstance(self.screen, DayScreen) and isinstance(self.screen.focused, Input):
-            self.screen.leave_field()  # the next key is a command, not a letter of a text
         if self.jobs.control.cancelled:
             self.say("Stopping: the arms brake, the job ends." if arms else "Stopping at the next step.", "warning")
         else:
@@ -106,7 +104,7 @@ class JobKeys(Host):
 
     def action_say_how_to_quit(self) -> None:
         """Say how to quit: Ctrl-C does not, if no job runs and no text is selected."""
-        self.say("Ctrl-C stops a job; none runs. q, or Ctrl-Q in a text field, quits.")
+        self.say("Ctrl-C stops a job; none runs. q, or Ctrl-Q in a dialog, quits.")
 
     def action_pause(self) -> None:
         """Pause the job after the current stop; the second time, resume. A stopped job is not resumed."""
@@ -215,7 +213,7 @@ _DRAWING_S = 0.1
 _WAITING = ("paused", "suspended", "stopped", "aborted")
 """States in which a job waits for a person or for the cell."""
 _TICK_S = 1.0
-"""Interval of updates that no event triggers: remaining time, title of the terminal."""
+"""Interval of updates that no event triggers: the remaining time."""
 _PRELOAD_AFTER_S = 0.3
 """Delay of the preload, so that the first screen is drawn before it."""
 _LATER = (
@@ -288,7 +286,6 @@ class CellApp(JobKeys):
         self._patience_s = patience_s
         self._leaving = False
         self._ended: str | None = None
-        self._titled = ""
 
     def close_terminal(self) -> None:
         """Leave because the terminal is gone; from any thread."""
@@ -564,7 +561,7 @@ class CellApp(JobKeys):
         self.code = ending.code
         self._ended = ending.text if ending.code == 0 else ""
         self.say(ending.text, ending.severity)
-        self._tell_event("done" if ending.code == 0 else "ended", ending.text)
+        self.bell()  # for somebody who does not look
         if self._leaving:  # the shell keeps the text that the screen can no longer show
             self.exit(return_code=self.code, message=Text(ending.text))
             return
@@ -629,23 +626,10 @@ class CellApp(JobKeys):
             self._say_state()
 
     def _tick(self) -> None:
-        """Update the remaining time, and the terminal's title with the progress of the job."""
+        """Update the remaining time."""
         with contextlib.suppress(NoMatches, StopIteration):
             if self.jobs.running and (screen := self._made_screen) is not None:
                 screen.draw_state()
-        title = terminal.title_words(self.state, self.record)
-        if title != self._titled:
-            self._titled = title
-            self.tell(terminal.title_sequence(title))
-
-    def tell(self, sequence: str) -> None:
-        """Write a control sequence to the terminal, bypassing the screens."""
-        if self._driver is not None and not self.is_headless and terminal.is_told():
-            self._driver.write(sequence)
-
-    def _tell_event(self, word: str, text: str) -> None:
-        """Ring the bell and notify the desktop, for somebody who does not look."""
-        self.tell(terminal.notice_sequence(f"cellapp {word}", text))
 
     def _say_state(self) -> None:
         """Show a new state of the job in the message line."""
@@ -657,4 +641,4 @@ class CellApp(JobKeys):
             self._draw_message()
         self.refresh_bindings()
         if state in _WAITING:
-            self._tell_event(str(state), f"{self.record.name} {terminal.since_words(self.record)}")
+            self.bell()

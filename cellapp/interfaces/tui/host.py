@@ -118,7 +118,7 @@ class Host(App[None]):
 
     @property
     def escape_closes(self) -> bool:
-        """Whether Escape closes a dialog or leaves a field; otherwise it stops a job."""
+        """Whether Escape closes a dialog; otherwise it stops a job."""
         return False
 
     def live(self) -> CellLive | None:

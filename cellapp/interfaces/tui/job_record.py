@@ -254,10 +254,6 @@ class JobRecord:
         Arm -> reports of its stops, oldest first.
     references : list
         Reports of reference measurements, oldest first.
-    sweep : SweepLive or None
-        Progress of the newest sweep; None before the first.
-    sweep_trace : list
-        The reported speeds of its SMR, as in ``SweepLive``.
     suspicions : list
         Doubts raised by the measurements.
     log : deque
@@ -284,8 +280,6 @@ class JobRecord:
     tracker: TrackerRecord = field(default_factory=TrackerRecord)
     stops: dict[str, list[StopReport]] = field(default_factory=dict)
     references: list[ReferenceReport] = field(default_factory=list)
-    sweep: SweepLive | None = None
-    sweep_trace: list[tuple[float, float]] = field(default_factory=list)
     suspicions: list[Suspicion] = field(default_factory=list)
     log: deque[LogRow] = field(default_factory=lambda: deque(maxlen=MOST_LINES))
     log_written: int = 0
@@ -310,7 +304,6 @@ class JobRecord:
         self.since = datetime.now()
         for kept in (self.progress, self.paces, self.arms, self.stops, self.references, self.suspicions):
             kept.clear()
-        self.sweep, self.sweep_trace = None, []
         self.causes, self.lost = (), ()
         self.changes += 1
 
@@ -370,20 +363,14 @@ class JobRecord:
             case ReferenceReport():
                 self.references.append(detail)
             case SweepLive():
-                self._take_sweep(detail)
+                live = None if detail.state == "done" else detail
+                self.tracker = replace(self.tracker, arm=detail.arm, sweep=live)
             case AirReport():
                 self.tracker = replace(self.tracker, air=detail)
             case MotionBegun() | MotionEnded():
                 self._take_motion(detail)
             case StopReport() | MeasurementBegun() | PointMeasured() | PointMissed():
                 self._take_measurement(detail)
-
-    def _take_sweep(self, live: SweepLive) -> None:
-        if self.sweep is None or (live.arm, live.name) != (self.sweep.arm, self.sweep.name):
-            self.sweep_trace = []
-        self.sweep = live
-        self.sweep_trace += live.trace
-        self.tracker = replace(self.tracker, arm=live.arm, sweep=None if live.state == "done" else live)
 
     def _arm(self, name: str) -> ArmRecord:
         return self.arms.get(name, ArmRecord())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import records
 from cellapp.interfaces.tui import work
-from cellapp.interfaces.tui.dialogs.question import Answer, Choice, Reading
+from cellapp.interfaces.tui.dialogs.question import Answer, Choice, reading_of
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -21,7 +21,7 @@ BEGIN = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
 WRITE = (Answer("write", "Write", "ctrl+s", "success"), Answer("no", "Close", "f10"))
 USE_STALE = (Answer("no", "Not now", "n"), Answer("begin", "Use this model all the same", "u", "warning"))
 """Answers if the model is out of date; the first one has the focus."""
-_READING_WIDTH = 66
+READING_WIDTH = 66
 """Characters per line of a text that fits into the narrowest terminal."""
 
 
@@ -73,8 +73,8 @@ class _VerbView:
         """Show the result as a text."""
         from cellapp.interfaces.render.terminal import plain_text  # late: results are shown after the start
 
-        text = plain_text(self._verb.view(result).parts, _READING_WIDTH)
-        self._app.push_screen(Reading(f"# {self._verb.name}\n\n```text\n{text}\n```"))
+        text = plain_text(self._verb.view(result).parts, READING_WIDTH)
+        self._app.push_screen(reading_of(self._verb.name, [text]))
 
 
 def verbs_of_run() -> tuple[Verb, ...]:

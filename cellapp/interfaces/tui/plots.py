@@ -103,29 +103,6 @@ def _words(chart: Chart, width: int, message: list[Line]) -> Iterator[tuple[list
     yield [], sentence
 
 
-def point_at(chart: Chart, width: int, height: int, column: int, row: int) -> tuple[float, float] | None:
-    """Return x and y of the drawn point nearest to a cell of ``draw``; None outside a plot with axes."""
-    if chart.is_empty or chart.categories:
-        return None
-    title, message = _wrapped(chart.title, width, HEADING), _wrapped(chart.message, width)
-    for above, below in _words(chart, width, message):
-        area = _area(chart, width, height - len(title) - len(above) - len(below))
-        if area is not None:
-            margin, rows, columns = area
-            column, row = column - margin, row - len(title) - len(above)
-            if not (0 <= column < columns and 0 <= row < rows):
-                return None
-            x, y = _scales(chart, columns, rows)
-            xs, ys = (np.concatenate([getattr(one, axis) for one in chart.series]) for axis in "xy")
-            # a cell is about twice as high as wide
-            across = x.place(xs) / DOT_COLUMNS - column
-            down = 2.0 * ((y.end - y.place(ys)) / DOT_ROWS - row)
-            distance = np.nan_to_num(np.hypot(across, down), nan=np.inf)
-            nearest = int(np.argmin(distance))
-            return (float(xs[nearest]), float(ys[nearest])) if np.isfinite(distance[nearest]) else None
-    return None
-
-
 def _wrapped(text: str, width: int, ink: int = TEXT) -> list[Line]:
     return [[(line, ink)] for line in textwrap.wrap(text, width)]
 

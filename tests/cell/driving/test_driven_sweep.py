@@ -135,10 +135,6 @@ def test_sweeps_are_driven_and_recorded_with_both_clocks(planned: Path, tmp_path
         ages_s = [one.point_age_s for one in told if one.point_age_s is not None]
         assert ages_s
         assert all(0.0 <= age_s <= 0.1 for age_s in ages_s)  # packets are late by 40 ms
-        trace = np.array([place for one in told for place in one.trace])
-        np.testing.assert_array_less(0.085, np.diff(trace[:, 0]))
-        way_m = float(np.linalg.norm(np.diff(recording.points.p_M[::10], axis=0), axis=1).sum())
-        assert np.trapezoid(trace[:, 1], trace[:, 0]) == pytest.approx(1e3 * way_m, rel=0.03)
         assert f"sweep of {recording.arm} 100%, 4 of 4 s" in next(e.note for e in heard if e.detail is told[-1])
         assert np.median(recording.points.time_s - recording.joints.time_s[0]) > 320.0
         nominal = nominal_arm(run.profile.arms[recording.arm])
@@ -165,7 +161,6 @@ def test_a_lost_beam_slows_the_arm_down_and_the_rest_is_a_recording_of_its_own(
         assert 2.0 < told[searching].done_s < told[-1].done_s == PERIOD_S
         points = [one.points for one in told]
         assert points == sorted(points), "of both parts together"
-        assert np.max(np.diff([at_s for one in told for at_s, _ in one.trace])) > 1.0, "nothing was seen meanwhile"
         parts = [one for one in recording_states(run) if one.arm == "left" and one.part_of == "sweep-1"]
         assert [one.name for one in parts] == ["sweep-1", "sweep-1.2"]
         assert parts[0].reached_s is not None

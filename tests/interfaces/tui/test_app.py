@@ -14,7 +14,7 @@ import pytest
 from textual.binding import Binding
 from textual.dom import DOMNode
 from textual.screen import ModalScreen
-from textual.widgets import Input, Tree
+from textual.widgets import Tree
 
 from cellapp.commands.docs.keys import KEYS, filled_keys
 from cellapp.commands.stages import NextVerb, next_command
@@ -28,7 +28,6 @@ from cellapp.interfaces.tui.keys import WAYS
 from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.controls import Entry, key_lines
-from cellapp.interfaces.tui.widgets.log_pane import LogField
 from cellapp.interfaces.tui.workspace import load_workspace
 from tests.cell.run.small_runs import collected_run, planned_run
 from tests.handbook.screen_pictures import settle
@@ -37,7 +36,6 @@ from tests.interfaces.tui.pilot import (
     SMALL,
     WAIT_S,
     HeldJob,
-    MovingJob,
     ended,
     exit_code,
     opened,
@@ -260,27 +258,6 @@ async def test_the_palette_lists_each_command_once(step: str) -> None:
         assert len(listed) == len(set(listed)), sorted(listed)
         twice = [verb for verb, (of, _) in WAYS.items() if of == app.day_screen.STEP and f"cellapp {verb}" in listed]
         assert not twice, "a key of the screen does it"
-
-
-async def test_a_stop_leaves_the_field_so_that_the_next_key_is_one_of_the_job() -> None:
-    moving = MovingJob()
-    app = CellApp(PROFILES)
-    async with app.run_test(size=SMALL) as pilot:
-        await opened(pilot, app)
-        await pilot.press("3")
-        app.start_job(moving.job())
-        await until(pilot, moving.began.is_set, "the job")
-        await pilot.press("slash", *"suspi")
-        assert isinstance(app.focused, LogField)
-        await pilot.press("escape")
-        assert moving.control.request == "stop"
-        assert not isinstance(app.focused, Input)
-        app.presses._said_s = -1.0  # the stop was long ago
-        await pilot.press("c")
-        assert moving.control.request == "none"
-        await until(pilot, lambda: app.screen.query_one(LogField).value == "suspi", "the text of the field")
-        await pilot.press("x")
-        await ended(pilot, app)
 
 
 # -- The handbook in the terminal: contents, search, links by keys and by the mouse, pictures by their words -----------

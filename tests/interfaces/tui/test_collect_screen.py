@@ -37,7 +37,6 @@ from cellapp.ground.progress import (
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
-from cellapp.interfaces.tui.plots import point_at
 from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.workspace import Workspace
@@ -280,31 +279,6 @@ async def test_the_plot_marks_the_row_and_moves_the_cursor(measured_run: Path) -
         assert stops.table.cursor_row == 4
         await pilot.press("comma")
         await until(pilot, lambda: stops.table.cursor_row == 3, "the one before")
-        await pilot.press("t", "s", "s")  # sorted by residual, the cursor stays on its stop
-        await until(pilot, lambda: stops_of(app)[0][:2] == ("12", "right"), "the largest residual first")
-        assert stops.chosen is not None
-        await until(pilot, lambda: stops_of(app)[stops.table.cursor_row][:2] == ("2", "right"), "the stop as before")
-
-
-async def test_a_click_on_a_residual_puts_the_cursor_on_its_stop(measured_run: Path) -> None:
-    app = CellApp(PROFILES)
-    async with app.run_test(size=(200, 60)) as pilot:
-        await show_stops(pilot, app, measured_run)
-        plot, stops = app.screen.query_one("#residuals", ChartPlot), app.screen.query_one(CollectedStops)
-        await until(pilot, lambda: plot.chart is not None and not plot.chart.is_empty, "the plot")
-        assert plot.chart is not None
-        width, height = plot.content_size
-        farthest = next(  # the gross error alone is near the top of the plot
-            (column, row)
-            for row in range(height)
-            for column in range(width)
-            if (found := point_at(plot.chart, width, height, column, row)) is not None and found[0] == 12.0
-        )
-        await pilot.click("#residuals", offset=farthest)
-        await until(pilot, lambda: stops.chosen is not None and stops.chosen.stop == 11, "the row")
-        assert stops.chosen is not None
-        assert stops.chosen.arm == "right"
-        assert stops_of(app)[stops.table.cursor_row][:2] == ("12", "right")
 
 
 async def test_marked_stops_are_measured_again_after_a_question(measured_run: Path, tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ _TARGETS = ("-01,", "-02,")
 
 @pytest.fixture(autouse=True)
 def _small_starter(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the first start offers is the twin with fewer stops and targets; no browser is started."""
+    """What the first start offers is the twin with fewer stops and targets."""
     folder = tmp_path_factory.mktemp("starters")
     twin = write_profile(folder)
     text = twin.read_text("utf-8")
@@ -36,7 +36,6 @@ def _small_starter(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest
     lines = targets.read_text("utf-8").splitlines()
     targets.write_text("\n".join(line for line in lines if "{name" not in line or any(t in line for t in _TARGETS)))
     monkeypatch.setattr("cellapp.cell.profile.starters.starters_folder", lambda: folder)
-    monkeypatch.setattr("cellapp.interfaces.tui.widgets.runs_list._has_display", lambda: False)
 
 
 @pytest.mark.slow
@@ -49,7 +48,7 @@ async def test_from_an_empty_folder_to_a_verified_report() -> None:
         await pilot.press("n")
         await shows(pilot, "No run is open: plan one (keys 2, b)")
         await pilot.press("b")
-        await shows(pilot, "A new run with a plan", "Enter plans")
+        await shows(pilot, "Plan stops", "Begin (b)")
         await pilot.press("enter")
         await shows(pilot, "60 stops, 0 measured", "Next: Collect (key n)", wait_s=JOB_S)
         await pilot.press("n")

@@ -25,8 +25,6 @@ from cellapp.commands.run_results import read_results
 from cellapp.ground.results import ErrorSummary, Result
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
-from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.endings import REPORT_FILE, ending_of
 from cellapp.interfaces.tui.jobs import Job, JobEnded
@@ -81,8 +79,7 @@ async def test_a_format_proposes_its_file_and_what_is_typed_stays() -> None:
 DAY = Path("logs") / "day"
 ASKED = {
     "plan a new run": ("2", "b"),
-    "append stops": ("2", "plus"),
-    "design the rest again": ("2", "r"),
+    "change the plan": ("2", "plus"),
     "calibrate": ("4", "b"),
     "calibrate with a prior": ("4", "i"),
     "search": ("5", "b"),
@@ -136,13 +133,8 @@ async def test_the_earlier_run_is_chosen_and_shown(finished_run: Path) -> None:
         await pilot.press("4")
         await until(pilot, lambda: app.day_screen.STEP == "calibrate", "the screen")
         await pilot.press("i")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question, as the calibration holds")
-        assert "Calibrate again, with a prior?" in shown_text(app)
-        await pilot.press("n", "i")
-        await until(pilot, lambda: isinstance(app.screen, Choice), "the question again")
-        await pilot.press("b")
-        await until(pilot, lambda: isinstance(app.screen, FilePicker), "the dialog")
-        app.screen.query_one("#path", Input).value = str(EARLIER / "run.sqlite")
+        await until(pilot, lambda: isinstance(app.screen, VerbQuestion), "the dialog")
+        app.screen.query_one("#prior", Input).value = str(EARLIER)
         await pilot.press("enter")
         await ended(pilot, app)
     with RunFile.open(DAY_OF_PRIOR) as run:

@@ -135,8 +135,6 @@ class Walk:
             case "edit":  # FILE OLD NEW: another text in a file
                 old, _, new = text.partition(" ")
                 Path(name).write_text(Path(name).read_text("utf-8").replace(old, new), "utf-8")
-            case "clipboard":
-                return self.app.clipboard
             case "bend":  # FILE NEW: a plan whose third row is bent down into the floor
                 cells = [line.split(",") for line in Path(name).read_text("utf-8").splitlines()]
                 cells[3][cells[0].index("q2")] = "0.6"

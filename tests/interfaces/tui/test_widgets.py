@@ -38,12 +38,9 @@ from cellapp.interfaces.tui.app import CellApp, SlowCollections
 from cellapp.interfaces.tui.job_record import LEVELS, JobRecord, LogRow, Pace, banner_of, strip_of
 from cellapp.interfaces.tui.jobs import Ask, Job
 from cellapp.interfaces.tui.plots import draw
-from cellapp.interfaces.tui.run_state import run_state
-from cellapp.interfaces.tui.terminal import notice_sequence, title_sequence, title_words
 from cellapp.interfaces.tui.widgets.chart_plot import ON_DARK, ON_LIGHT
 from cellapp.interfaces.tui.widgets.log_pane import LogPane
 from cellapp.interfaces.tui.widgets.progress_bars import WHOLE_DAY, Part, _line, ending_words, parts_of
-from cellapp.interfaces.tui.workspace import Workspace
 from tests.cell.run.small_runs import planned_run
 from tests.interfaces.tui.pilot import PROFILES, SIZES, SMALL, HeldJob, ended, opened, shown_text, shows, until
 from tests.waiting import WAIT_S
@@ -221,25 +218,6 @@ def record(*events: Progress) -> JobRecord:
     return made
 
 
-def test_the_title_says_state_and_percent() -> None:
-    space = Workspace(folder=Path("logs/day"))
-    assert title_words(run_state(space, JobRecord()), JobRecord()) == "cellapp · logs/day"
-    running = record(HALF)
-    assert title_words(run_state(space, running), running) == "53 % collect · logs/day"
-    stopped = record(HALF, LOST)
-    assert title_words(run_state(space, stopped), stopped) == "STOPPED 53 % collect · logs/day"
-
-
-def test_no_text_ends_a_sequence_early() -> None:
-    for sequence in (title_sequence("a\x07b\x1b]0;c\n"), notice_sequence("x;y\x07", "a\x1b\\b\x9c")):
-        inner = sequence.strip("\x07").replace("\x1b]2;", "").replace("\x1b]9;", "").replace("\x1b]777;", "")
-        assert "\x1b" not in inner
-        assert "\x9c" not in inner
-    assert notice_sequence("cellapp stopped", "why") == (
-        "\x07\x1b]9;cellapp stopped: why\x07\x1b]777;notify;cellapp stopped;why\x07"
-    )
-
-
 def test_the_time_that_is_left_goes_down_between_two_reports() -> None:
     part = Part("collect", HALF, Pace(0.0, 15, 100.0))
     assert part.left_s(100.0) == pytest.approx(600.0)
@@ -267,16 +245,14 @@ def test_a_rate_has_no_power_of_ten(span_s: float, words: str) -> None:
 
 
 async def test_a_stop_is_told_with_its_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
-    monkeypatch.setattr(CellApp, "tell", lambda app, sequence: told.append(sequence))
+    rung: list[str] = []
+    monkeypatch.setattr(CellApp, "bell", lambda app: rung.append(app.message))
     held = HeldJob((HALF, LOST))
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
         app.start_job(held.job())
-        await until(pilot, lambda: any("link lost, 215 of 400" in one for one in told), "the notice")
-        await until(pilot, lambda: any("STOPPED 53 % collect" in one for one in told), "the title")
-        assert "link lost, 215 of 400" in app.message
+        await until(pilot, lambda: any("link lost, 215 of 400" in one for one in rung), "the bell")
         held.go_on.set()
         await ended(pilot, app)
 

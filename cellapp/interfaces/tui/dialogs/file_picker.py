@@ -17,8 +17,6 @@ from textual.containers import Horizontal
 from textual.suggester import Suggester
 from textual.widgets import Button, Input, Static
 
-from cellapp.ground.errors import InputError
-from cellapp.ground.outputs import RENEWED
 from cellapp.interfaces.tui.dialogs.question import Question
 
 _MOST_SHOWN = 200
@@ -89,31 +87,33 @@ class PathField(Input):
         self.focus()
 
 
-class PathQuestion(Question[Path]):
-    """Dialog for a path, which Tab completes. Returns it; None if the dialog is closed.
+class FilePicker(Question[Path]):
+    """Dialog for a file that is there, whose path Tab completes. Returns it; None if the dialog is closed.
 
-    Enter, or the first button, submits it. A subclass closes the dialog in ``action_send``, or calls ``explain`` with
-    what is wrong with the path.
+    Parameters
+    ----------
+    title : str
+        What the file is for.
+    start : Path
+        The folder or file at which to begin.
+    wanted : callable
+        Which files are completed.
     """
 
     BINDINGS: ClassVar[list[BindingType]] = [Binding("tab", "complete", "Complete", priority=True)]
-    DOES: ClassVar[str] = "Open"
 
-    def __init__(
-        self, title: str, start: str, wanted: Callable[[Path], bool] = lambda path: True, text: str = ""
-    ) -> None:
+    def __init__(self, title: str, start: Path, wanted: Callable[[Path], bool]) -> None:
         super().__init__()
-        self._title, self._start, self._wanted, self._text_above = title, start, wanted, text
+        folder = start.is_dir() and str(start) != os.sep
+        self._title, self._start, self._wanted = title, str(start) + (os.sep if folder else ""), wanted
 
     def body(self) -> ComposeResult:
         yield Static(self._title, classes="title", markup=False)
-        if self._text_above:
-            yield Static(self._text_above, classes="text", markup=False)
         yield PathField(self._start, self._wanted)
-        words = f"Tab completes, Enter {self.DOES.lower()}s, {self.closing_key} closes."
+        words = f"Tab completes, Enter opens, {self.closing_key} closes."
         yield Static(words, id="why", classes="text", markup=False)
         with Horizontal(classes="answers"):
-            yield Button(self.DOES, id=self.DOES.lower(), variant="success", compact=True)
+            yield Button("Open", id="open", variant="success", compact=True)
             yield Button("Close", id="close", compact=True)
 
     def on_mount(self) -> None:
@@ -137,35 +137,9 @@ class PathQuestion(Question[Path]):
         else:
             self.dismiss(None)
 
-    def action_send(self) -> None:
-        """Close with the answer, if the fields are complete."""
-        raise NotImplementedError
-
-    def explain(self, sentence: str) -> None:
-        """Show below the fields what is wrong with them."""
-        self.query_one("#why", Static).update(sentence)
-
     def action_complete(self) -> None:
         """Complete to the longest common prefix of all candidates; a single candidate completely."""
         self.query_one(PathField).complete()
-
-
-class FilePicker(PathQuestion):
-    """Dialog for a file that is there.
-
-    Parameters
-    ----------
-    title : str
-        What the file is for.
-    start : Path
-        The folder or file at which to begin.
-    wanted : callable
-        Which files are completed.
-    """
-
-    def __init__(self, title: str, start: Path, wanted: Callable[[Path], bool]) -> None:
-        folder = start.is_dir() and str(start) != os.sep
-        super().__init__(title, str(start) + (os.sep if folder else ""), wanted)
 
     def action_send(self) -> None:
         """Close with the file, if there is one."""
@@ -175,41 +149,4 @@ class FilePicker(PathQuestion):
             return
         found = ", ".join(map(os.path.basename, completions(self.typed("path"), self._wanted)[:_MOST_NAMED]))
         said = f" There are: {found}." if found else ""
-        self.explain(f"{path}: no such file.{said} Tab completes, {self.closing_key} closes.")
-
-
-class SaveAs(PathQuestion):
-    """Save a text in a chosen file. Returns the path; None if the dialog is closed.
-
-    Parameters
-    ----------
-    what : str
-        What is saved, in a word or two.
-    text : str or None
-        None: the caller writes the file.
-    proposed : Path
-        Initial path.
-    """
-
-    DOES = "Save"
-
-    def __init__(self, what: str, text: str | None, proposed: Path) -> None:
-        super().__init__(f"Save {what} as", str(proposed))
-        self._text = text
-        self._replace: Path | None = None
-
-    def action_send(self) -> None:
-        """Save to the typed path; replace an existing file at the second attempt."""
-        path = Path(self.typed("path")).expanduser()
-        try:
-            RENEWED.check(path)
-            if path.exists() and path != self._replace:
-                self._replace = path
-                self.explain(f"{path} exists. Enter again replaces it; or type another name.")
-                return
-            if self._text is not None:
-                RENEWED.write_text(path, self._text)
-        except InputError as error:
-            self.explain(str(error))
-            return
-        self.dismiss(path)
+        self.query_one("#why", Static).update(f"{path}: no such file.{said} Tab completes, {self.closing_key} closes.")

@@ -1,7 +1,4 @@
-"""A dialog made from the record of a verb: a field for each labelled field of its request.
-
-Dialog for the folder of a new run.
-"""
+"""A dialog made from the record of a verb: a field for each labelled field of its request."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from textual.widgets import Input, Static
 
 from cellapp.commands.record import Asked, Request, Verb
 from cellapp.ground.errors import InputError
-from cellapp.interfaces.tui.dialogs.file_picker import PathField, PathQuestion
+from cellapp.interfaces.tui.dialogs.file_picker import PathField
 from cellapp.interfaces.tui.dialogs.question import Answer, AnswerQuestion
 from cellapp.interfaces.tui.widgets.controls import Box, Labelled, text_field
 
@@ -179,43 +176,3 @@ def _id(name: str) -> str:
 
 def _fits(path: Path, words: Asked) -> bool:
     return not words.suffixes or path.suffix in words.suffixes
-
-
-class NewRunQuestion(PathQuestion):
-    """Dialog for the folder of a new run. Returns it; None if the dialog is closed.
-
-    Parameters
-    ----------
-    text : str
-        What will be planned.
-    folder : Path
-        The proposed folder.
-    """
-
-    DOES = "Plan"
-
-    def __init__(self, text: str, folder: Path) -> None:
-        super().__init__("A new run with a plan", str(folder), text=text)
-
-    def action_send(self) -> None:
-        """Close with the folder, if a new run can use it."""
-        text = self.typed("path")
-        folder = Path(text).expanduser()
-        if why := _why_not(text, folder):
-            self.explain(why)
-        else:
-            self.dismiss(folder)
-
-
-def _why_not(text: str, folder: Path) -> str:
-    """Return why a new run cannot use a folder, in a sentence; empty if it can."""
-    if not text:
-        return "Type the name of a folder, for instance logs/monday."
-    try:
-        if folder.is_dir() and any(folder.iterdir()):
-            return f"{folder} exists and is not empty: type another name, or open that run (key 8)."
-        if folder.exists() and not folder.is_dir():
-            return f"{folder} is a file: type the name of a folder."
-    except OSError as error:
-        return f"{folder} cannot be read ({error.strerror}): type another name."
-    return ""

@@ -182,10 +182,6 @@ class DayScreen(Screen[None]):
     def show_runs(self) -> None:
         """List all runs; only the screen Cell does."""
 
-    def leave_field(self) -> None:
-        """Leave a text field: the next key is a command."""
-        self.set_focus(None)
-
     def open_folder(self) -> Path | None:
         """Return the folder of the open run; if there is none, say what to do and return None."""
         if no_run := self.state.no_run:

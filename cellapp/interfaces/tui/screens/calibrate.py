@@ -20,7 +20,6 @@ from textual.widgets.option_list import Option
 
 from cellapp.cell.exports.arm_export import ExportResult
 from cellapp.cell.exports.formats import all_formats
-from cellapp.cell.run.sqlite_file import FILE_NAME
 from cellapp.commands.calibrate import request
 from cellapp.commands.calibrate.charts import error_histogram_chart, pair_histogram_chart, stage_chart
 from cellapp.commands.calibrate.view import calibration_tables, parameters_view, tracker_sentences
@@ -31,10 +30,10 @@ from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.ground.results import CALIBRATE, Result
 from cellapp.interfaces.tui import work
-from cellapp.interfaces.tui.dialogs.question import Answer, Reading
+from cellapp.interfaces.tui.dialogs.question import Answer, reading_of
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.offers import WRITE, offer_again
+from cellapp.interfaces.tui.offers import BEGIN, WRITE, offer_again
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
@@ -54,7 +53,9 @@ class ExportArms(VerbQuestion):
 
     def __init__(self, folder: Path, arms: Sequence[str], answers: Sequence[Answer]) -> None:
         choices = {"arm": arms, "stage": STAGES}
-        super().__init__(VERB, "Several arms get a file each.", answers, {"folder": folder}, choices=choices)
+        super().__init__(
+            VERB, "Several arms get a file each.", answers, {"folder": folder, "plan": None}, choices=choices
+        )
         self._folder, self._file = folder, ""
 
     def fields(self) -> ComposeResult:
@@ -100,9 +101,7 @@ class CalibrateScreen(DayScreen):
     STEP: ClassVar[Step] = "calibrate"
     BINDINGS: ClassVar[list[BindingType]] = [
         bind("go", "begin", "Calibrate", "identify and evaluate; nothing moves"),
-        bind("import", "begin_with_prior", "With prior", "calibrate with an earlier run as prior", show=False),
-        bind("add", "begin_in_batches", "All readings", "calibrate with a network from all readings", show=False),
-        bind("plots", "plots", "Plots", "show the errors as charts"),
+        bind("import", "otherwise", "Otherwise", "with an earlier run as prior, or another network", show=False),
         bind("tab", "next_tab", "Next tab"),
         bind("export", "export", "Export", "write the calibrated arms for other programs"),
     ]
@@ -128,32 +127,11 @@ class CalibrateScreen(DayScreen):
             job = work.job_of(request.VERB, folder=folder)
             offer_again(self, "Calibrate again?", self._result, CALIBRATE, partial(self.start, job))
 
-    def action_begin_in_batches(self) -> None:
-        """Calibrate the open run with a residual network from all readings and recordings."""
+    def action_otherwise(self) -> None:
+        """Ask for an earlier run as prior and for the network, then calibrate the open run."""
         if (folder := self.open_folder()) is not None:
-            self.start(work.job_of(request.VERB, folder=folder, network="batches"))
-
-    def action_begin_with_prior(self) -> None:
-        """Ask for an earlier run, and calibrate the open run with it as prior."""
-        if (folder := self.open_folder()) is None:
-            return
-        from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-
-        def begin(path: Path | None) -> None:
-            if path is not None:
-                self.start(work.job_of(request.VERB, folder=folder, prior=path.parent))
-
-        title = f"{FILE_NAME} of the earlier run of the same arms"
-        picker = FilePicker(title, folder.parent, lambda path: path.name == FILE_NAME)
-
-        def ask() -> None:
-            self.app.push_screen(picker, begin)
-
-        offer_again(self, "Calibrate again, with a prior?", self._result, CALIBRATE, ask)
-
-    def action_plots(self) -> None:
-        """Show the charts."""
-        self.query_one("#calibration", TabbedContent).active = "errors"
+            text = "What is stored stays. An earlier run of the same arms is a prior. Nothing moves."
+            self.ask_verb(VerbQuestion(request.VERB, text, BEGIN, {"folder": folder, "parameters": False}))
 
     def action_export(self) -> None:
         """Ask for format and file, then write the calibrated arms."""
@@ -166,8 +144,7 @@ class CalibrateScreen(DayScreen):
         if isinstance(result, ExportResult) and self.app.screen is self:
             from cellapp.cell.exports.formats import export_lines
 
-            lines = export_lines(result)
-            self.app.push_screen(Reading("\n".join(["# Exported", "", "```text", *lines, "```"])))
+            self.app.push_screen(reading_of("Exported", export_lines(result)))
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 

@@ -50,7 +50,6 @@ class CellScreen(DayScreen):
         bind("open", "open", "Open profile", "open a profile by its path"),
         bind("edit", "edit", "Edit profile", "change the profile in $EDITOR, then check it again"),
         bind("import", "own_readings", "Own readings", "calibrate readings that were recorded elsewhere", show=False),
-        bind("plots", "map", "Map", "where bases, tracker and stops are"),
         bind("tab", "next_tab", "Next tab", "show the next of the tabs"),
         bind("add", "write", "New profile", "write a profile that explains its keys, and edit it"),
     ]
@@ -84,7 +83,6 @@ class CellScreen(DayScreen):
                         yield CellMap("above", id="cell-map")
                     yield TabPane("Runs", id="tab-runs")
                 yield Static("", id="cell-detail", markup=False)
-            yield CellMap("above", id="cell-side-map")
 
     def on_mount(self) -> None:
         """List the profiles and open the first one."""
@@ -171,11 +169,6 @@ class CellScreen(DayScreen):
         """List all runs."""
         self.query_one("#cell-tabs", TabbedContent).active = "tab-runs"
 
-    def leave_field(self) -> None:
-        """Leave the field that filters the runs."""
-        if self._runs is not None:
-            self._runs.enter_list()
-
     @property
     def _runs(self) -> RunsList | None:
         """The list of runs while it is shown."""
@@ -193,10 +186,6 @@ class CellScreen(DayScreen):
 
             event.pane.mount(RunsList())
 
-    def action_map(self) -> None:
-        """Show the map."""
-        self.query_one("#cell-tabs", TabbedContent).active = "tab-map"
-
     # -- doctor and devices --------------------------------------------------------------------------------------------
 
     def action_doctor(self) -> None:
@@ -209,12 +198,8 @@ class CellScreen(DayScreen):
         self.start(verbs.verb_job(DOCTOR, DoctorRequest(profile=path)))
 
     def show_result(self, result: Result) -> None:
-        """Draw the doctor's findings, or open the report of a run."""
+        """Draw the doctor's findings."""
         from cellapp.commands.doctor.result import DoctorResult
-        from cellapp.commands.run_results import ReportResult
-
-        if isinstance(result, ReportResult) and self._runs is not None:
-            self._runs.open_page(Path(result.page))
 
         if isinstance(result, DoctorResult):
             self._doctor, self._doctor_path, self._doctor_at = result, self._asked_path, datetime.now()

@@ -25,7 +25,6 @@ from cellapp.commands.collect.charts import (
     drift_chart,
     live_drift_chart,
     live_residual_chart,
-    live_sweep_chart,
     standard_error_chart,
     stored_residual_chart,
     sweep_chart,
@@ -51,8 +50,8 @@ from cellapp.interfaces.tui.terminal import since_words
 from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
 from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
-from cellapp.interfaces.tui.widgets.log_pane import LogPane, as_text
-from cellapp.interfaces.tui.widgets.parts_view import Copied, Copy, PartsView
+from cellapp.interfaces.tui.widgets.log_pane import LogPane
+from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
@@ -142,7 +141,7 @@ _PLOTTING_S = 0.2
 """Interval between the drawings of two plots: a stop takes seconds, and a plot on a large screen about 10 ms."""
 
 
-class CollectScreen(DayScreen, Copied):
+class CollectScreen(DayScreen):
     """Drive and measure; watch it; resume it."""
 
     STEP: ClassVar[Step] = "collect"
@@ -154,10 +153,6 @@ class CollectScreen(DayScreen, Copied):
         bind("again", "measure_again", "Measure again", "visit the marked stops again: THE ARMS MOVE", show=False),
         bind("plots", "view('plots')", "Plots", "show the plots; again: the next one"),
         bind("tab", "next_tab", "Next tab", "from the log to the plots, the stops, the tables"),
-        bind("search", "search", "Search", "show only lines of the log with a text"),
-        bind("save", "save", "Save log", "save the lines that are shown", show=False),
-        bind("copy", "copy", "Copy log", "copy the lines that are shown", show=False),
-        bind("open", "other_log", "Other log", "log of this session, or the stored one", show=False),
         bind("after", "step(1)", "Next stop", "go to the next stop of the list", show=False),
         bind("before", "step(-1)", "Stop before", "go to the stop before", show=False),
         *(bind(level, f"least('{level}')", f"Log: {level}", KEYS[level].meaning, show=False) for level in LEVELS),
@@ -272,15 +267,6 @@ class CollectScreen(DayScreen, Copied):
         shown = next(view for view in _VIEWS if self.has_class(view))
         self.action_view(_VIEWS[(_VIEWS.index(shown) + 1) % len(_VIEWS)])
 
-    def action_search(self) -> None:
-        """Show only log lines that contain a text."""
-        self.action_view("log")
-        self.query_one(LogPane).ask()
-
-    def leave_field(self) -> None:
-        """Close the input field of the log."""
-        self.query_one(LogPane).leave()
-
     def action_step(self, step: int) -> None:
         """Go to another stop of the list."""
         self.query_one(CollectedStops).step(step)
@@ -289,22 +275,7 @@ class CollectScreen(DayScreen, Copied):
         """Show a level of the log and the more important ones."""
         self.query_one(LogPane).show_from(level_of(level))
 
-    def as_copy(self) -> Copy:
-        """Return the shown lines of the log."""
-        rows = self.query_one(LogPane).shown
-        return Copy(counted(len(rows), "line"), as_text(rows), (self.workspace.folder or Path()) / "log.txt")
-
     # -- the stored log ------------------------------------------------------------------------------------------------
-
-    def action_other_log(self) -> None:
-        """Switch between the log of this session and the stored one."""
-        pane, folder = self.query_one(LogPane), self.workspace.folder
-        if not pane.shows_session:
-            pane.show_session(self.cell_app.record)
-        elif folder is None:
-            self.say(self.state.no_run, "warning")
-        else:
-            self._read_log(folder)
 
     @work(thread=True, exclusive=True, group="stored log")
     def _read_log(self, folder: Path) -> None:
@@ -421,12 +392,11 @@ class CollectScreen(DayScreen, Copied):
             return
         chosen = self.query_one(CollectedStops).chosen
         stops = (record.name, sum(map(len, record.stops.values())), len(record.references), self.workspace, chosen)
-        states = dict.fromkeys(_PLOTS, stops) | {"sweep": (*stops, record.sweep, record.state is None)}
         oldest_first = (*(name for name in _PLOTS if name not in self._plotted), *self._plotted)
-        for name in (name for name in oldest_first if self._plotted.get(name) != states[name]):
+        for name in (name for name in oldest_first if self._plotted.get(name) != stops):
             self.query_one(f"#{name}", ChartPlot).chart = self._chart(name, record)
             self._plotted.pop(name, None)
-            self._plotted[name] = states[name]  # now the newest
+            self._plotted[name] = stops  # now the newest
             if record.state is not None:
                 self._plot_waits = True
                 self.set_timer(_PLOTTING_S, partial(self._draw_next_plot, record))
@@ -441,11 +411,6 @@ class CollectScreen(DayScreen, Copied):
         """Mark the stop under the cursor in the plot of the residuals."""
         self.show_job(self.cell_app.record)
 
-    @on(ChartPlot.PointClicked, "#residuals")
-    def choose_clicked(self, event: ChartPlot.PointClicked) -> None:
-        """Move the cursor of the stops to the clicked residual."""
-        self.query_one(CollectedStops).choose_near(round(event.x) - 1, event.y)
-
     def _draw_next_plot(self, record: JobRecord) -> None:
         self._plot_waits = False
         self._draw_plots(record)
@@ -454,8 +419,6 @@ class CollectScreen(DayScreen, Copied):
         """Return a chart of the job, or of the stored data if the job has no stop or no reference."""
         collection = self.workspace.collection
         if name == "sweep":
-            if record.sweep is not None and (record.state is not None or collection is None):
-                return live_sweep_chart(record.sweep, record.sweep_trace)
             return sweep_chart(None if collection is None else collection.sweep)
         if name == "drift":
             if record.references or collection is None:

@@ -26,10 +26,8 @@ from cellapp.interfaces.tui.offers import BEGIN, arms_words, offer_again
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.widgets.tables import show_next_of
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
-_PLOTS = ("gap", "pictures")
 _EMPTY = f"Nothing was searched yet: {SHOWN['go']} searches for missing effects."
 _NO_PROPOSAL = f"No stops are proposed. {SHOWN['add']} proposes stops that best settle what these data leave open."
 _PROPOSED = 20
@@ -44,7 +42,6 @@ class DiscoverScreen(DayScreen):
         bind("go", "begin", "Discover", "search for missing effects; nothing moves"),
         bind("add", "propose", "Propose stops", "plan further stops that settle what is open; nothing moves"),
         bind("measure", "collect", "Collect them", "measure the proposed stops: THE ARMS MOVE"),
-        bind("plots", "plots", "Plots", "show the plots; again: the next one"),
         bind("tab", "next_tab", "Next tab"),
     ]
 
@@ -91,10 +88,6 @@ class DiscoverScreen(DayScreen):
             self.cell_app.action_show("collect")
 
         self.ask(Choice("Collect?", text, BEGIN), begin)
-
-    def action_plots(self) -> None:
-        """Show a tab with plots; if one is shown, the next."""
-        show_next_of(self.query_one("#discovery", TabbedContent), _PLOTS)
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 

@@ -1,7 +1,4 @@
-"""The screen Plan: constraints of the plan, its stops, its duration, what it can show, whether it is safe.
-
-Keys of the screen Plan that change a plan: freeze, add, design again, write and read a table.
-"""
+"""The screen Plan: constraints of the plan, its stops, its duration, what it can show, whether it is safe."""
 
 from __future__ import annotations
 
@@ -12,24 +9,20 @@ from rich.text import Text
 from textual import on, work
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.containers import Horizontal, Vertical
 from textual.widgets import DataTable, Static, TabbedContent, TabPane
 
 from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.export.request import VERB as EXPORT
-from cellapp.commands.export.request import ExportRequest
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.ground.counting import counted
-from cellapp.ground.outputs import RENEWED
 from cellapp.interfaces.tui import work as verbs
-from cellapp.interfaces.tui.dialogs.file_picker import FilePicker, SaveAs
-from cellapp.interfaces.tui.dialogs.question import Answer, Choice
-from cellapp.interfaces.tui.dialogs.verb_question import NewRunQuestion, VerbQuestion
+from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind
+from cellapp.interfaces.tui.offers import BEGIN
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
-from cellapp.interfaces.tui.widgets.tables import CellMap, StopsTable, explain_tabs, show_next_of
+from cellapp.interfaces.tui.widgets.tables import CellMap, StopsTable, explain_tabs
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
 if TYPE_CHECKING:
@@ -43,121 +36,24 @@ if TYPE_CHECKING:
 NO_PLAN = f"This run has no plan: its readings were imported. {SHOWN['go']} plans a new run."
 _PLAN_FILE = "plan.csv"
 """Default file name of a plan as a table."""
-_FURTHER = 50
-"""Default number of stops that are appended."""
-_TAKE = (Answer("take", "Take", "t", "success"), Answer("no", "Close", "c"))
-
-
-class PlanEdits(DayScreen):
-    """A screen with the stops of the open run's plan; subclasses show them."""
-
-    def planned_folder(self) -> Path | None:
-        """Return the folder of the open run if it has a plan; else say why not and return None."""
-        folder = self.open_folder()
-        if folder is not None and not self.state.planned:
-            self.say(NO_PLAN, "warning")
-            return None
-        return folder
-
-    def action_freeze(self) -> None:
-        """Exclude the marked stops from later designs; without marks, none."""
-        if folder := self.planned_folder():
-            marked = ",".join(map(str, sorted(self.query_one(StopsTable).marked)))
-            self.start(verbs.job_of(PLAN, folder=folder, edit=True, freeze=marked or "none"))
-
-    def action_add(self) -> None:
-        """Ask how many stops to append."""
-        if folder := self.planned_folder():
-            text = "They tell most beside those that are planned or measured already. Nothing moves."
-            self.ask_verb(VerbQuestion(PLAN, text, _TAKE, {"folder": folder, "edit": True}, proposed={"add": _FURTHER}))
-
-    def action_replan(self) -> None:
-        """Ask, then design the unmeasured stops again."""
-        folder = self.planned_folder()
-        if folder is None:
-            return
-        text = (
-            "Stops that are measured, proposed by discovery or frozen stay, as far as they could be reached; all others"
-            " of this run are replaced. Nothing moves."
-        )
-        answers = (Answer("no", "Leave the plan", "l"), Answer("replan", "Design again", "d", "warning"))
-        job = verbs.job_of(PLAN, folder=folder, edit=True, replan=True)
-        self.ask(Choice("Design the rest again?", text, answers), lambda: self.start(job))
-
-    def action_write(self) -> None:
-        """Ask where to write the plan."""
-        folder = self.planned_folder()
-        if folder is None:
-            return
-
-        def begin(path: Path | None) -> None:
-            if path is not None:
-                self.start(verbs.verb_job(EXPORT, ExportRequest(folder=folder, plan=path), RENEWED))
-
-        self.app.push_screen(SaveAs("the plan", None, folder / _PLAN_FILE), begin)
-
-    def action_read(self) -> None:
-        """Ask for an edited plan, and check it."""
-        profile = self.workspace.profile_path
-        if self.workspace.file_profile is None or profile is None:
-            self.say(self.state.no_profile, "warning")
-            return
-
-        def begin(path: Path | None) -> None:
-            if path is not None:
-                self.start(verbs.job_of(PLAN, profile=profile, source=path))
-
-        start = self.workspace.folder or Path()
-        self.app.push_screen(FilePicker("A plan as CSV", start, lambda path: path.suffix == ".csv"), begin)
-
-    def offer_file(self, file: Path) -> None:
-        """Ask what to do with a plan that is safe."""
-        profile, path = self.workspace.file_profile, self.workspace.profile_path
-        if profile is None or path is None:
-            return
-
-        def into(around: bool) -> None:
-            def begin(folder: Path | None) -> None:
-                if folder is not None:
-                    self.start(verbs.job_of(PLAN, profile=path, folder=folder, source=file, keep=around))
-
-            how = "with other stops designed around these" if around else "exactly as it is written"
-            self.app.push_screen(
-                NewRunQuestion(f"The plan of {file}, {how}. Nothing moves.", new_folder(profile)), begin
-            )
-
-        def answered(answer: str | None) -> None:
-            if answer in ("from", "keep"):
-                into(answer == "keep")
-
-        answers = (
-            Answer("look", "Only look", "l"),
-            Answer("from", "New run with it", "n"),
-            Answer("keep", "New run around it", "a"),
-        )
-        self.app.push_screen(Choice("This plan is safe", f"{file} holds at every stop and way.", answers), answered)
-
-
-_PLOTS = ("tab-design", "tab-above", "tab-tracker")
+_NEW = {"profile": None, "sweeps": None, "source": None, "keep": False}
+_EDITS = {"edit": False, "add": None, "replan": False, "freeze": None}
+"""Fields of requests for a new plan, and for a changed one."""
+_OTHER_EXPORTS = dict.fromkeys(("csv", "joints", "points", "form", "out", "arm", "stage"))
 _NO_CHECK = f"{SHOWN['check']} checks the plan again."
 _NO_FORECAST = f"Not foreseen yet: {SHOWN['forecast']} computes time, expected errors and visible effects."
 
 
-class PlanScreen(PlanEdits):
+class PlanScreen(DayScreen):
     """Plan a run, look at its plan, check it, forecast its results."""
 
     STEP: ClassVar[Step] = "plan"
     BINDINGS: ClassVar[list[BindingType]] = [
-        bind("go", "plan", "New plan", "make a new run with a plan"),
+        bind("go", "plan", "New plan", "make a new run with a plan, designed or read from a table"),
         bind("check", "check", "Check", "run the motion check over all stops and ways again; nothing moves"),
         bind("forecast", "forecast", "Forecast", "time, joint ranges, expected errors, effects that can be seen"),
-        bind("mark", "mark", "Mark", "mark the selected stop"),
-        bind("freeze", "freeze", "Freeze", "let later designs leave the marked stops"),
-        bind("add", "add", "Add", "append stops to the open run's plan"),
-        bind("again", "replan", "Replan", "design what is not measured again"),
+        bind("add", "change", "Change", "append stops, freeze some, or design the rest again"),
         bind("export", "write", "Write", "write the plan as a table that can be edited"),
-        bind("open", "read", "Read", "check a plan that was edited, and use it"),
-        bind("plots", "plots", "Plots", "the design as charts; again: the maps", show=False),
         bind("tab", "next_tab", "Next tab", "show the next of the tabs"),
     ]
 
@@ -171,30 +67,25 @@ class PlanScreen(PlanEdits):
         self._file_check: PlanCheckResult | None = None
 
     def body(self) -> ComposeResult:
-        with Horizontal():
-            with Vertical(id="plan-middle"):
-                yield Static("", id="plan-state", markup=False)
-                yield Static("", id="plan-safety", markup=False)
-                yield Static("", id="plan-time", markup=False)
-                with TabbedContent(id="plan-tabs", initial="tab-constraints"):
-                    with TabPane("Limits", id="tab-constraints"):
-                        yield PartsView(id="constraints")
-                    with TabPane("Design", id="tab-design"):
-                        yield PartsView(id="plan-design")
-                    with TabPane("Stops", id="tab-stops"):
-                        yield StopsTable(id="stops")
-                    with TabPane("Forecast", id="tab-forecast"):
-                        yield PartsView(_NO_FORECAST, id="forecast")
-                    with TabPane("Check", id="tab-check"):
-                        yield PartsView(_NO_CHECK, id="refusals")
-                    with TabPane("Above", id="tab-above"):
-                        yield CellMap("above", id="plan-above")
-                    with TabPane("Tracker", id="tab-tracker"):
-                        yield CellMap("tracker", id="plan-tracker")
-                yield Static("", id="plan-detail", markup=False)
-            with Vertical(id="plan-side"):
-                yield CellMap("above", id="side-above")
-                yield CellMap("tracker", id="side-tracker")
+        yield Static("", id="plan-state", markup=False)
+        yield Static("", id="plan-safety", markup=False)
+        yield Static("", id="plan-time", markup=False)
+        with TabbedContent(id="plan-tabs", initial="tab-constraints"):
+            with TabPane("Limits", id="tab-constraints"):
+                yield PartsView(id="constraints")
+            with TabPane("Design", id="tab-design"):
+                yield PartsView(id="plan-design")
+            with TabPane("Stops", id="tab-stops"):
+                yield StopsTable(id="stops")
+            with TabPane("Forecast", id="tab-forecast"):
+                yield PartsView(_NO_FORECAST, id="forecast")
+            with TabPane("Check", id="tab-check"):
+                yield PartsView(_NO_CHECK, id="refusals")
+            with TabPane("Above", id="tab-above"):
+                yield CellMap("above", id="plan-above")
+            with TabPane("Tracker", id="tab-tracker"):
+                yield CellMap("tracker", id="plan-tracker")
+        yield Static("", id="plan-detail", markup=False)
 
     def on_mount(self) -> None:
         """Explain the tabs."""
@@ -202,26 +93,42 @@ class PlanScreen(PlanEdits):
 
     # -- actions -------------------------------------------------------------------------------------------------------
 
+    def planned_folder(self) -> Path | None:
+        """Return the folder of the open run if it has a plan; else say why not and return None."""
+        folder = self.open_folder()
+        if folder is not None and not self.state.planned:
+            self.say(NO_PLAN, "warning")
+            return None
+        return folder
+
     def action_plan(self) -> None:
-        """Ask for the folder, then create a new run."""
+        """Ask for the folder, and for a table to read; then create a new run, or without a folder check the table."""
         profile, path = self.workspace.file_profile, self.workspace.profile_path
         if profile is None or path is None:
             self.say(self.state.no_profile, "warning")
             return
-        if self.cell_app.jobs.running:
-            self.say("A job is running; plan when it has ended.", "warning")
-            return
         reserve = f" and {profile.plan.reserve} in reserve" if profile.plan.reserve else ""
         text = (
-            f"{counted(profile.plan.stops, 'stop')}{reserve} of the cell '{profile.name}', read from {path}."
-            " Nothing moves."
+            f"{counted(profile.plan.stops, 'stop')}{reserve} of the cell '{profile.name}', read from {path}; or"
+            " those of a table. Nothing moves."
         )
+        given, proposed = {"profile": path, **_EDITS}, {"folder": new_folder(profile)}
+        self.ask_verb(VerbQuestion(PLAN, text, BEGIN, given, proposed=proposed))
 
-        def begin(folder: Path | None) -> None:
-            if folder is not None:
-                self.start(verbs.job_of(PLAN, profile=path, folder=folder))
+    def action_change(self) -> None:
+        """Ask what to change, then change the open run's plan."""
+        if folder := self.planned_folder():
+            text = (
+                "Further stops tell most beside those that are there. Designed again are all that are not measured,"
+                " proposed by discovery or frozen. One of these at a time; nothing moves."
+            )
+            self.ask_verb(VerbQuestion(PLAN, text, BEGIN, {"folder": folder, **_NEW, "edit": True}))
 
-        self.app.push_screen(NewRunQuestion(text, new_folder(profile)), begin)
+    def action_write(self) -> None:
+        """Ask where to write the plan."""
+        if folder := self.planned_folder():
+            given, proposed = {"folder": folder, **_OTHER_EXPORTS}, {"plan": folder / _PLAN_FILE}
+            self.ask_verb(VerbQuestion(EXPORT, "The plan as a table.", BEGIN, given, proposed=proposed))
 
     def action_check(self) -> None:
         """Check the plan of the open run."""
@@ -232,20 +139,6 @@ class PlanScreen(PlanEdits):
         """Forecast the results of the open run's plan."""
         if folder := self.planned_folder():
             self.start(verbs.forecast_plan(folder))
-
-    def action_mark(self) -> None:
-        """Mark the selected stop."""
-        self.query_one(StopsTable).mark()
-
-    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
-        """Enable marking only where stops are listed."""
-        if action not in ("mark", "freeze"):
-            return True
-        return any(tabs.active == "tab-stops" for tabs in self.query("#plan-tabs").results(TabbedContent))
-
-    def action_plots(self) -> None:
-        """Show the design, then the maps."""
-        show_next_of(self.query_one("#plan-tabs", TabbedContent), _PLOTS)
 
     def tab_shown(self, tabs: TabbedContent) -> None:
         """Focus the stops or the tables of the tab."""
@@ -264,8 +157,6 @@ class PlanScreen(PlanEdits):
             self._file_check = result
             tabs.active = "tab-check"
             self._draw_results()
-            if result.is_safe:
-                self.offer_file(Path(result.file))
             return
         if isinstance(result, PlanCheckResult | PlanForecastResult) and Path(result.run) != self._folder:
             return  # another run was opened meanwhile

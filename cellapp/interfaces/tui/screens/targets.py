@@ -44,10 +44,10 @@ from cellapp.ground.profile import Profile
 from cellapp.ground.results import Result
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.dialogs.question import Choice, Reading
+from cellapp.interfaces.tui.dialogs.question import Choice, reading_of
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, WRITE, arms_words, ask_of_calibrated
+from cellapp.interfaces.tui.offers import BEGIN, READING_WIDTH, USE_STALE, WRITE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.widgets.parts_view import PartsView, words_first
@@ -110,7 +110,6 @@ class TargetsScreen(DayScreen):
         bind("export", "correct", "Program", "correct the targets of a UR program; nothing moves"),
         bind("locate", "locate", "Locate", "measure where the moved tracker stands: THE ARMS MOVE"),
         bind("filter", "attention", "Attention", "only targets that need attention, or all", show=False),
-        bind("plots", "plots", "Plots", "show what was measured", show=False),
         bind("tab", "next_tab", "Next tab"),
     ]
 
@@ -266,24 +265,19 @@ class TargetsScreen(DayScreen):
         """Show the tracker's pose, or the targets of a corrected program, and why some were not corrected."""
         if isinstance(result, LocateResult) and self.app.screen is self:
             from cellapp.commands.check.view import location_sentences, location_tables
-            from cellapp.commands.view.table import markdown
+            from cellapp.interfaces.render.terminal import plain_text
 
-            said = "\n".join(f"- {line}" for line in location_sentences(result))
-            self.app.push_screen(Reading(f"{said}\n\n{markdown(location_tables(result), ())}"))
+            text = plain_text((*location_sentences(result), *location_tables(result)), READING_WIDTH)
+            self.app.push_screen(reading_of("Tracker", [text]))
         if isinstance(result, CorrectResult) and self.app.screen is self:
             from cellapp.cell.programs.solving import correct_lines
 
             self._corrected = result
             self._draw_results()
             self._show_tab("results")
-            lines = correct_lines(result)
-            self.app.push_screen(Reading("\n".join(["# Program", "", "```text", *lines, "```"])))
+            self.app.push_screen(reading_of("Program", correct_lines(result)))
 
     # -- tabs ----------------------------------------------------------------------------------------------------------
-
-    def action_plots(self) -> None:
-        """Show what was measured."""
-        self._show_tab("results")
 
     def _show_tab(self, name: str) -> None:
         tabs = self.query_one("#targets", TabbedContent)

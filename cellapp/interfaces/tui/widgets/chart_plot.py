@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING
 
 from rich.segment import Segment
 from rich.style import Style
-from textual.events import Click
-from textual.message import Message
 from textual.reactive import reactive
 from textual.strip import Strip
 from textual.widget import Widget
@@ -23,18 +21,6 @@ blindness; on light backgrounds darkened to a contrast of 3 to 1."""
 
 class ChartPlot(Widget):
     """A chart with its title, key and message. Set ``chart`` to draw another one; None is blank."""
-
-    class PointClicked(Message):
-        """The point nearest to a click, in the units of the axes."""
-
-        def __init__(self, plot: ChartPlot, x: float, y: float) -> None:
-            super().__init__()
-            self.plot, self.x, self.y = plot, x, y
-
-        @property
-        def control(self) -> ChartPlot:
-            """The plot, for selectors."""
-            return self.plot
 
     chart: reactive[Chart | None] = reactive(None)
 
@@ -63,17 +49,6 @@ class ChartPlot(Widget):
             Strip([Segment(text, styles[ink]) for text, ink in line]).adjust_cell_length(width, self.rich_style)
             for line in lines
         ]
-
-    def on_click(self, event: Click) -> None:
-        """Post the point that was clicked."""
-        at = event.get_content_offset(self)
-        if at is None or self.chart is None:
-            return
-        from cellapp.interfaces.tui.plots import point_at
-
-        point = point_at(self.chart, *self.content_size, at.x, at.y)
-        if point is not None:
-            self.post_message(self.PointClicked(self, *point))
 
     def _style(self, ink: int) -> Style:
         """Return the style of an ink on the current background."""

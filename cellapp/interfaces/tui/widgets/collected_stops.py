@@ -1,8 +1,7 @@
-"""List of the stops of a collection: sorted, filtered, with a cursor that the plot of the residuals follows."""
+"""List of the stops of a collection: filtered, with a cursor that the plot of the residuals follows."""
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import ClassVar, Literal
 
 from rich.text import Text
@@ -16,25 +15,17 @@ from textual.widgets import DataTable, Static
 from cellapp.cell.driving.records import CollectedStop, CollectionResult
 from cellapp.commands.collect.view import residual_range_words, stops_table
 from cellapp.commands.docs.keys import SHOWN
-from cellapp.commands.view.table import Cell, markdown
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.widgets.parts_view import Copied, Copy
 from cellapp.interfaces.tui.widgets.tables import TextTable
 
-_NAMES = ("stop", "arm")
-"""Columns that are sorted in ascending order; the others in descending order."""
 
-
-class CollectedStops(Vertical, Copied):
+class CollectedStops(Vertical):
     """Stops of a run as read from its file; the normal range of residuals is stated above them."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
-        bind("sort", "sort", "Sort", "sort by the next column"),
         bind("filter", "filter", "Only suspicious", "show only stops with a suspicion; again: all"),
         bind("mark", "mark", "Mark", "mark the stop, both arms: {again} measures marked stops again".format_map(SHOWN)),
-        bind("copy", "copy", "Copy", "copy the stops that are shown as Markdown", show=False),
-        bind("save", "save", "Save", "save the stops that are shown as a Markdown file", show=False),
     ]
 
     class Chosen(Message):
@@ -45,7 +36,7 @@ class CollectedStops(Vertical, Copied):
         self._stops: tuple[CollectedStop, ...] = ()
         self._shown: list[CollectedStop] = []
         self._range, self._empty = "", ""
-        self._sorted, self._only_suspicious = "stop", False
+        self._only_suspicious = False
         self._run = ""
         self._marked: dict[int, int] = {}  # stop -> how many of its readings were replaced when it was marked
         self.chosen: CollectedStop | None = None
@@ -55,8 +46,8 @@ class CollectedStops(Vertical, Copied):
         yield TextTable(cursor_type="row", zebra_stripes=True)
 
     def on_mount(self) -> None:
-        """Set the tooltip with its keys."""
-        self.table.tooltip = f"{SHOWN['sort']} sorts by the next column, {SHOWN['filter']} shows only suspicious stops"
+        """Set the tooltip with its key."""
+        self.table.tooltip = f"{SHOWN['filter']} shows only suspicious stops"
 
     @property
     def table(self) -> TextTable:
@@ -92,29 +83,6 @@ class CollectedStops(Vertical, Copied):
         """Move the cursor by some rows; in a plot, to the next or previous point."""
         self.table.move_cursor(row=self.table.cursor_row + by)
 
-    def choose_near(self, stop: int, residual_mm: float) -> None:
-        """Move the cursor to the arm at a stop with the nearest residual; do nothing if none of them is shown."""
-        rows = [row for row, one in enumerate(self._shown) if one.stop == stop and one.residual_mm is not None]
-        if rows:
-            self.table.move_cursor(
-                row=min(rows, key=lambda row: abs((self._shown[row].residual_mm or 0.0) - residual_mm))
-            )
-
-    def action_sort(self) -> None:
-        """Sort by the next column."""
-        titles = [column.title for column in stops_table(()).columns]
-        self._sort(titles[(titles.index(self._sorted) + 1) % len(titles)])
-
-    @on(DataTable.HeaderSelected)
-    def sort_by(self, event: DataTable.HeaderSelected) -> None:
-        """Sort by the column whose heading was clicked."""
-        event.stop()
-        self._sort(str(event.column_key.value))
-
-    def _sort(self, title: str) -> None:
-        self._sorted = title
-        self._draw()
-
     def action_filter(self) -> None:
         """Show only stops with a suspicion, or all again."""
         self._only_suspicious = not self._only_suspicious
@@ -140,29 +108,18 @@ class CollectedStops(Vertical, Copied):
             self._marked[self.chosen.stop] = self._replaced(self.chosen.stop)
         self._draw()
 
-    def as_copy(self) -> Copy:
-        """Return the table as sorted and filtered, as Markdown."""
-        text = markdown((stops_table(self._shown),), (self._range,))
-        return Copy(counted(len(self._shown), "row"), text, Path("stops.md"))
-
     def _draw(self) -> None:
-        """Sort, filter and draw; the cursor stays on its stop if that is still shown."""
-        kept = [one for one in self._stops if one.suspicion or not self._only_suspicious]
-        whole = stops_table(kept)
-        place = next(number for number, column in enumerate(whole.columns) if column.title == self._sorted)
-        downwards = self._sorted not in _NAMES
-        cells = [row[place] for row in whole.rows]
-        order = sorted(range(len(kept)), key=lambda row: _rank(cells[row]), reverse=downwards)
-        self._shown = [kept[row] for row in order]
+        """Filter and draw; the cursor stays on its stop if that is still shown."""
+        self._shown = [one for one in self._stops if one.suspicion or not self._only_suspicious]
+        whole = stops_table(self._shown)
         table, texts, chosen = self.table, whole.text_rows(), self.chosen
         sides: list[Literal["left", "right"]] = ["right" if column.is_number else "left" for column in whole.columns]
         table.clear(columns=True)
         for column, side in zip(whole.columns, sides, strict=True):
-            mark = (" ↓" if downwards else " ↑") if column.title == self._sorted else ""
-            table.add_column(Text(f"{column.heading}{mark}", justify=side), key=column.title)
-        for row in order:
-            name = f"{kept[row].stop} {kept[row].arm}"
-            style = "reverse" if kept[row].stop in self._marked else ""
+            table.add_column(Text(column.heading, justify=side))
+        for row, one in enumerate(self._shown):
+            name = f"{one.stop} {one.arm}"
+            style = "reverse" if one.stop in self._marked else ""
             mark = "* " if style else ""
             cells_of_row = (mark + texts[row][0], *texts[row][1:])
             table.add_row(
@@ -181,10 +138,3 @@ class CollectedStops(Vertical, Copied):
             marked = f"{counted(len(self._marked), 'stop is', 'stops are')} marked: {SHOWN['again']} measures again."
             words = " ".join(filter(None, (self._range, shown, marked if self._marked else "")))
         self.query_one(Static).update(words)
-
-
-def _rank(cell: Cell) -> tuple[bool, float, str]:
-    """Return the sort key of a cell: empty cells come below all others."""
-    if isinstance(cell, int | float):
-        return True, float(cell), ""
-    return bool(cell), 0.0, str(cell or "")

@@ -1,4 +1,4 @@
-"""The log of this session, or one stored in a run: from a level upwards, and only lines that hold a text."""
+"""The log of this session, or one stored in a run: from a level upwards."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ from collections import Counter, deque
 from collections.abc import Iterable
 
 from rich.text import Text
-from textual import on
 from textual.app import ComposeResult
-from textual.binding import Binding
 from textual.containers import Vertical
 from textual.events import Resize
-from textual.widgets import Input, RichLog, Static
+from textual.widgets import RichLog, Static
 
 from cellapp.interfaces.tui.job_record import LEVELS, MOST_LINES, JobRecord, Level, LogRow
 
@@ -21,12 +19,6 @@ MARKS: dict[Level, str] = {"debug": "·", "info": " ", "warning": "!", "error": 
 _STYLES: dict[Level, str] = {"debug": "dim", "info": "", "warning": "bold", "error": "bold reverse"}
 _DRAWN = 1000
 """Most rows that are drawn anew, for another filter or width; older ones are in the run file."""
-
-
-class LogField(Input):
-    """Text to filter by; Enter and, while no job runs, Escape return to the log."""
-
-    BINDINGS = [Binding("escape,up,down", "submit", "Back to the log", show=False)]  # noqa: RUF012 - as Textual's
 
 
 class LogView(RichLog):
@@ -44,12 +36,11 @@ class LogPane(Vertical):
         super().__init__(id=id)
         self.rows: deque[LogRow] = deque(maxlen=MOST_LINES)
         self.least: Level = "info"
-        self._text, self._title, self._width = "", THIS_SESSION, 0
+        self._title, self._width = THIS_SESSION, 0
         self._written: int | None = 0
 
     def compose(self) -> ComposeResult:
         yield Static("", markup=False)
-        yield LogField(id="log-field", compact=True, placeholder="show only lines with this text; Enter: the log")
         view = LogView(max_lines=MOST_LINES, min_width=0, wrap=True)
         view.tooltip = "The log; End follows the newest line."
         yield view
@@ -96,29 +87,6 @@ class LogPane(Vertical):
         self.least = level
         self._draw()
 
-    def ask(self) -> None:
-        """Open the field for the text to filter by."""
-        self.add_class("asking")
-        self.query_one(LogField).focus()
-
-    def leave(self) -> None:
-        """Close the field and focus the log."""
-        self.remove_class("asking")
-        self.view.focus()
-
-    @on(Input.Changed)
-    def take_text(self, event: Input.Changed) -> None:
-        """Filter while typing."""
-        event.stop()
-        self._text = event.value
-        self._draw()
-
-    @on(Input.Submitted)
-    def end_text(self, event: Input.Submitted) -> None:
-        """Return to the log."""
-        event.stop()
-        self.leave()
-
     def on_resize(self, event: Resize) -> None:
         """Wrap to the new width."""
         if event.size.width != self._width:
@@ -126,7 +94,7 @@ class LogPane(Vertical):
             self.call_after_refresh(self._draw)
 
     def _passes(self, row: LogRow) -> bool:
-        return LEVELS.index(row.level) >= LEVELS.index(self.least) and self._text.lower() in row.text.lower()
+        return LEVELS.index(row.level) >= LEVELS.index(self.least)
 
     def _draw(self) -> None:
         follows = self.view.auto_scroll
@@ -143,10 +111,4 @@ class LogPane(Vertical):
             self.view.write(Text(line, _STYLES[row.level]))
         counts = Counter(row.level for row in self.rows)
         words = [f"{counts[level]} {level}" for level in LEVELS[LEVELS.index(self.least) :]]
-        words += [f"with '{self._text}'"] if self._text else []
         self.query_one(Static).update(f"{self._title}: {', '.join(words)}")
-
-
-def as_text(rows: Iterable[LogRow]) -> str:
-    """Return rows as text for copying and saving: date, time, level, text."""
-    return "".join(f"{row.at:%Y-%m-%d %H:%M:%S} {row.level:<7} {' '.join(row.text.split())}\n" for row in rows)

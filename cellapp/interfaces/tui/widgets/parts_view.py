@@ -1,63 +1,19 @@
-"""Sentences, tables and charts of a view below one another: to read, to scroll, to copy, to save.
-
-What can be copied and saved as text: tables, stops, lines of a log.
-"""
+"""Sentences, tables and charts of a view below one another: to read and to scroll."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from pathlib import Path
-from typing import ClassVar
 
-from textual.binding import BindingType
 from textual.containers import ItemGrid, VerticalScroll
 from textual.geometry import Size
 from textual.widget import Widget
 from textual.widgets import Static
 
-from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Facts, Part, Parts, Section, printed
-from cellapp.commands.view.table import Table, markdown
-from cellapp.ground.counting import counted
-from cellapp.interfaces.tui.dialogs.file_picker import SaveAs
-from cellapp.interfaces.tui.keys import bind, with_keys
+from cellapp.commands.view.table import Table
+from cellapp.interfaces.tui.keys import with_keys
 from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
-
-
-@dataclass(frozen=True)
-class Copy:
-    """A text, what it is in words as "3 tables", and the file that is proposed for it."""
-
-    what: str
-    text: str
-    proposed: Path
-
-
-class Copied(Widget):
-    """A widget with a text to copy to the clipboard and to save in a file. Not the first base, whose styles it has."""
-
-    def as_copy(self) -> Copy:
-        """Return what is shown now."""
-        raise NotImplementedError
-
-    def action_copy(self) -> None:
-        """Copy it to the clipboard."""
-        one = self.as_copy()
-        self.app.copy_to_clipboard(one.text)
-        self.notify(f"{one.what} copied")
-
-    def action_save(self) -> None:
-        """Save it in a file."""
-        one = self.as_copy()
-
-        def say(path: Path | None) -> None:
-            if path is not None:
-                self.notify(f"{one.what} saved as {path}")
-
-        self.app.push_screen(SaveAs(one.what, one.text, one.proposed), say)
-
 
 LEAST_COLUMNS = 56
 """Width of a chart: two fit side by side into a terminal of 120 columns."""
@@ -76,7 +32,7 @@ class ScrolledPlot(ChartPlot):
         return bars + _WORDS if bars else _ROWS
 
 
-class PartsView(VerticalScroll, Copied):
+class PartsView(VerticalScroll):
     """Parts of a view in reading order, charts side by side where there is room.
 
     Parameters
@@ -85,17 +41,12 @@ class PartsView(VerticalScroll, Copied):
         Text while there is nothing to show.
     """
 
-    BINDINGS: ClassVar[list[BindingType]] = [
-        bind("copy", "copy", "Copy tables", "copy the tables as Markdown"),
-        bind("save", "save", "Save tables", "save the tables as a Markdown file"),
-    ]
-
     def __init__(self, empty: str = "", *, id: str | None = None) -> None:
         super().__init__(Static(empty, classes="muted", markup=False), id=id)
         self._empty = empty
         self._late: Callable[[], Iterable[Widget]] | None = None
         self._lines: tuple[Part, ...] = ()
-        self.tooltip = f"up, down, Page Up, Page Down scroll; {SHOWN['copy']} copies, {SHOWN['save']} saves"
+        self.tooltip = "up, down, Page Up, Page Down scroll"
 
     def show(self, parts: Parts, before: Iterable[str] = ()) -> None:
         """Replace the content by the parts of a view; ``before`` are marks above them."""
@@ -128,12 +79,6 @@ class PartsView(VerticalScroll, Copied):
         """Draw the content that was given before the widget was attached."""
         if self._late is not None:
             self._put(self._late)
-
-    def as_copy(self) -> Copy:
-        """Return all tables and sentences as Markdown."""
-        tables = [one for one in self._lines if isinstance(one, Table)]
-        text = markdown(tables, [one for one in self._lines if isinstance(one, str)])
-        return Copy(counted(len(tables), "table"), text, Path("tables.md"))
 
 
 def words_first(parts: Parts) -> list[Part]:

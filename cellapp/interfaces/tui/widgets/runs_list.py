@@ -1,15 +1,11 @@
 """Every run in the folder of runs: open it, or its report.
 
 Runs are read in threads, which also load the packages for it.
-
-Opening of a page in a graphical browser, with a sentence about the outcome.
 """
 
 from __future__ import annotations
 
 import os
-import sys
-import webbrowser
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, cast
@@ -17,19 +13,18 @@ from typing import TYPE_CHECKING, ClassVar, cast
 from rich.text import Text
 from textual import on, work
 from textual.app import ComposeResult
-from textual.binding import Binding, BindingType
+from textual.binding import BindingType
 from textual.containers import Vertical, VerticalScroll
-from textual.widgets import DataTable, Input, Static
+from textual.widgets import DataTable, Static
 from textual.worker import get_current_worker
 
-from cellapp.commands.docs.keys import SHOWN
 from cellapp.commands.report.request import VERB as REPORT
 from cellapp.commands.runs.result import RunsResult
-from cellapp.commands.runs.view import contains, run_cells, run_columns, run_lines, runs_sentences
+from cellapp.commands.runs.view import run_cells, run_columns, run_lines, runs_sentences
 from cellapp.ground.errors import CellappError
 from cellapp.interfaces.tui import work as jobs_of_verbs
 from cellapp.interfaces.tui.endings import REPORT_FILE
-from cellapp.interfaces.tui.host import Host, ShowsResults
+from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.widgets.tables import TextTable
 
@@ -37,67 +32,30 @@ if TYPE_CHECKING:
     from cellapp.commands.runs.result import RunSummary
 
 
-def open_page(page: Path) -> str:
-    """Open a file in a browser; without a browser, the sentence says where the file is.
-
-    A text browser is never started: it would draw over this program.
-    """
-    where = page.resolve()
-    if _has_display():
-        try:
-            browser = webbrowser.get()
-            in_terminal = type(browser) is webbrowser.GenericBrowser  # links, lynx, w3m
-            if not in_terminal and browser.open(where.as_uri()):
-                return f"The report opens in a browser: {where}"
-        except (webbrowser.Error, OSError):
-            pass
-    return f"No browser with a window was found here; open {where} in one."
-
-
-def _has_display() -> bool:
-    if os.name != "posix" or sys.platform == "darwin":
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
 _OPEN = "▸"
-_MARKS = "marks"
-"""Key of the column that shows which run is open; the keys of the others are their indices."""
-_BEGAN = 1
-"""Column by which the list is sorted initially."""
 _READING = "reading the folder of runs ..."
 
 
 class RunsList(Vertical):
-    """The runs of the folder, newest first, sorted and filtered; below them more of the one under the cursor."""
+    """The runs of the folder, newest first; below them more of the one under the cursor."""
 
     BINDINGS: ClassVar[list[BindingType]] = [
-        bind("open", "report", "Report", "open the report in a browser"),
-        bind("search", "filter", "Filter", "filter the list while you type"),
-        Binding("escape", "clear_filter", show=False),
-        bind("sort", "sort", "Sort", "sort by the next column"),
+        bind("open", "report", "Report", "say where the report is, or write it"),
         bind("again", "read", "Read again", "read the folder of runs again", show=False),
     ]
 
     def __init__(self) -> None:
         super().__init__()
         self._found = RunsResult(folder="", runs=())
-        self._columns = run_columns("")
-        self._shown: dict[str, RunSummary] = {}
-        self._sorted, self._reverse = _BEGAN, True
 
     def compose(self) -> ComposeResult:
-        yield Input(placeholder="/ to filter: name, cell, effect, ...", id="filter", compact=True)
         yield TextTable(id="runs", cursor_type="row", zebra_stripes=True)
         with VerticalScroll(id="about-run", can_focus=False):
             yield Static(_READING, id="about", markup=False)
 
     def on_mount(self) -> None:
         """Create the columns."""
-        table = self._table
-        table.add_column(" ", key=_MARKS)
-        for place in range(len(self._columns)):
-            table.add_column(self._heading(place), key=str(place))
+        self._table.add_columns(" ", *run_columns(""))
         self.enter_list()
         self.action_read()
 
@@ -112,15 +70,8 @@ class RunsList(Vertical):
     @property
     def _run(self) -> RunSummary | None:
         """The run under the cursor."""
-        table = self._table
-        if not table.row_count:
-            return None
-        return self._shown.get(str(table.ordered_rows[table.cursor_row].key.value))
-
-    def _heading(self, place: int) -> Text:
-        """Return the title of a column, with an arrow if the list is sorted by it."""
-        order = ("▾" if self._reverse else "▴") if place == self._sorted else " "
-        return Text(f"{self._columns[place].title} {order}")
+        runs = self._found.runs
+        return runs[self._table.cursor_row] if self._table.cursor_row < len(runs) else None
 
     # -- reading -------------------------------------------------------------------------------------------------------
 
@@ -145,24 +96,22 @@ class RunsList(Vertical):
         if isinstance(found, str):
             self._host.say(found, "error")
             return
-        self._found, self._columns = found, run_columns(found.folder)
-        self._draw()
+        present = self._run
+        self._found = found
+        self._draw(present)
 
     # -- drawing -------------------------------------------------------------------------------------------------------
 
-    def _draw(self) -> None:
-        """Draw the rows that pass the filter, sorted; the cursor stays on its run."""
-        table, present, wanted = self._table, self._run, self.query_one("#filter", Input).value
-        chosen = [run for run in self._found.runs if contains(run, self._columns, wanted)]
-        chosen.sort(key=self._columns[self._sorted].order, reverse=self._reverse)
-        self._shown = {run.run: run for run in chosen}
+    def _draw(self, present: RunSummary | None) -> None:
+        """Draw the rows; the cursor stays on its run."""
+        table, columns = self._table, run_columns(self._found.folder)
         table.clear()
-        for run in chosen:
-            style = "dim" if run.problem else ""
-            mark = Text(_OPEN if self._is_open(run) else " ")
-            table.add_row(mark, *(Text(cell, style) for cell in run_cells(run, self._columns)), key=run.run)
-        if present is not None and present.run in self._shown:
-            table.move_cursor(row=table.get_row_index(present.run))
+        for run in self._found.runs:
+            cells = (_OPEN if self._is_open(run) else " ", *run_cells(run, columns))
+            table.add_row(*(Text(cell, "dim" if run.problem else "") for cell in cells), key=run.run)
+        names = [run.run for run in self._found.runs]
+        if present is not None and present.run in names:
+            table.move_cursor(row=names.index(present.run))
         self._draw_about()
 
     def _is_open(self, run: RunSummary) -> bool:
@@ -174,8 +123,6 @@ class RunsList(Vertical):
             lines = run_lines(run)
             if run.next_step and not self._is_open(run):
                 lines[-1] = lines[-1].replace(run.next_step, f"Enter, then {run.next_step}")
-        elif self._found.runs:
-            lines = [f"none of {len(self._found.runs)} runs passes the filter; {SHOWN['search']} changes it"]
         else:
             lines = runs_sentences(self._found)
         self.query_one("#about", Static).update(with_keys("\n".join(lines)))
@@ -186,46 +133,9 @@ class RunsList(Vertical):
         event.stop()
         self._draw_about()
 
-    # -- sort and filter -----------------------------------------------------------------------------------------------
-
-    def action_filter(self) -> None:
-        """Focus the filter field."""
-        self.query_one("#filter").focus()
-
-    @on(Input.Changed, "#filter")
-    def filter_rows(self) -> None:
-        """Filter while a person types."""
-        self._draw()
-
-    @on(Input.Submitted, "#filter")
     def enter_list(self) -> None:
-        """Go to the list; the typed text stays."""
+        """Let the keys go through the list."""
         self._table.focus()
-
-    def action_clear_filter(self) -> None:
-        """Show all runs again; Escape does so while no job runs."""
-        self.query_one("#filter", Input).clear()
-        self._table.focus()
-
-    def action_sort(self) -> None:
-        """Sort by the next column."""
-        self._sort((self._sorted + 1) % len(self._columns), again=False)
-
-    @on(DataTable.HeaderSelected)
-    def sort_by(self, event: DataTable.HeaderSelected) -> None:
-        """Sort by the column whose heading was clicked; a second click reverses the order."""
-        if event.column_key.value != _MARKS:
-            self._sort(int(event.column_key.value or 0), again=True)
-
-    def _sort(self, place: int, *, again: bool) -> None:
-        turned = again and place == self._sorted
-        self._reverse = not self._reverse if turned else self._columns[place].newest_first
-        self._sorted = place
-        for column in self._table.ordered_columns:
-            if column.key.value != _MARKS:
-                column.label = self._heading(int(column.key.value or 0))
-        self._draw()
-        self._host.say(f"Sorted by {self._columns[place].title}{', largest first' if self._reverse else ''}.")
 
     # -- what can be done with a run -----------------------------------------------------------------------------------
 
@@ -236,29 +146,18 @@ class RunsList(Vertical):
         self._with_run(lambda run: host.open_run(Path(run.run), host.workspace.profile_path))
 
     def action_report(self) -> None:
-        """Open the report; write it first if there is none."""
+        """Say where the report is; write it if there is none."""
 
         def report(run: RunSummary) -> None:
             page = Path(run.run) / REPORT_FILE
             if page.is_file():
-                self.open_page(page)
+                self._host.say(f"The report is {page.resolve()}: open it in a browser.")
             elif any(stage.name == "calibrate" for stage in run.stages):
-                if self._host.start_job(jobs_of_verbs.job_of(REPORT, folder=Path(run.run))):
-                    self._host.asked_by = cast(ShowsResults, self.screen)
+                self._host.start_job(jobs_of_verbs.job_of(REPORT, folder=Path(run.run)))
             else:
                 self._host.say(f"{run.run} is not calibrated; there is nothing to report yet.", "warning")
 
         self._with_run(report)
-
-    @work(thread=True, group="report in a browser")
-    def open_page(self, page: Path) -> None:
-        """Open a page in a browser."""
-        self.call_later(self._say_opened, open_page(page))
-
-    def _say_opened(self, sentence: str) -> None:
-        """Show the sentence twice: the message line may get news of the job that wrote the page."""
-        self._host.say(sentence)
-        self.notify(sentence)
 
     def _with_run(self, act: Callable[[RunSummary], None]) -> None:
         """Call ``act`` with the run under the cursor if it can be read."""

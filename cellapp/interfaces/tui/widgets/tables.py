@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Literal
 
 from rich.text import Text
 from textual import work
-from textual.coordinate import Coordinate
 from textual.widgets import DataTable, TabbedContent, Tabs
 from textual.worker import get_current_worker
 
@@ -49,11 +48,6 @@ class TextTable(DataTable[Text]):
 
 
 # -- Functions for screens with tabs ----------------------------------------------------------------------------------
-
-
-def show_next_of(tabs: TabbedContent, some: Sequence[str]) -> None:
-    """Show the next one of some tabs; if another tab is shown, the first of them."""
-    tabs.active = some[(some.index(tabs.active) + 1) % len(some)] if tabs.active in some else some[0]
 
 
 def explain_tabs(tabs: TabbedContent) -> None:
@@ -119,25 +113,22 @@ def _mark(status: str) -> Text:
 
 
 class StopsTable(TextTable):
-    """The stops in their order, with the person's marks; initially the frozen stops are marked."""
+    """The stops in their order."""
 
     def __init__(self, *, id: str) -> None:
         super().__init__(id=id, cursor_type="row")
-        self.tooltip = "Space marks the selected stop"
         self._stops: Sequence[PlannedStop] = ()
         self._ways: PlannedStops | None = None
-        self.marked: set[int] = set()
 
     def on_mount(self) -> None:
         """Create the columns."""
-        self.add_columns("stop", "marked", "frozen", "state", "part", "how")
+        self.add_columns("stop", "frozen", "state", "part", "how")
 
     def show(self, stops: Sequence[PlannedStop], ways: PlannedStops | None) -> None:
-        """Draw the stops of a plan, unless they are already shown; marks that were not stored are lost."""
+        """Draw the stops of a plan, unless they are already shown."""
         if stops is self._stops or (stops == self._stops and _same_ways(ways, self._ways)):
             return
         self._stops, self._ways = stops, ways
-        self.marked = set() if ways is None else {stop for stop, frozen in enumerate(ways.frozen) if frozen}
         rows = [_stop_row(stop, ways) for stop in stops]
         texts = [text for _, text in rows]
         if texts != self.texts:  # the cursor stays if nothing changed
@@ -145,15 +136,6 @@ class StopsTable(TextTable):
             self.clear()
             for cells, _ in rows:
                 self.add_row(*map(Text, cells))
-
-    def mark(self) -> None:
-        """Mark or unmark the selected stop, then go to the next one."""
-        if self.cursor_row >= len(self._stops):
-            return
-        stop = self._stops[self.cursor_row].configuration
-        self.marked ^= {stop}
-        self.update_cell_at(Coordinate(self.cursor_row, 1), Text("●" if stop in self.marked else ""))
-        self.action_cursor_down()
 
 
 def _same_ways(one: PlannedStops | None, other: PlannedStops | None) -> bool:
@@ -172,15 +154,8 @@ def _stop_row(stop: PlannedStop, ways: PlannedStops | None) -> tuple[tuple[str, 
         f"arm {name} " + ", ".join(f"{math.degrees(angle):z.0f}" for angle in q) + " deg" for name, q in stop.q.items()
     )
     if ways is None:
-        return (str(number), "", "", state, "", ""), f"Stop {number}: {joints}."
+        return (str(number), "", state, "", ""), f"Stop {number}: {joints}."
     frozen, how = bool(ways.frozen[stop.configuration]), stop_words(ways, stop.configuration)
-    cells = (
-        str(number),
-        "●" if frozen else "",
-        "yes" if frozen else "",
-        state,
-        str(ways.block[stop.configuration] + 1),
-        how,
-    )
+    cells = (str(number), "yes" if frozen else "", state, str(ways.block[stop.configuration] + 1), how)
     words = f"{how}; frozen: a new design leaves it" if frozen else how
     return cells, f"Stop {number}: {joints}. {words[:1].upper()}{words[1:]}."
