@@ -177,6 +177,8 @@ _MOST_EVENTS = 100
 """Newest events of the run's log that the report shows; the run file has all of them."""
 _OPEN = frozenset({"accuracy", "targets", "iso9283", "check", "discovery"})
 """Sections open at first: what was reached and found. The others say how, and on what basis."""
+_ON_RECORD = frozenset({"parameters", "controllers", "notes", "provenance"})
+"""Sections that paper shows, too."""
 
 
 def report_sections(run: RunFile, data: ReportData) -> list[Section]:
@@ -192,7 +194,8 @@ def placed(made: Mapping[str, Section | None], out_of_date: Mapping[StageName, s
         if section is not None:
             reasons = "; ".join(dict.fromkeys(out_of_date[stage] for stage in stages if stage in out_of_date))
             folded = key not in _OPEN and not reasons
-            found.append(replace(section, title=title, key=key, outdated=reasons, folded=folded))
+            kept = key in _ON_RECORD
+            found.append(replace(section, title=title, key=key, outdated=reasons, folded=folded, on_record=kept))
     return found
 
 
