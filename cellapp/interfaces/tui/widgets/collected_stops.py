@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -22,6 +24,8 @@ from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.widgets.parts_view import Copied, Copy
 from cellapp.interfaces.tui.widgets.tables import TextTable
 
+_AT_ONCE, _SOON_S = 80, 0.02
+"""Rows that are drawn together, and the interval [s] to the next ones: hundreds would hold up keys."""
 _NAMES = ("stop", "arm")
 """Columns that are sorted in ascending order; the others in descending order."""
 
@@ -49,6 +53,7 @@ class CollectedStops(Vertical, Copied):
         self._run = ""
         self._marked: dict[int, int] = {}  # stop -> how many of its readings were replaced when it was marked
         self.chosen: CollectedStop | None = None
+        self._order: list[int] = []
 
     def compose(self) -> ComposeResult:
         yield Static("", markup=False)
@@ -160,16 +165,24 @@ class CollectedStops(Vertical, Copied):
         for column, side in zip(whole.columns, sides, strict=True):
             mark = (" ↓" if downwards else " ↑") if column.title == self._sorted else ""
             table.add_column(Text(f"{column.heading}{mark}", justify=side), key=column.title)
-        for row in order:
-            name = f"{kept[row].stop} {kept[row].arm}"
-            style = "reverse" if kept[row].stop in self._marked else ""
-            mark = "* " if style else ""
-            cells_of_row = (mark + texts[row][0], *texts[row][1:])
-            table.add_row(
-                *(Text(text, style, justify=side) for text, side in zip(cells_of_row, sides, strict=True)), key=name
-            )
+        at = self._shown.index(chosen) if chosen in self._shown else 0
+
+        def add(rows: Sequence[int], most: int = _AT_ONCE) -> None:
+            """Add rows; keys are handled between the others."""
+            if order is not self._order:
+                return  # drawn anew meanwhile
+            for row in rows[:most]:
+                style = "reverse" if kept[row].stop in self._marked else ""
+                cells_of_row = (("* " if style else "") + texts[row][0], *texts[row][1:])
+                words = (Text(text, style, justify=side) for text, side in zip(cells_of_row, sides, strict=True))
+                table.add_row(*words, key=f"{kept[row].stop} {kept[row].arm}")
+            if len(rows) > most:
+                self.set_timer(_SOON_S, partial(add, rows[most:]))
+
+        self._order = order
+        add(order, at + _AT_ONCE)
         if chosen in self._shown:
-            table.move_cursor(row=self._shown.index(chosen))
+            table.move_cursor(row=at)
         self._say()
 
     def _say(self) -> None:
