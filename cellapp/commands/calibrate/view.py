@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from cellapp.commands.calibrate.request import CalibrateRequest
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.table import Cell, Interval, Table, columns_of
-from cellapp.commands.view.words import METHOD_WORDS, display_unit
+from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS, display_unit
 from cellapp.estimation.calibration.records import (
     ArmCalibrationResult,
     ArmPriorResult,
@@ -34,7 +34,7 @@ PARAMETERS_ABOUT = (
 )
 
 ERROR_COLUMNS = (*((title, MM) for title in ("mean", "rms", "std", "max")), ("n", "d"))
-_DETAILED = ("mean", "95 % of mean", "rms", "std", "p50", "p95", "max")
+_DETAILED = ("mean", "95 % of mean", "rms", "std", "median", "95 %", "max")
 _DETAILED_COLUMNS = (*((title, MM) for title in _DETAILED), ("n", "d"))
 _PAIRS = "between arms"
 _ROTATION = "orientation [mrad]"
@@ -81,7 +81,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
     for name, arm in result.arms.items():
         noise_mm = {"position": arm.tracker_mm or None, "distance": distance_mm(arm.tracker_mm, arm.tracker_mm)}
         rows = [
-            (label, *_detailed_cells(summary), _ratio(summary, noise_mm.get(measure)))
+            (_in_full(label), *_detailed_cells(summary), _ratio(summary, noise_mm.get(measure)))
             for label, measure, summary in _stage_summaries(arm)
         ]
         tables.append(Table(_arm_title(name, arm), columns_of("stage, measure", *columns), tuple(rows)))
@@ -215,6 +215,12 @@ def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSum
             if errors.distance_mm is not None:
                 found.append((f"{stage}, distance", "distance", errors.distance_mm))
     return found
+
+
+def _in_full(label: str) -> str:
+    """Return the label of a stage's measure as charts and sentences name it."""
+    stage, _, measure = label.partition(", ")
+    return f"{STAGE_WORDS[stage]}, {measure}"
 
 
 def _pair_summaries(result: CalibrateResult) -> list[tuple[str, str, ErrorSummary]]:

@@ -46,8 +46,8 @@ from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.model import CellModel
 
-_SECONDS_A_READING = 0.015
-"""Duration of a search over the readings learnt from, on two common cores [s]."""
+_SECONDS_AN_ARM, _SECONDS_A_READING = 3.5, 0.003
+"""Duration of a search by arms and readings to learn from, on one common core [s], as over real readings."""
 
 
 def run(request: DiscoverRequest, work: Work) -> DiscoverResult:
@@ -158,7 +158,8 @@ def _discover(run: RunFile, listener: Listener, cancel: CancelToken | None) -> t
     plain = SearchWithPriors(earlier) if earlier else discover_arm
     search = SearchWithRecordings(model.arms, stops, recordings, plain) if any(recordings.values()) else plain
     learnt = sum(len(its) - len(its.in_split("validate")) for its in readings.values())
-    words = f"takes some {duration_words(_SECONDS_A_READING * learnt)} for {counted(learnt, 'reading')} to learn from"
+    seconds = _SECONDS_AN_ARM * len(names) + _SECONDS_A_READING * learnt
+    words = f"takes some {duration_words(seconds)} for {counted(learnt, 'reading')} to learn from"
     if not any(recordings.values()):  # their samples are chosen later
         listener(Progress("discover", 0, 0, detail=Notice(words)))
     result, found = discover_effects(run.profile, model, readings, listener, cancel, search)

@@ -28,7 +28,7 @@ class PushRequest(Request):
         int | None,
         AfterValidator(_few),
         Asked(
-            "correct what remains, at most N times a target.",
+            "correct the position that remains, not the rotation, at most N times a target.",
             "N",
             label="corrections",
             hint=f"of each target by measuring it, 1 to {MOST_ROUNDS}; empty: none",

@@ -177,6 +177,8 @@ _MOST_EVENTS = 100
 """Newest events of the run's log that the report shows; the run file has all of them."""
 _OPEN = frozenset({"accuracy", "targets", "iso9283", "check", "discovery"})
 """Sections open at first: what was reached and found. The others say how, and on what basis."""
+_ON_RECORD = frozenset({"parameters", "controllers", "notes", "provenance"})
+"""Sections that paper shows, too."""
 
 
 def report_sections(run: RunFile, data: ReportData) -> list[Section]:
@@ -192,7 +194,8 @@ def placed(made: Mapping[str, Section | None], out_of_date: Mapping[StageName, s
         if section is not None:
             reasons = "; ".join(dict.fromkeys(out_of_date[stage] for stage in stages if stage in out_of_date))
             folded = key not in _OPEN and not reasons
-            found.append(replace(section, title=title, key=key, outdated=reasons, folded=folded))
+            kept = key in _ON_RECORD
+            found.append(replace(section, title=title, key=key, outdated=reasons, folded=folded, on_record=kept))
     return found
 
 
@@ -276,7 +279,7 @@ def _terms(calibrate: CalibrateResult) -> Iterator[str]:
         " measured one; the distance error is the error of the distance between two positions of one arm (ISO 9283)."
     )
     tracker = _tracker_words(calibrate)
-    yield 'All errors in mm; p50 and p95 are percentiles, "95 % of mean" is the bootstrap interval of the mean. ' + (
+    yield 'All errors in mm; "95 %" is a percentile, "95 % of mean" is the bootstrap interval of the mean. ' + (
         '"rms / tracker" is the rms error divided by the rms error that the stated uncertainty of the tracker alone'
         f" would cause ({tracker}); at 1 the tracker cannot resolve any further improvement."
         if tracker
@@ -317,8 +320,8 @@ def _accuracy_message(data: ReportData) -> str:
     method = best_method(data.calibrate)
     if method is not None:
         pair = data.calibrate.pair
-        nominal = f" (nominal {mm(pair['nominal'].cooperative_mm.mean)})" if "nominal" in pair else ""
-        parts.append(f"distance between both arms {mm(pair[method].cooperative_mm.mean)}{nominal}")
+        nominal = f" (nominal cell {mm(pair['nominal'].cooperative_mm.mean)})" if "nominal" in pair else ""
+        parts.append(f"cooperative {mm(pair[method].cooperative_mm.mean)}{nominal}")
         rotated = pair[method].cooperative_mrad
         parts += [] if rotated is None else [f"rotation of one flange in the other's frame {rotated.mean:.3f} mrad"]
     return f"Mean error at configurations that the calibration did not use: {'; '.join(parts)}."

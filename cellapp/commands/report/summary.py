@@ -335,13 +335,13 @@ def _arm_row(data: ReportData, name: str) -> ComparedErrors | None:
 def _pair_row(data: ReportData) -> ComparedErrors | None:
     tolerance = _millimetres(data.profile.tolerances.cooperative)
     if data.verify is not None and data.verify.cooperative is not None:
-        return _verified_row("Both arms, distance", data.verify.cooperative, tolerance)
+        return _verified_row("Cooperative", data.verify.cooperative, tolerance)
     best = best_method(data.calibrate)
     if best is None or "nominal" not in data.calibrate.pair:
         return None
     errors = data.calibrate.pair[best].cooperative_mm
     nominal = data.calibrate.pair["nominal"].cooperative_mm
-    return _row("Both arms, distance", counted(errors.n, "held-out stop"), nominal, errors, tolerance)
+    return _row("Cooperative", counted(errors.n, "held-out stop"), nominal, errors, tolerance)
 
 
 def best_method(calibrate: CalibrateResult) -> Method | None:

@@ -46,6 +46,8 @@ class Section:
         What it shows and how to read it, for newcomers.
     folded : bool
         Whether it holds details, which an interface shows on request.
+    on_record : bool
+        Whether paper shows it although it is folded.
     key : str
         Its anchor on a page; none if empty.
     outdated : str
@@ -57,6 +59,7 @@ class Section:
     about: str = ""
     title: str = ""
     folded: bool = False
+    on_record: bool = False
     key: str = ""
     outdated: str = ""
 

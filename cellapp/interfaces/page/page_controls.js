@@ -33,10 +33,10 @@
     fold.textContent = open ? "Fold all" : "Unfold all";
   });
 
-  // -- printing: every section is open on paper, and as before afterwards; details only where a reader opened them --
+  // -- printing: what stays on record is open on paper, the rest only where a reader opened them --
   let folded = [];
   addEventListener("beforeprint", () => {
-    folded = all("details.section").filter((part) => !part.open);
+    folded = all("details.section.record").filter((part) => !part.open);
     for (const part of folded) part.open = true;
   });
   addEventListener("afterprint", () => {

@@ -177,6 +177,6 @@ def test_paper_has_summary_and_certificate_on_two_pages_then_the_appendix(
     text = "\n".join(pages)
     assert "SHA-256 of calibration.json" in text, "a section that is folded on the screen is open on paper"
     assert "With 20 simulations without effects" not in text, "details stay folded"
-    assert len(pages) <= 15
+    assert len(pages) <= 8
     assert "Unfold all" not in text
     assert "Contents" not in text

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import partial
 from typing import ClassVar, Literal
 
 from rich.text import Text
@@ -18,6 +20,9 @@ from cellapp.commands.docs.keys import SHOWN
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.widgets.tables import TextTable
+
+_AT_ONCE, _SOON_S = 80, 0.02
+"""Rows that are drawn together, and the interval [s] to the next ones: hundreds would hold up keys."""
 
 
 class CollectedStops(Vertical):
@@ -117,16 +122,23 @@ class CollectedStops(Vertical):
         table.clear(columns=True)
         for column, side in zip(whole.columns, sides, strict=True):
             table.add_column(Text(column.heading, justify=side))
-        for row, one in enumerate(self._shown):
-            name = f"{one.stop} {one.arm}"
-            style = "reverse" if one.stop in self._marked else ""
-            mark = "* " if style else ""
-            cells_of_row = (mark + texts[row][0], *texts[row][1:])
-            table.add_row(
-                *(Text(text, style, justify=side) for text, side in zip(cells_of_row, sides, strict=True)), key=name
-            )
+        shown, at = self._shown, self._shown.index(chosen) if chosen in self._shown else 0
+
+        def add(rows: Sequence[int], most: int = _AT_ONCE) -> None:
+            """Add rows; keys are handled between the others."""
+            if shown is not self._shown:
+                return  # drawn anew meanwhile
+            for row in rows[:most]:
+                style = "reverse" if shown[row].stop in self._marked else ""
+                cells_of_row = (("* " if style else "") + texts[row][0], *texts[row][1:])
+                words = (Text(text, style, justify=side) for text, side in zip(cells_of_row, sides, strict=True))
+                table.add_row(*words, key=f"{shown[row].stop} {shown[row].arm}")
+            if len(rows) > most:
+                self.set_timer(_SOON_S, partial(add, rows[most:]))
+
+        add(range(len(shown)), at + _AT_ONCE)
         if chosen in self._shown:
-            table.move_cursor(row=self._shown.index(chosen))
+            table.move_cursor(row=at)
         self._say()
 
     def _say(self) -> None:
