@@ -144,7 +144,9 @@ def test_the_hash_is_that_of_the_published_description() -> None:
     # what std::hash<std::string> of GNU C++ 12 gives for a text that is no multiple of eight bytes
     assert murmur(b"0.1807abc") == 13121897349359385684
     export = drawn("ur10", 0)
-    found = yaml.safe_load(FORMATS["ur-description"].text(export, []))["kinematics"]
+    text = FORMATS["ur-description"].text(export, [])
+    assert [text.count(words) for words in ("SMR in tool0", "SMR in the flange", "Base in the tracker")] == [1, 0, 1]
+    found = yaml.safe_load(text)["kinematics"]
     controller = readers.ur_table(FORMATS["ur-calibration"].text(export, []), _published_rows(export))
     assert found["hash"] == kinematics_hash(controller)
 
