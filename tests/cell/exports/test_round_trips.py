@@ -135,6 +135,10 @@ def test_numbers_as_the_controller_writes_them() -> None:
     assert conversion_mm(export, rounded) > 1e-5
 
 
+def test_a_plain_table_has_no_hayati_angle() -> None:
+    assert ["beta:" in FORMATS[form].text(drawn("ur10", 0), []) for form in ("dh", "dh-plain")] == [True, False]
+
+
 def test_the_hash_is_that_of_the_published_description() -> None:
     """``config/ur10e/default_kinematics.yaml`` of UR's ur_description has this hash for this table."""
     right = 1.570796327
