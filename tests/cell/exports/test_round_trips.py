@@ -124,6 +124,8 @@ def test_numbers_as_the_controller_writes_them() -> None:
     export = drawn("ur10", 0)
     text = FORMATS["ur-calibration"].text(export, ["from here"])
     assert text.startswith("# from here\n")
+    for name, place in (("d", 1), ("a", 2), ("alpha", 3)):
+        assert f"#   {name} = {_published_rows(export)[:, place].tolist()}\n" in text
     values = [line for line in text.splitlines() if line.startswith("delta_")]
     assert [line.split(" = ")[0] for line in values] == ["delta_theta", "delta_a", "delta_d", "delta_alpha"]
     deltas = [float(value) for value in values[2].split("[")[1].rstrip("]").split(",")]
