@@ -321,8 +321,8 @@ def check_header(folder: Path, path: Path) -> None:
     log = Path(f"{path}-wal")
     if log.exists() and log.stat().st_size > 0:
         return  # pages missing in the file may be in the write-ahead log; SQLite's own check follows
-    page = struct.unpack(">H", header[16:18])[0]
-    expected = struct.unpack(">I", header[28:32])[0] * (65536 if page == 1 else page)
+    pages, bytes_each = struct.unpack(">I", header[28:32])[0], struct.unpack(">H", header[16:18])[0]
+    expected = pages * bytes_each
     if header[24:28] == header[92:96] and size < expected:  # else SQLite does not trust the stored size
         raise InputError(f"{path} is cut off: {size} bytes of {expected} are there; restore it from a copy")
 

@@ -124,6 +124,8 @@ def test_numbers_as_the_controller_writes_them() -> None:
     export = drawn("ur10", 0)
     text = FORMATS["ur-calibration"].text(export, ["from here"])
     assert text.startswith("# from here\n")
+    for name, place in (("d", 1), ("a", 2), ("alpha", 3)):
+        assert f"#   {name} = {_published_rows(export)[:, place].tolist()}\n" in text
     values = [line for line in text.splitlines() if line.startswith("delta_")]
     assert [line.split(" = ")[0] for line in values] == ["delta_theta", "delta_a", "delta_d", "delta_alpha"]
     deltas = [float(value) for value in values[2].split("[")[1].rstrip("]").split(",")]
@@ -135,6 +137,10 @@ def test_numbers_as_the_controller_writes_them() -> None:
     assert conversion_mm(export, rounded) > 1e-5
 
 
+def test_a_plain_table_has_no_hayati_angle() -> None:
+    assert ["beta:" in FORMATS[form].text(drawn("ur10", 0), []) for form in ("dh", "dh-plain")] == [True, False]
+
+
 def test_the_hash_is_that_of_the_published_description() -> None:
     """``config/ur10e/default_kinematics.yaml`` of UR's ur_description has this hash for this table."""
     right = 1.570796327
@@ -144,7 +150,9 @@ def test_the_hash_is_that_of_the_published_description() -> None:
     # what std::hash<std::string> of GNU C++ 12 gives for a text that is no multiple of eight bytes
     assert murmur(b"0.1807abc") == 13121897349359385684
     export = drawn("ur10", 0)
-    found = yaml.safe_load(FORMATS["ur-description"].text(export, []))["kinematics"]
+    text = FORMATS["ur-description"].text(export, [])
+    assert [text.count(words) for words in ("SMR in tool0", "SMR in the flange", "Base in the tracker")] == [1, 0, 1]
+    found = yaml.safe_load(text)["kinematics"]
     controller = readers.ur_table(FORMATS["ur-calibration"].text(export, []), _published_rows(export))
     assert found["hash"] == kinematics_hash(controller)
 

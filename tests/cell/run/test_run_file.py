@@ -246,6 +246,9 @@ def test_a_missing_run(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"holds no run \(run.sqlite is missing\)"):
         RunFile.open(tmp_path, write=True)
     assert list(tmp_path.iterdir()) == []
+    (tmp_path / "run.sqlite").mkdir()
+    with pytest.raises(InputError, match=r"run\.sqlite: .*; check the path and its permissions"):
+        RunFile.open(tmp_path)
 
 
 # -- kill -------------------------------------------------------------------------------------------------------------

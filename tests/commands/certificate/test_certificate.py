@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from cellapp.cell.profile import load_profile
 from cellapp.cell.targets.records import CompensateResult, MeasuredRelative, TargetCommand, UnknownCondition
 from cellapp.commands.certificate.judgements import judge_characteristics, judge_run
 from cellapp.commands.certificate.statement import CertificateInput, certificate_of, used_instruments
@@ -19,10 +20,11 @@ from cellapp.estimation.monitoring.records import CheckResult, CheckVerdict
 from cellapp.estimation.uncertainty.budget import conformity
 from cellapp.estimation.uncertainty.records import Judgement, UncertaintyParts
 from cellapp.ground.profile.sections import Instrument, Tolerances
-from cellapp.ground.results import CERTIFICATE, CHECK, COMPENSATE, ISO9283, VERIFY
+from cellapp.ground.results import CERTIFICATE, CHECK, COMPENSATE, ISO9283, VERIFY, ErrorSummary
 from tests.approved import assert_approved
 from tests.estimation.uncertainty.cases import measured, pair, pose_test, profile_with, results, verification
 from tests.interfaces.page.cases import calibration, nothing_missing
+from tests.twin import PROFILES
 
 LEFT = [measured("a", "left", 0.03), measured("b", "left", 0.05, 0.4)]
 
@@ -181,6 +183,30 @@ def test_pairs_are_judged_and_both_arms_count() -> None:
     own = [found["position", arm].expanded_mm for arm in ("left", "right")]
     assert (both.value_mm, both.n) == (0.06, 2)
     assert both.expanded_mm == pytest.approx(sum((one or 0.0) ** 2 for one in own) ** 0.5)
+
+
+@pytest.mark.parametrize(
+    ("profile", "verify", "says"),
+    [
+        ("twin", {}, ("not measured: the flange has no 6-D probe", "not measured: a flange has no 6-D probe")),
+        (
+            "twin-6d",
+            {},
+            ("not verified; no held-out", "not verified; predicted at 1 held-out values: largest 0.700 mrad"),
+        ),
+        ("twin-6d", {"verify": verification(LEFT)}, ("measured no orientation", "measured no cooperative orientation")),
+    ],
+)
+def test_an_orientation_that_was_not_measured_says_why(
+    profile: str, verify: dict[str, Any], says: tuple[str, str]
+) -> None:
+    calibrate = calibration("left", "right")
+    turned = ErrorSummary(mean=0.5, rms=0.5, std=0.0, max=0.7, n=1)
+    both = {"nominal": calibrate.pair["nominal"].model_copy(update={"cooperative_mrad": turned})}
+    limits = profile_with({"orientation": 1e-3, "cooperative_orientation": 1e-3}).tolerances
+    cell = load_profile(PROFILES / f"{profile}.yaml").model_copy(update={"tolerances": limits})
+    found = judge_run(cell, results(calibrate=calibrate.model_copy(update={"pair": both}), **verify))
+    assert [says[" " in one.where] in one.source for one in found] == [True] * 3, [one.source for one in found]
 
 
 # -- What a certificate says of runs of every kind ---------------------------------------------------------------------
