@@ -10,6 +10,7 @@ from __future__ import annotations
 import difflib
 import os
 import re
+import shlex
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -73,6 +74,14 @@ def _lines(part: object) -> Iterator[str]:
         yield f"  {part.message}"
     else:
         yield str(part)
+
+
+def assert_refused(path: Path, refusal: Callable[..., str]) -> None:
+    """Compare what is said of each line ``$ WORD ...`` of a text, in whose words a line end stands as ``\\n``."""
+    shown = []
+    for command in commands_of(path):
+        shown += [f"$ {command}", refusal(*(word.replace("\\n", "\n") for word in shlex.split(command)))]
+    assert_approved(path, "\n".join(shown))
 
 
 def commands_of(path: Path) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -208,9 +209,14 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("arm", ["left", "right"])
-@pytest.mark.parametrize("when", ["move", "wait", "measure"])
+EVERYWHERE = [*product(FAULTS, ("left", "right"), ("move", "wait", "measure"))]
+"""Every second one is the same fault at the same moment in the other arm."""
+
+
+@pytest.mark.parametrize(
+    ("fault", "arm", "when"),
+    [pytest.param(*one, marks=pytest.mark.slow if number % 2 else ()) for number, one in enumerate(EVERYWHERE)],
+)
 def test_a_fault_stops_all_arms_and_the_run_goes_on_after_release(
     run: RunFile, plan: dict[str, np.ndarray], watched: Watched, fault: str, arm: str, when: str
 ) -> None:

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.motion import PointAtRest
-from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
+from cellapp.cell.safety.cell_bodies import home_positions
 from cellapp.ground.errors import HardwareError
 from cellapp.ground.profile import Profile
 from drivers.arms.recording import JointRecord
@@ -43,6 +43,12 @@ def profile() -> Profile:
 
 
 @pytest.fixture(scope="module")
+def plan(profile: Profile) -> dict[str, np.ndarray]:
+    """One stop near home."""
+    return {name: home[None] + 0.1 for name, home in home_positions(profile).items()}
+
+
+@pytest.fixture(scope="module")
 def emulator(profile: Profile) -> Iterator[StormCell]:
     with emulated_cell(behind_bridge(profile, f"socket://127.0.0.1:{free_port('127.0.0.1')}"), 1.0) as cell:
         yield cell
@@ -65,12 +71,12 @@ MOVES = "left its rest without being asked"
     ids=["push", "push and back", "step", "creep", "other arm", "three glitches", "two glitches"],
 )
 def test_no_reading_of_an_arm_that_was_moved_is_stored(
-    profile: Profile, emulator: StormCell, tmp_path: Path, attacks: list[Attack], says: str
+    profile: Profile, plan: dict[str, np.ndarray], emulator: StormCell, tmp_path: Path, attacks: list[Attack], says: str
 ) -> None:
     def act(attempt: int) -> str:
         emulator.repair()
         with RunFile.create(tmp_path / f"run-{attempt}", profile) as run:
-            run.write_plan(plan := plan_stops(profile))
+            run.write_plan(plan)
             try:
                 collected(emulator, run, [*attacks])
             except HardwareError as error:
@@ -88,7 +94,7 @@ def test_no_reading_of_an_arm_that_was_moved_is_stored(
 
 
 def test_a_link_that_cannot_hold_the_watchdog_is_refused_before_anything_moves(
-    profile: Profile, emulator: StormCell, tmp_path: Path
+    profile: Profile, plan: dict[str, np.ndarray], emulator: StormCell, tmp_path: Path
 ) -> None:
     emulator.repair()
     moves, ended = emulator.status()["left"]["moves"], threading.Event()
@@ -101,7 +107,7 @@ def test_a_link_that_cannot_hold_the_watchdog_is_refused_before_anything_moves(
     disturbing.start()
     try:
         with RunFile.create(tmp_path / "run", profile) as run:
-            run.write_plan(plan_stops(profile))
+            run.write_plan(plan)
             with pytest.raises(HardwareError) as caught:
                 collected(emulator, run, [])
     finally:

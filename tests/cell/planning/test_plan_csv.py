@@ -13,6 +13,7 @@ from cellapp.cell.planning.planned_stops import straight_stops
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import RENEWED
 from cellapp.ground.profile.schema import Payload
+from tests.approved import assert_refused
 from tests.cell.planning.planned_cells import same_stops, some_stops
 from tests.twin import small_twin, with_arm, with_arms
 
@@ -39,15 +40,11 @@ def test_a_plan_comes_back_bit_for_bit(tmp_path: Path) -> None:
 Edit = Callable[[list[str]], list[str]]
 
 
-def cell(line: int, column: str, text: str) -> Edit:
-    """Replace one cell; lines count from 1."""
-
-    def edit(lines: list[str]) -> list[str]:
-        cells = lines[line - 1].split(",")
-        cells[lines[0].split(",").index(column)] = text
-        return [*lines[: line - 1], ",".join(cells), *lines[line:]]
-
-    return edit
+def with_cell(lines: list[str], line: int, column: str, text: str) -> list[str]:
+    """The lines with one cell replaced; they count from 1."""
+    cells = lines[line - 1].split(",")
+    cells[lines[0].split(",").index(column)] = text
+    return [*lines[: line - 1], ",".join(cells), *lines[line:]]
 
 
 def without(column: str) -> Edit:
@@ -58,44 +55,11 @@ def without(column: str) -> Edit:
     return edit
 
 
-def at(point: str, arm: str = "left", configuration: int = 0) -> int:
-    """The line of a row in the file of ``written``."""
-    rows = {
-        0: ["leg1 left", "leg1 right", "leg2 right", "approach right", "stop left", "stop right"],
-        1: ["approach left", "approach right", "stop left", "stop right"],
-    }
-    return 2 + (6 if configuration else 0) + rows[configuration].index(f"{point} {arm}")
-
-
 @pytest.mark.parametrize(
     ("edit", "says"),
     [
         (without("q3"), ":1: q3: the column is missing"),
         (without("point"), ":1: point: the column is missing"),
-        (cell(1, "dwell_s", "dwel_s"), ":1: dwel_s: the column is unknown; is 'dwell_s' meant?"),
-        (cell(1, "q2", "q1"), ":1: q1: the column is there twice"),
-        (cell(5, "q4", "half"), ":5: q4: expected a finite number such as 0.25, got 'half'"),
-        (cell(5, "q4", "nan"), ":5: q4: expected a finite number such as 0.25, got 'nan'"),
-        (cell(5, "q4", "inf"), ":5: q4: expected a finite number"),
-        (cell(5, "q4", ""), ":5: q4: the value is missing"),
-        (cell(5, "q4", "6.1"), ":5: q4: 6.1 rad is outside the limits -6 to 6 rad of arm right"),
-        (cell(3, "q1", "-1e9"), ":3: q1: -1e\\+09 rad is outside the limits"),
-        (cell(6, "arm", "middle"), ":6: arm: arm 'middle' is not in the profile; arms are left, right"),
-        (cell(6, "arm", ""), ":6: arm: the value is missing"),
-        (cell(6, "configuration", "0.5"), ":6: configuration: expected a whole number from 0, got '0.5'"),
-        (cell(6, "configuration", "-1"), ":6: configuration: expected a whole number from 0, got '-1'"),
-        (cell(6, "configuration", ""), ":6: configuration: the value is missing"),
-        (cell(6, "point", "via"), ":6: point: expected leg1, leg2, ..., approach or stop, got 'via'"),
-        (cell(at("leg2", "right"), "point", "leg3"), ":2: point: configuration 0 has no leg2"),
-        (cell(at("stop"), "dwell_s", "601"), ":6: dwell_s: expected 0 to 600 s, got 601"),
-        (cell(at("stop"), "dwell_s", "-1"), ":6: dwell_s: expected 0 to 600 s"),
-        (cell(at("leg1"), "dwell_s", "1"), ":2: dwell_s: there is a value, but it belongs to the row 'stop'"),
-        (cell(at("stop"), "frozen", "maybe"), ":6: frozen: expected yes or no, got 'maybe'"),
-        (cell(at("stop"), "frozen", "yes"), ":2: frozen: the arms of configuration 0 have different values"),
-        (cell(at("stop"), "block", "one"), ":6: block: expected a whole number from 0, got 'one'"),
-        (cell(at("stop"), "block", "5"), ":2: block: the arms of configuration 0 have different values"),
-        (cell(at("stop"), "repeat_of", "9"), ":2: repeat_of: configuration 0 repeats 9, which is no other"),
-        (cell(at("stop"), "repeat_of", "0"), ":2: repeat_of: configuration 0 repeats 0, which is no other"),
         (lambda lines: lines[:6] + lines[7:], ":2: arm: configuration 0 has no row 'stop' of arm right"),
         (lambda lines: [*lines, lines[5]], "configuration: 0 of arm left has a row 'stop' in line 6 already"),
         (lambda lines: [*lines[:3], lines[3] + ",1", *lines[4:]], ":4: column 14: the row has 14 cells, the header"),
@@ -109,6 +73,20 @@ def test_what_is_wrong_is_named_by_line_and_column(edit: Edit, says: str, tmp_pa
     path.write_text("\n".join(edit(written(path))), "utf-8")
     with pytest.raises(InputError, match=f"plan.csv.*{says}"):
         read_plan_csv(path, PROFILE)
+
+
+def test_wrong_cells_are_named_as_approved(tmp_path: Path) -> None:
+    """Lines of the text name a line of the file, a column, and what stands there instead."""
+    path = tmp_path / "plan.csv"
+    lines = written(path)
+
+    def refused(line: str, column: str, text: str) -> str:
+        path.write_text("\n".join(with_cell(lines, int(line), column, text)), "utf-8")
+        with pytest.raises(InputError) as caught:
+            read_plan_csv(path, PROFILE)
+        return str(caught.value).replace(f"{tmp_path}/", "")
+
+    assert_refused(Path(__file__).parent / "approved" / "wrong-cells.txt", refused)
 
 
 def test_arms_of_different_joints_share_a_file(tmp_path: Path) -> None:
@@ -126,7 +104,7 @@ def test_arms_of_different_joints_share_a_file(tmp_path: Path) -> None:
     path = tmp_path / "plan.csv"
     write_plan_csv(short, path)
     same_stops(read_plan_csv(path, profile).stops, short)
-    path.write_text("\n".join(cell(4, "q5", "1")(path.read_text().splitlines())))
+    path.write_text("\n".join(with_cell(path.read_text().splitlines(), 4, "q5", "1")))
     with pytest.raises(InputError, match=":4: q5: there is a value, but arm right has 4 joints"):
         read_plan_csv(path, profile)
 

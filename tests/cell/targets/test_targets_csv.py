@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from cellapp.cell.targets.targets import Partner, Target, WorkingConditions, load_targets
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import rotation_zyx
+from tests.approved import assert_refused
 from tests.twin import small_twin
 
 PROFILE = small_twin()
@@ -86,58 +88,8 @@ def test_quaternions_and_rotation_vectors(path: Path) -> None:
     assert targets[2].rpy is None
 
 
-@pytest.mark.parametrize(
-    ("header", "says"),
-    [
-        ("name,arm,x_mm,y_m,z_mm", "targets.csv:1: y_m: column x_mm is in mm; give all coordinates of a file in"),
-        ("name,arm,x,y_mm,z_mm", "targets.csv:1: x: has no unit; name it x_mm or x_m"),
-        ("name,arm,x_inch,y_mm,z_mm", "'inch' is no unit of this column; name it x_mm or x_m"),
-        ("name,arm,x_mm,y_mm", "targets.csv:1: z_mm: the column is missing"),
-        (f"{HEADER},x_mm", "targets.csv:1: x_mm: the column is there twice; keep one"),
-        (f"{HEADER},x_m", "targets.csv:1: x_m: the same value as column x_mm; keep one"),
-        (f"{HEADER},colour", "targets.csv:1: colour: unknown column; remove it, or correct its name"),
-        (f"{HEADER},roll_deg,pitch_deg", "targets.csv:1: yaw_deg: the column is missing"),
-        (f"{HEADER},roll_deg,pitch_deg,yaw_rad", "yaw_rad: column roll_deg is in deg; give all angles of a"),
-        (f"{HEADER},partner_x_mm,partner_y_mm,partner_z_mm", "partner_arm: the column is missing"),
-        (f"{HEADER},partner_arm,partner_x_m,partner_y_m,partner_z_m", "partner_x_m: column x_mm is in mm"),
-        (f"{HEADER},approach2", "targets.csv:1: approach1: the column is missing"),
-        ("name;arm;x_mm;y_mm;z_mm", "targets.csv:1: the header is one column; separate columns by commas, and write"),
-        ("", "targets.csv is empty; expected a header row and a row per target"),
-    ],
-)
-def test_a_header_that_is_refused(path: Path, header: str, says: str) -> None:
-    assert says in refusal(path, header)
-
-
-@pytest.mark.parametrize(
-    ("more", "row", "says"),
-    [
-        ("", "", "targets.csv:1: targets: there is a header row but no target; expected a row for each"),
-        ("", "one,left,1,2", "targets.csv:2: z_mm: the row has 4 cells, the header has 5"),
-        ("", "one,left,-400,250,5,1000", "the row has 6 cells, the header has 5; write 0.5, not 0,5"),
-        ("", 'one,left,-400,"250,5",1000', "'one': y_mm: expected a number with a decimal point, got '250,5'"),
-        ("", "one,left,-400,nan,1000", "targets.csv:2: target 'one': y_mm: expected a finite number such as 0.25, got"),
-        ("", "one,left,-400,250 mm,1000", "y_mm: expected a finite number such as 0.25, got '250 mm'; it is in mm"),
-        ("", "one,left,-400,,1000", "targets.csv:2: target 'one': y_mm: the value is missing; the row has others"),
-        ("", "one,left,-400,250000,1000", "target 'one': y_mm: 250 m is beyond 100 m; is the unit in the column's"),
-        ("", ",left,1,2,3", "targets.csv:2: target 1: name: expected a text, got an empty one"),
-        ("", f"{ROW}\n{ROW}", "targets.csv:3: target 'one' is listed twice"),
-        (",frame", f"{ROW},table", "no frame 'table'; frames are base, tracker, left, right; a YAML list, whose"),
-        (",qw,qx,qy,qz", f"{ROW},0.9,0,0,0", "target 'one': qw: its norm is 0.9, 0.1 from one (at most 0.001)"),
-        (",roll_rad,pitch_rad,yaw_rad", f"{ROW},0,90,0", "target 'one': pitch_rad: 90 rad is more than two turns; is"),
-        (",roll_deg,pitch_deg,yaw_deg,qw,qx,qy,qz", f"{ROW},0,0,0,1,0,0,0", "target 'one': qw: 'rpy' is there too; gi"),
-        (",tolerance_mm", f"{ROW},0", "target 'one': tolerance_mm: expected a tolerance above 0"),
-        (",tolerance_m", f"{ROW},0.1", "expected a tolerance above 0 and at most 10 mm, got 0.1 m; is the unit"),
-        (",approach1", f"{ROW},1", "target 'one': approach: expected 6 signs, one for each joint of arm left, got 1"),
-        (",approach1", f"{ROW},2", "target 'one': approach1: expected -1, 0 or 1, got 2"),
-        (PARTNER, f"{ROW},left,0,0,0", "left cannot be its own partner"),
-        (PARTNER, f"{ROW},,0,0,0", "target 'one': partner_arm: missing"),
-        (",partner_arm,partner_x_mm,partner_y_mm,partner_z_mm", f"{ROW},right,,,", "target 'one': partner_x_mm: missi"),
-        (PARTNER, f"{ROW},right,0,0,0", "give the target a rotation"),
-    ],
-)
-def test_a_row_that_is_refused(path: Path, more: str, row: str, says: str) -> None:
-    assert says in refusal(path, HEADER + more, row)
+def test_headers_and_rows_that_are_refused(path: Path) -> None:
+    assert_refused(Path(__file__).parent / "approved" / "refused-csv.txt", partial(refusal, path))
 
 
 def test_a_file_that_is_missing_or_no_text(path: Path) -> None:

@@ -25,6 +25,7 @@ from cellapp.cell.targets.targets import (
 )
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.transforms import rotation_zyx
+from tests.approved import assert_refused
 from tests.twin import small_twin
 
 PROFILE = small_twin()
@@ -145,49 +146,22 @@ def test_units_in_a_rotation_vector_and_no_rotation(path: Path) -> None:
     assert target.rpy is None
 
 
-@pytest.mark.parametrize(
-    ("keys", "says"),
-    [
-        ({"quaternion": "[1, 0, 0]"}, "quaternion[3]: missing; it must be given"),
-        ({"quaternion": "[0.99, 0, 0, 0]"}, "quaternion: its norm is 0.99, 0.01 from one (at most 0.001), so it is no"),
-        ({"matrix": "[[1, 0, 0], [0, 1, 0], [0, 0.01, 1]]"}, "matrix: its rows are off unit length and right angles b"),
-        ({"matrix": "[[1, 0, 0], [0, 1, 0], [0, 0, -1]]"}, "matrix: its determinant is -1: a reflection, no rotation"),
-        ({"matrix": "[[1, 0, 0], [0, 1, 0]]"}, "matrix[2]: missing"),
-        ({"matrix": "[[1, 0, 0], [0, 1, x], [0, 0, 1]]"}, "matrix[1][2]: expected a number, got 'x'"),
-        ({"rotation_vector": "[180, 0, 0]"}, "rotation_vector[0]: 180 rad is more than two turns"),
-        ({"rpy": "[0, 0, 0]", "quaternion": "[1, 0, 0, 0]"}, "quaternion: 'rpy' is there too; give one of rpy, quater"),
-    ],
-)
-def test_a_rotation_that_is_none(path: Path, keys: dict[str, str], says: str) -> None:
-    assert refusal(path, one(**keys)).startswith(f"targets.yaml:4: target 'one': {says}")
-
-
 # -- the rest of a target ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        (one(frame="tabel"), "targets.yaml:4: target 'one': no frame 'tabel'; frames are base, tracker, left, right; "),
-        (one(frame="3"), "target 'one': frame: expected a text, got 3; put it in quotes"),
-        (one(position="[-0.4, 0.25, 50]"), "target 'one': 50 m is farther from the base than any arm reaches; is it 5"),
-        (one(approach="[1, 0]"), "target 'one': approach: expected 6 signs, one for each joint of arm left, got 2"),
-        (one(partner="{arm: top, position: [0, 0, 0]}", rpy="[0, 0, 0]"), "partner: no arm 'top'; the others are righ"),
-        (one(partner="{arm: right, position: [0, 0, 0]}"), "give the target a rotation"),
-        (one(partner="{arm: right, position: [0, 0, 50]}"), "target 'one': partner.position[2]: 50 m is beyond 10 m"),
-        (one(partner="{arm: right, position: [0, 0, 0], quaternion: [2, 0, 0, 0]}"), "partner.quaternion: its norm is"),
-        (one(conditions="{payload: -1}"), "target 'one': conditions.payload: expected at least 0, got -1"),
-        ("conditions: {middle: {payload: 1}}\n" + ONE, "targets.yaml:3: conditions: no arm 'middle'; arms are left"),
-        ("conditions: {left: {payload: 1 m}}\n" + ONE, "3: conditions.left.payload: 'm' is not a unit of mass"),
-        ("tragets: 1\n" + ONE, "targets.yaml:3: tragets: unknown key; did you mean 'targets'?"),
-        (one(position="[0, 0, 0], position: [0, 0, 1]"), "targets.yaml:4: not YAML: key 'position' is there twice"),
-        ("targets: " + "[" * 100_000, "targets.yaml:3: nested too deeply"),
-        ("targets: " + "- " * 100_000, "targets.yaml:3: not YAML"),
-        ("targets: [2026-99-99]\n", "targets.yaml: not YAML: month must be in 1..12"),
-    ],
-)
-def test_a_list_that_is_refused(path: Path, text: str, says: str) -> None:
-    assert says in refusal(path, text)
+def test_targets_and_lists_that_are_refused(path: Path) -> None:
+    """Lines name keys of a target with their values, or the ``text`` of a list."""
+
+    def refused(*words: str) -> str:
+        keys = dict(zip(words[::2], words[1::2], strict=True))
+        return refusal(path, keys.get("text", one(**keys)).replace("ONE", ONE))
+
+    assert_refused(Path(__file__).parent / "approved" / "refused-lists.txt", refused)
+
+
+@pytest.mark.parametrize(("open_", "says"), [("[", "3: nested too deeply"), ("- ", "3: not YAML")])
+def test_a_list_that_is_nested_without_end_is_refused(path: Path, open_: str, says: str) -> None:
+    assert f"targets.yaml:{says}" in refusal(path, "targets: " + open_ * 100_000)
 
 
 def test_conditions_of_the_file_hold_where_a_target_states_none(path: Path) -> None:

@@ -194,22 +194,17 @@ def silent(port: str) -> Episode:
     return partial(while_a_port_is_silent, port=port)
 
 
-ROUNDS: dict[str, dict[str, list[Episode]]] = {
-    "starts": {
-        "left": [start("refuse_motion", DELAYS_S[0]), start("refuse_motion", DELAYS_S[1])],
-        "right": [start("brake", DELAYS_S[2]), while_programs_are_not_read],
-        "left2": [start("refuse_motion", DELAYS_S[3]), silent("dashboard")],
-        "right2": [silent("primary"), silent("rtde"), not_seen_to_start],
-    },
-    "any moment": {
-        "left": [partial(at_any_moment, again=False)],
-        "right": [partial(at_any_moment, again=False)],
-        "left2": [partial(at_any_moment, again=True)],
-        "right2": [partial(at_any_moment, again=True)],
-    },
-}
+EPISODES: dict[str, list[Episode]] = {
+    "left": [
+        partial(at_any_moment, again=False), partial(at_any_moment, again=True), silent("dashboard"),
+        *(start("refuse_motion", DELAYS_S[k]) for k in (0, 1, 3)),
+    ],
+    "right": [
+        partial(at_any_moment, again=False), partial(at_any_moment, again=True), start("brake", DELAYS_S[2]),
+        silent("primary"), silent("rtde"), not_seen_to_start, while_programs_are_not_read,
+    ],
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("episodes", ROUNDS.values(), ids=ROUNDS)
-def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm], episodes: dict[str, list[Episode]]) -> None:
-    of_each_arm(emulator, drivers, episodes, make_ready)
+def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
+    of_each_arm(emulator, drivers, EPISODES, make_ready)

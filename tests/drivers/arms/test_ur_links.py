@@ -197,22 +197,18 @@ def old(what: str) -> Episode:
     return partial(live_grows_old, what=what)
 
 
-ROUNDS: dict[str, dict[str, list[Episode]]] = {
-    "confirmed": {
-        "left": [links_that_answer_are_confirmed_quickly, unconfirmed("dashboard refused")],
-        "right": [links_that_answer_are_confirmed_quickly, unconfirmed("dashboard silent")],
-        "left2": [unconfirmed("rtde silent"), unconfirmed("worker killed")],
-        "right2": [unconfirmed("worker hung"), fault_is_no_confirmation],
-    },
-    "watched": {
-        "left": [lost("refuse"), live_is_fresh_and_knows_a_motion, old("worker hung")],
-        "right": [lost("silent"), old("worker killed")],
-        "left2": [dashboard_that_closes_and_opens_again_is_no_doubt, old("rtde silent")],
-        "right2": [stop_does_not_wait_for_the_answer_to_a_question],
-    },
-}
+EPISODES: dict[str, list[Episode]] = {
+    "left": [
+        links_that_answer_are_confirmed_quickly, unconfirmed("dashboard refused"), unconfirmed("rtde silent"),
+        unconfirmed("worker killed"), lost("refuse"), live_is_fresh_and_knows_a_motion, old("worker hung"),
+        dashboard_that_closes_and_opens_again_is_no_doubt, old("rtde silent"),
+    ],
+    "right": [
+        links_that_answer_are_confirmed_quickly, unconfirmed("dashboard silent"), unconfirmed("worker hung"),
+        fault_is_no_confirmation, lost("silent"), old("worker killed"), stop_does_not_wait_for_the_answer_to_a_question,
+    ],
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("episodes", ROUNDS.values(), ids=ROUNDS)
-def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm], episodes: dict[str, list[Episode]]) -> None:
-    of_each_arm(emulator, drivers, episodes, make_ready)
+def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
+    of_each_arm(emulator, drivers, EPISODES, make_ready)

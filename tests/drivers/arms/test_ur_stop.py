@@ -487,21 +487,19 @@ def refusal_does_not_wait_for_a_worker_that_reads_nothing(emulator: EmulatorProc
             os.kill(pid, signal.SIGCONT)
 
 
-ROUNDS: dict[str, dict[str, list[Episode]]] = {
-    "brakes and the slider": {
-        "left": [asked_about_joint_positions, refusal_brakes_without_a_thread],
-        "right": [asked_about_joint_positions, brake_without_its_open_line, local_control_is_named_after_a_stop],
-        "left2": [slider_at_0_keeps_a_braked_arm_stopped, paused_program_of_somebody_else_is_left_alone],
-        "right2": [unconfirmed_brake_says_so_and_stops_all_the_same, local_control_is_named_when_a_stop_is_refused],
-    },
-    "processes that stand still": {
-        "left": [refusal_does_not_wait_for_a_worker_that_reads_nothing],
-        "right": [worker_that_does_not_run_is_a_doubt, refusal_brakes_without_a_thread],
-        "right2": [suspended_application_does_not_leave_its_arm_moving],
-    },
-}
+EPISODES: dict[str, list[Episode]] = {
+    "left": [
+        asked_about_joint_positions, refusal_brakes_without_a_thread, slider_at_0_keeps_a_braked_arm_stopped,
+        paused_program_of_somebody_else_is_left_alone, refusal_does_not_wait_for_a_worker_that_reads_nothing,
+    ],
+    "right": [
+        suspended_application_does_not_leave_its_arm_moving, asked_about_joint_positions,
+        brake_without_its_open_line, local_control_is_named_after_a_stop,
+        unconfirmed_brake_says_so_and_stops_all_the_same, local_control_is_named_when_a_stop_is_refused,
+        worker_that_does_not_run_is_a_doubt, refusal_brakes_without_a_thread,
+    ],
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("episodes", ROUNDS.values(), ids=ROUNDS)
-def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm], episodes: dict[str, list[Episode]]) -> None:
-    of_each_arm(emulator, drivers, episodes, make_ready)
+def test_of_each_arm(emulator: EmulatorProcess, drivers: dict[str, UrArm]) -> None:
+    of_each_arm(emulator, drivers, EPISODES, make_ready)

@@ -42,8 +42,7 @@ def error_m(fit: OnlineFit, q: Array, true_M: Array) -> float:
     return float(np.sqrt(np.mean(np.sum((smr_positions(fit.geometry, q) - true_M) ** 2, axis=1))))
 
 
-@pytest.mark.parametrize("name", ["left", "right"])
-@pytest.mark.parametrize("stated", [True, False], ids=["stated", "not stated"])
+@pytest.mark.parametrize(("name", "stated"), [("left", True), ("right", False)])
 def test_after_all_stops_it_agrees_with_the_identification_of_the_same_readings(readings, name, stated):
     one = readings[name]
     nominal = start_from_nominal(nominal_arm(twin().arms[name]), one.q, one.p_M, tool_unknown=False)

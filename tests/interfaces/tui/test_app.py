@@ -247,17 +247,18 @@ async def test_every_next_step_of_every_state_is_begun_by_n_or_says_what_to_do(
             await until(pilot, lambda: app.screen is app.day_screen, "the end of the question")
 
 
-@pytest.mark.parametrize("step", [entry.key for entry in SCREENS])
-async def test_the_palette_lists_each_command_once(step: str) -> None:
+async def test_the_palette_lists_each_command_once() -> None:
     app = CellApp(PROFILES)
     async with app.run_test(size=SMALL) as pilot:
         await opened(pilot, app)
-        await pilot.press(step)
-        await settle(pilot)
-        listed = [one.title for one in possible_commands(app, app.day_screen)]
-        assert len(listed) == len(set(listed)), sorted(listed)
-        twice = [verb for verb, (of, _) in WAYS.items() if of == app.day_screen.STEP and f"cellapp {verb}" in listed]
-        assert not twice, "a key of the screen does it"
+        for entry in SCREENS:
+            await pilot.press(entry.key)
+            await settle(pilot)
+            assert entry.step == app.day_screen.STEP
+            listed = [one.title for one in possible_commands(app, app.day_screen)]
+            assert len(listed) == len(set(listed)), sorted(listed)
+            twice = [verb for verb, (of, _) in WAYS.items() if of == entry.step and f"cellapp {verb}" in listed]
+            assert not twice, "a key of the screen does it"
 
 
 # -- The handbook in the terminal: contents, search, links by keys and by the mouse, pictures by their words -----------

@@ -196,7 +196,7 @@ def test_stop_answers_the_question_before_the_first_motion(tmp_path: Path, key: 
         app.says("not confirmed")
 
 
-def test_ctrl_c_without_a_job_says_how_to_quit(tmp_path: Path) -> None:
+def test_ctrl_c_without_a_job_says_how_to_quit_and_ctrl_q_quits_over_a_dialog(tmp_path: Path) -> None:
     with held(tmp_path, "--no-job") as app:
         app.terminal.send(b"\x03")
         app.says("Ctrl-C stops a job; none runs. q, or Ctrl-Q in a text field, quits.")
@@ -205,7 +205,9 @@ def test_ctrl_c_without_a_job_says_how_to_quit(tmp_path: Path) -> None:
         app.says(PALETTE)
         app.terminal.send(b"\x1b")
         app.terminal.until(lambda text: PALETTE not in text, "Escape closes the palette")
-        app.terminal.send("q")
+        app.terminal.send("h")
+        app.says("Up and down choose")
+        app.terminal.send(b"\x11")
         assert app.terminal.process.wait(WAIT_S) == 0
 
 
@@ -242,7 +244,11 @@ def test_leaving_stops_first_and_says_what_it_was(tmp_path: Path, leave: Callabl
         assert set(app.calls()) == {f"stop {how}"}
 
 
-@pytest.mark.parametrize("leave", [lambda one: one.send(b"\x11"), ends(signal.SIGTERM)], ids=["Ctrl-Q", "SIGTERM"])
+@pytest.mark.parametrize(
+    "leave",
+    [pytest.param(lambda one: one.send(b"\x11"), marks=pytest.mark.slow), ends(signal.SIGTERM)],
+    ids=["Ctrl-Q", "SIGTERM"],
+)
 def test_a_terminal_that_reads_nothing_does_not_hold_the_process(
     tmp_path: Path, leave: Callable[[Terminal], None]
 ) -> None:
@@ -257,14 +263,6 @@ def test_a_terminal_that_reads_nothing_does_not_hold_the_process(
         leave(app.terminal)
         assert app.terminal.process.wait(ENDS_WITHIN_S) == 4
         app.terminal.hang_up()
-
-
-def test_ctrl_q_quits_over_a_dialog(tmp_path: Path) -> None:
-    with held(tmp_path, "--no-job") as app:
-        app.terminal.send("h")
-        app.says("Up and down choose")
-        app.terminal.send(b"\x11")
-        assert app.terminal.process.wait(WAIT_S) == 0
 
 
 # -- The terminal application on emulated controllers, as an operator tries it: the stop key, resume, pause, abort -----
