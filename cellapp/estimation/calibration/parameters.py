@@ -125,11 +125,11 @@ class ParameterSet:
         vector[list(self.columns)] = values
         return geometry.with_vector(vector)
 
-    def limits(self, nominal: Geometry) -> Array | None:
-        """Return least and largest values (2, k) of the columns by the bounds of all that move with them; None if none
-        has bounds."""
+    def limits(self, nominal: Geometry, size: int) -> Array | None:
+        """Return least and largest values (2, size) of the columns by the bounds of all that move with them, and of
+        what stands behind the columns, which has none; None if nothing has bounds."""
         vector, names = nominal.vector(), nominal.names
-        limits = np.array([[-math.inf], [math.inf]]) * np.ones(len(self.columns))
+        limits = np.array([[-math.inf], [math.inf]]) * np.ones(size)
         for name, pair in nominal.bounds.items():
             own = names.index(name)
             first = dict(self.tied).get(own, own)
