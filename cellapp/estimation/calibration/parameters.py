@@ -101,7 +101,7 @@ class ParameterSet:
         tied = tuple((place(other), place(first)) for other, first in geometry.tied_to.items())
         if missing := {column for pair in tied for column in pair}.difference(columns):
             lost = geometry.names[min(missing)]
-            raise ValueError(f"'{name}' does not estimate {lost}; take it out of the arm's 'tied', or take another set")
+            raise ValueError(f"{lost} is in the arm's 'tied', but not estimated; take it out, or take another set")
         followers = {follower for follower, _ in tied}
         return cls(name, geometry.joints, tuple(c for c in columns if c not in followers), tied=tied)
 
