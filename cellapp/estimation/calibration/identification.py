@@ -275,7 +275,7 @@ def identify(
         robust,
         spreads=prior_spreads(parameters, free),
         tabulated=parameter_set == "auto",
-        limits=_limits(parameters, effects, prior_mean or start),
+        limits=parameters.limits(prior_mean or start, len(precision)),
     )
     return problem.result(minimise(problem, problem.at_start(), tolerance=tolerance, max_iterations=max_iterations))
 
@@ -290,12 +290,6 @@ def _priors(
     if effects is not None and effects.prior_sd is not None:
         of_effects = 1.0 / effects.prior_sd**2
     return np.concatenate([precision, of_effects]), means
-
-
-def _limits(parameters: ParameterSet, effects: EffectColumns | None, nominal: Geometry) -> Array | None:
-    """Return least and largest values (2, k) of geometry and effects; None if the geometry has no bounds."""
-    limits, count = parameters.limits(nominal), 0 if effects is None else len(effects.names)
-    return None if limits is None else np.hstack([limits, [[-math.inf] * count, [math.inf] * count]])
 
 
 def _check_count(n: int, precision: Array) -> None:

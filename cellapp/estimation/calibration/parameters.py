@@ -101,7 +101,7 @@ class ParameterSet:
         tied = tuple((place(other), place(first)) for other, first in geometry.tied_to.items())
         if missing := {column for pair in tied for column in pair}.difference(columns):
             lost = geometry.names[min(missing)]
-            raise ValueError(f"'{name}' does not estimate {lost}; take it out of the arm's 'tied', or take another set")
+            raise ValueError(f"{lost} is in the arm's 'tied', but not estimated; take it out, or take another set")
         followers = {follower for follower, _ in tied}
         return cls(name, geometry.joints, tuple(c for c in columns if c not in followers), tied=tied)
 
@@ -125,11 +125,11 @@ class ParameterSet:
         vector[list(self.columns)] = values
         return geometry.with_vector(vector)
 
-    def limits(self, nominal: Geometry) -> Array | None:
-        """Return least and largest values (2, k) of the columns by the bounds of all that move with them; None if none
-        has bounds."""
+    def limits(self, nominal: Geometry, size: int) -> Array | None:
+        """Return least and largest values (2, size) of the columns by the bounds of all that move with them, and of
+        what stands behind the columns, which has none; None if nothing has bounds."""
         vector, names = nominal.vector(), nominal.names
-        limits = np.array([[-math.inf], [math.inf]]) * np.ones(len(self.columns))
+        limits = np.array([[-math.inf], [math.inf]]) * np.ones(size)
         for name, pair in nominal.bounds.items():
             own = names.index(name)
             first = dict(self.tied).get(own, own)

@@ -41,7 +41,7 @@ from cellapp.estimation.discovery.search.unnamed import without_name
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.effects import EffectColumn, displacement_by
 from cellapp.robot.effects.effect import is_unnamed, lent_effect
-from cellapp.robot.kinematics.chain import smr_positions
+from cellapp.robot.kinematics.chain import AT_BOUND, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.model import PosteriorDraws
@@ -237,6 +237,10 @@ def _fitted(data: ArmData, fit: JointFit, spread: float) -> ArmModel:
     found = minimise(problem, problem.at_start(), tolerance=_TOLERANCE, max_iterations=_MOST_STEPS)
     if not found.converged:
         raise NotConverged.of("effects to all readings", found.message)
+    limits = estimated.limits(fit.model.nominal, len(estimated.columns))
+    values = found.point.values[: fit.layout.geometric] + problem.nominal
+    if limits is not None and np.any(np.abs(np.clip(values, *limits) - values) > AT_BOUND):
+        raise NotConverged.of("effects to all readings", "a parameter left its bounds")
     draws = PosteriorDraws.of_covariance(
         columns=estimated.columns,
         sizes=[term.size for term in fit.terms],

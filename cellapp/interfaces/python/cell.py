@@ -38,6 +38,7 @@ from cellapp.commands.discover.run import discover_effects
 from cellapp.commands.discover.view import candidates_chart, gap_chart, picture_chart
 from cellapp.commands.discover.view import view as discovery_view
 from cellapp.commands.doctor.view import profile_tables
+from cellapp.commands.stored_model import values_in_force
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Parts
 from cellapp.commands.view.table import Table, columns_of
@@ -395,8 +396,10 @@ class Discovery(Fitted):
         )
 
     def view(self) -> Parts:
-        """Return the findings, the values of the effects and their meaning, as ``cellapp show`` prints them."""
-        return discovery_view(self.result).parts
+        """Return the findings, the values of the effects and their meaning, and the parameters beside them, as
+        ``cellapp show`` prints them."""
+        parameters = parameters_view(values_in_force(self.calibration.result, self.model))
+        return [*discovery_view(self.result).parts, "", *parameters.parts]
 
     def charts(self) -> Mapping[str, Callable[[], Sequence[Chart]]]:
         """Return charts: error after each step, probabilities, pictures of the effects, held-out errors."""

@@ -55,8 +55,8 @@ from cellapp.robot.kinematics.transforms import (
 # Angles and lengths are those of ``robot.kinematics.chain``.
 
 
-AT_BOUND = 1e-12
-"""Distance from a bound [m, rad] within which a value is at it: more than rounding leaves."""
+AT_BOUND = 1e-8
+"""Distance from a bound [m, rad] within which a value is at it: below what any reading tells."""
 IN_TRACKER_AXES: Array = np.eye(3)
 """``R_ref`` of an arm whose first axis is near the tracker's z axis."""
 

@@ -25,6 +25,7 @@ from cellapp.commands.calibrate.charts import error_histogram_chart, pair_histog
 from cellapp.commands.calibrate.view import calibration_tables, parameters_view, tracker_sentences
 from cellapp.commands.export.request import STAGES, VERB
 from cellapp.commands.report.data import ReportData
+from cellapp.commands.stored_model import values_in_force
 from cellapp.commands.view.charts import Chart
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import with_effects
@@ -182,6 +183,11 @@ class CalibrateScreen(DayScreen):
         if workspace is self._shown:
             self._data = data
             self._draw_plots()
+            if data is not None:
+                parts = parameters_view(values_in_force(data.calibrate, data.model)).parts
+                self.query_one("#parameter-tables", PartsView).show(
+                    parts, self.outdated(CALIBRATE, "go", "calibrates again")
+                )
 
     def _draw_plots(self) -> None:
         charts: list[Chart] = []
