@@ -379,29 +379,32 @@ def repair_order(
     Stops stay in their blocks. ``start`` and ``end`` are where the arms are before and after (None: anywhere).
     """
 
-    def refused(orders: Sequence[Arrangement]) -> list[list[int]]:
-        """Return the places before which each order has a motion that the gate refuses."""
-        along = [[start, *(stops.at(rows) for rows in one.rows.T), end] for one in orders]
-        ways = [
-            [(place, before, here) for place, (before, here) in enumerate(pairwise(one)) if before and here]
-            for one in along
-        ]
+    n, detour_s = now.rows.shape[1], _DETOUR_STEPS * stops.usual_step_s
+
+    def refused(orders: Sequence[Arrangement], first: int, end_: int) -> list[list[int]]:
+        """Return the places, of ``first`` to ``end_``, before which each order has a motion that the gate refuses."""
+        ways = []
+        for one in orders:
+            along = [stops.at(rows) for rows in one.rows.T[max(first - 1, 0) : end_ + 1]]
+            along = [*([] if first else [start]), *along, *([end] if end_ == n else [])]
+            both = enumerate(pairwise(along), first)
+            ways.append([(place, before, here) for place, (before, here) in both if before and here])
         gate.ask(way[1:] for own in ways for way in own)
         return [[place for place, *way in own if not gate.free(*way)] for own in ways]
 
-    n, detour_s = now.rows.shape[1], _DETOUR_STEPS * stops.usual_step_s
     ends = (np.flatnonzero(np.diff(now.block)) + 1).tolist()
     for place in (
-        min(max(one - k, 0), n - 1) for _ in range(_ROUNDS) for one in (*refused([now])[0], *ends) for k in (0, 1)
+        min(max(one - k, 0), n - 1) for _ in range(_ROUNDS) for one in (*refused([now], 0, n)[0], *ends) for k in (0, 1)
     ):
         cancel.check()
-        orders = np.array([*_moves(n, place, np.flatnonzero(now.block == now.block[place]).tolist())])
-        rows = now.rows[:, orders]
+        block = np.flatnonzero(now.block == now.block[place]).tolist()  # only motions to, in and from it change
+        orders = np.array([*_moves(n, place, block)])
+        rows = now.rows[:, orders[:, max(block[0] - 1, 0) : block[-1] + 2]]
         step_s = stops.step_s(*(part.reshape(len(rows), -1) for part in (rows[..., :-1], rows[..., 1:])))
         seconds = step_s.reshape(len(orders), -1).sum(axis=1)
         tried = [0, *np.argsort(seconds, kind="stable")[:_MOST_TRIED].tolist()]
         others = [now.taken(orders[k]) for k in tried]
-        detours = np.array([len(its) for its in refused(others)])
+        detours = np.array([len(its) for its in refused(others, block[0], block[-1] + 1)])
         now = others[int(np.argmin(seconds[tried] + detour_s * detours))]
     return now
 

@@ -19,6 +19,7 @@ are updated by matrices of rank three (Woodbury). From time to time all are comp
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -146,18 +147,18 @@ class BlockDesign:
         return trace_of_solution(self._V, self._U, sign)
 
     def change(self, row: Array, sign: float = 1.0) -> None:
-        """Add a candidate ``row`` (3, p), or remove it with ``sign`` -1."""
+        """Add a candidate ``row`` (3, p), or remove it with ``sign`` -1; a shallow copy made before stays as it was."""
         row = row.astype(np.float64)
         Cx, H = row @ self.covariance, row @ self._CWC
         G = np.linalg.solve(np.eye(3) + sign * (Cx @ row.T), Cx)
         B = H - 0.5 * sign * (H @ row.T) @ G
-        self.covariance -= sign * (Cx.T @ G)
+        self.covariance = self.covariance - sign * (Cx.T @ G)
         half = sign * (G.T @ B)
-        self._CWC -= half + half.T
+        self._CWC = self._CWC - (half + half.T)
         by_Cx, by_G, by_B = np.split(self._rows @ np.concatenate([Cx, G, B]).T, 3, axis=1)
-        self._V -= sign * _products(by_Cx, by_G)
+        self._V = self._V - sign * _products(by_Cx, by_G)
         half = sign * _products(by_G, by_B)
-        self._U -= half + half.transpose(0, 2, 1)
+        self._U = self._U - (half + half.transpose(0, 2, 1))
 
 
 def _products(first: Array, second: Array) -> Array:
@@ -309,11 +310,15 @@ def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, steps
         for place in range(len(leaving)):
             if outside[place] == 0.0:
                 continue
+            before = copy(design)
             design.change(rows[place], -1.0)
             outside[place] = 0.0
             best = int(np.argmax(design.gains() + outside))
             outside[best] = -np.inf
-            design.change(rows[best])
+            if best == place:
+                design = before
+            else:
+                design.change(rows[best])
         free[looked_at] = outside == 0.0
     return np.flatnonzero(~free)
 

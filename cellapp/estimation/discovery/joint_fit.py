@@ -723,36 +723,45 @@ _FOLD_SEED = 0xF01D
 
 def cross_validated_gain(data: ArmData, fit: JointFit, new_rows: Array) -> float:
     """Return the decrease of the whitened sum of squares of left-out readings when columns (m, 3 n) join a fit."""
-    folds = data.profile.discovery.folds
-    generator = np.random.default_rng([data.profile.seed, _FOLD_SEED])
-    fold = np.tile(folds_of(data.undivided, folds, generator), 3)
-    return float(sum(np.sum(before**2) - np.sum(after**2) for before, after in _left_out(fit, new_rows, fold)))
+    pairs = _left_out(fit, new_rows, _fold_numbers(data))
+    return float(sum(np.sum(before**2) - np.sum(after**2) for before, after in pairs))
 
 
-def left_out(data: ArmData, fit: JointFit) -> tuple[Array, Array]:
+def left_out(data: ArmData, fit: JointFit) -> Array:
     """Predict each fold of whole configurations, or of whole neighbourhoods, by the others, linear about a fit.
 
-    Return residuals [m, rad] (n, 3), and the same (n, 3) in units of their predicted standard deviation.
+    Return residuals [m, rad] (n, 3).
     """
-    generator = np.random.default_rng([data.profile.seed, _FOLD_SEED])
-    fold = np.tile(folds_of(data.undivided, data.profile.discovery.folds, generator), 3)
-    residual, scaled = np.empty((2, len(fold)))
-    for one in _folds(fit, fold):
+    residual = np.empty(len(fit.residual))
+    for one in _folds(fit, _fold_numbers(data)):
+        residual[one.out] = one.left
+    return np.einsum("nab,bn->na", np.linalg.inv(fit.white.transpose(2, 0, 1)), residual.reshape(3, -1))
+
+
+def left_out_in_sd(data: ArmData, fit: JointFit) -> Array:
+    """Return the residuals (3 n,) of ``left_out``, whitened, in units of their predicted standard deviation."""
+    scaled = np.empty(len(fit.residual))
+    for one in _folds(fit, _fold_numbers(data)):
         rows = fit.rows[:, one.out]
-        variance = np.einsum("pk,pk->k", rows, one.learnt.solve(rows))
-        residual[one.out], scaled[one.out] = one.left, one.left / np.sqrt(1.0 + variance)
-    root = np.linalg.inv(fit.white.transpose(2, 0, 1))
-    return np.einsum("nab,bn->na", root, residual.reshape(3, -1)), scaled.reshape(3, -1).T
+        scaled[one.out] = one.left / np.sqrt(1.0 + np.einsum("pk,pk->k", rows, one.learnt.solve(rows)))
+    return scaled
+
+
+def _fold_numbers(data: ArmData) -> NDArray[np.intp]:
+    """Return the number of the fold (3 n,) of each coordinate."""
+    generator = np.random.default_rng([data.profile.seed, _FOLD_SEED])
+    return np.tile(folds_of(data.undivided, data.profile.discovery.folds, generator), 3)
 
 
 def _left_out(fit: JointFit, new_rows: Array, fold: NDArray[np.intp]) -> Iterator[tuple[Array, Array]]:
     """Yield for each fold the residuals of the left-out coordinates without and with the new columns."""
     scale = 1.0 / np.maximum(np.linalg.norm(new_rows, axis=1), SMALLEST)
     new, target = new_rows * scale[:, None], fit.target
+    with_fit = fit.rows @ new.T
     for one in _folds(fit, fold):
         learnt = ~one.out
         B = new[:, learnt]
-        cross, gram = fit.rows[:, learnt] @ B.T, B @ B.T
+        cross, gram = with_fit - fit.rows[:, one.out] @ new[:, one.out].T, B @ B.T
         taken = one.learnt.solve(cross)
         factor = cholesky(gram - cross.T @ taken)
         if factor is None or not (factor.diagonal() > PIVOT * np.sqrt(gram.diagonal())).all():

@@ -313,7 +313,7 @@ _MOST_UNCERTAIN = 1.25
 from a few tens of stops. What is more uncertain is not explained."""
 _FAR = 5.0
 """Ratio of scatter to stated noise that exceeds the repeatability of an arm: 75 µm of a coordinate against the 15 µm of
-a tracker. Readings too few to show structure then still lack an explanation."""
+a tracker. Readings that show no structure, or are too few to, then still lack an explanation."""
 _SAMPLING_ERRORS = 2.5
 """Standard errors by which the held-out rms may exceed the floor, a probability of 0.6 %: for 3 n coordinates, each is
 ``1 / sqrt(6 n)`` of it."""
@@ -346,7 +346,7 @@ def verdict(
     left = _left(floor_mm, after_mm, scatter, structure, closed=closed)
     if nameless := unnamed is not None and unnamed.in_force:
         left = f"{unnamed_words(unnamed)}; {left}"
-    rest = has_structure(structure) or _far_off(scatter, structure) or (bool(accepted) and scatter is not None)
+    rest = has_structure(structure) or _far_off(scatter) or (bool(accepted) and scatter is not None)
     risen = bool(accepted) and after_mm >= errors.before
     if risen:
         left = f"held-out errors did not fall; {left}"
@@ -377,16 +377,18 @@ def _left(
         return gap
     if has_structure(structure):
         return f"{structure.sentence}; {gap}"
-    few = f"as {scatter.against} and are too few"
-    if _far_off(scatter, structure):
-        return f"readings scatter {scatter.ratio:.0f} times {few} to look for effects; {gap}"
-    without = f"as {scatter.against} but without structure" if structure.tests else f"{few} to test for structure"
-    return f"readings scatter {scatter.ratio:.2f} times {without}: repeatability or noise; {gap}"
+    stated = f"times as {scatter.against}"
+    if _far_off(scatter):
+        why = "but show no structure" if structure.tests else "and are too few to look for effects"
+        more = "measure more stops, over the whole range of every joint"
+        return f"readings scatter {scatter.ratio:.0f} {stated} {why}: {more}; {gap}"
+    without = "but without structure" if structure.tests else "and are too few to test for structure"
+    return f"readings scatter {scatter.ratio:.2f} {stated} {without}: repeatability or noise; {gap}"
 
 
-def _far_off(scatter: Scatter | None, structure: RemainingStructure) -> bool:
-    """Return whether readings too few to show structure scatter more than an arm's repeatability."""
-    return scatter is not None and not structure.tests and scatter.ratio > _FAR
+def _far_off(scatter: Scatter | None) -> bool:
+    """Return whether readings scatter more than an arm's repeatability."""
+    return scatter is not None and scatter.ratio > _FAR
 
 
 def sampling_allowance(held_out: int) -> float:

@@ -65,6 +65,7 @@ def errors(after_mm: float) -> BeforeAfter:
         ([], 0.12, Scatter(1.2, 0.0), STRUCTURE, "unknown effect"),
         ([], 0.3, FAR_ABOVE, NONE, "nothing missing"),
         ([], 0.3, FAR_ABOVE, UNTESTED, "nothing missing"),
+        ([], 0.6, Scatter(6.0, 0.0), NONE, "unknown effect"),
         ([], 0.3, None, NONE, "nothing missing"),
         ([], 0.3, None, STRUCTURE, "unknown effect"),
         ([accepted()], 0.1, NOISE, NONE, "explained"),

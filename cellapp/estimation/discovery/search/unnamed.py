@@ -17,7 +17,7 @@ import numpy as np
 from cellapp.estimation.calibration.least_squares import NORMAL_95
 from cellapp.estimation.discovery.accepted import model_without, rms_length
 from cellapp.estimation.discovery.arm_data import UNKNOWN, ModelTerm
-from cellapp.estimation.discovery.joint_fit import JointFit, left_out
+from cellapp.estimation.discovery.joint_fit import JointFit, left_out, left_out_in_sd
 from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import BeforeAfter, HeldOutBeforeAfter, Unnamed
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchResult, SearchState
@@ -75,7 +75,7 @@ def with_unnamed(problem: SearchProblem, found: SearchResult, extended: SearchSt
         whole = _without(problem, whole, range(len(whole.fit.terms)))
     if not any(term.smooth is not None for term in whole.fit.terms):
         return whole
-    return replace(whole, spread=_spread(left_out(whole.data, whole.fit)[1]))
+    return replace(whole, spread=_spread(left_out_in_sd(whole.data, whole.fit)))
 
 
 def _without(problem: SearchProblem, found: SearchResult, parts: Collection[int]) -> SearchResult:
@@ -91,7 +91,7 @@ def _without(problem: SearchProblem, found: SearchResult, parts: Collection[int]
 
 def _errors(found: SearchResult, fit: JointFit | None = None) -> Array:
     """Return the position errors (n,) [m] of left-out readings by the outcome's fit or by another one."""
-    left, _ = left_out(found.data, fit or found.fit)
+    left = left_out(found.data, fit or found.fit)
     return np.asarray(np.linalg.norm(left[found.data.positions], axis=1))
 
 
