@@ -385,8 +385,8 @@ def repair_order(
         """Return the places, of ``first`` to ``end_``, before which each order has a motion that the gate refuses."""
         ways = []
         for one in orders:
-            along = [stops.at(rows) for rows in one.rows.T[max(first - 1, 0) : end_ + 1]]
-            along = [*([] if first else [start]), *along, *([end] if end_ == n else [])]
+            its = [stops.at(rows) for rows in one.rows.T[max(first - 1, 0) : end_ + 1]]
+            along = [*([] if first else [start]), *its, *([end] if end_ == n else [])]
             both = enumerate(pairwise(along), first)
             ways.append([(place, before, here) for place, (before, here) in both if before and here])
         gate.ask(way[1:] for own in ways for way in own)

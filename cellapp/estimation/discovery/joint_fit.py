@@ -735,7 +735,7 @@ def left_out(data: ArmData, fit: JointFit) -> Array:
     residual = np.empty(len(fit.residual))
     for one in _folds(fit, _fold_numbers(data)):
         residual[one.out] = one.left
-    return np.einsum("nab,bn->na", np.linalg.inv(fit.white.transpose(2, 0, 1)), residual.reshape(3, -1))
+    return np.asarray(np.einsum("nab,bn->na", np.linalg.inv(fit.white.transpose(2, 0, 1)), residual.reshape(3, -1)))
 
 
 def left_out_in_sd(data: ArmData, fit: JointFit) -> Array:
