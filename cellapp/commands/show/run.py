@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 from cellapp.cell.planning.view import check_plan_run, forecast_run
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import recording_states
@@ -18,8 +20,8 @@ from cellapp.commands.show.result import RecordingsResult, Shown
 from cellapp.commands.show.view import profile_text
 from cellapp.commands.stages import complaints_of, read_stages
 from cellapp.commands.stored_model import model_of, values_in_force
-from cellapp.ground.asking import RUNS_NOW, look_at_job, who_uses
-from cellapp.ground.errors import InputError
+from cellapp.ground.asking import look_at_job, who_uses
+from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.results import Result
 from cellapp.ground.shell import filled, shell_word
 
@@ -63,8 +65,11 @@ def _found(run: RunFile, request: ShowRequest, work: Work) -> Shown:
 
 def _job_step(run: RunFile) -> str:
     """Say what to do with the job that uses the run now; empty if none does."""
-    folder, used = shell_word(run.folder), who_uses(run.folder)
-    if used != RUNS_NOW or (seen := look_at_job(run.folder)) is None:
+    folder, seen = shell_word(run.folder), None
+    with suppress(HardwareError, InputError):  # it is silent, of another account or another version
+        seen = look_at_job(run.folder)
+    if seen is None:
+        used = who_uses(run.folder)
         return used and f"wait for {used}"
     if seen.request == "pause" or (seen.holds and seen.request == "stop"):
         state = "paused" if seen.request == "pause" else "stopped"

@@ -546,7 +546,8 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
         assert "collect: paused" in within(process.stderr.readline, "the pause")
         one_sentence(call("collect", long_run.name, "--resume"), "another job runs here")
         one_sentence(call("job", "pause", long_run.name), "paused already")
-        assert "next: collect is paused: 'cellapp job resume planned' continues" in call("show", long_run.name).out
+        step = "next: collect is paused: 'cellapp job resume planned' continues"
+        assert any(step in call("show", long_run.name).out for _ in range(5)), "a job is slow on a busy computer"
         stopped = call("stop", long_run.name, "--json", "-")
         assert stopped.json["answer"].startswith("stopped: all arms brake")
         process.communicate(timeout=WAIT_S)
