@@ -37,6 +37,7 @@ from cellapp.ground.progress import (
 from cellapp.interfaces.tui import work
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.screens.collect import CollectScreen
 from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
 from cellapp.interfaces.tui.workspace import Workspace
@@ -211,10 +212,6 @@ async def test_what_a_run_stores_and_its_log_are_shown_until_a_job_begins() -> N
         await pilot.press("t")
         await until(pilot, lambda: "Log stored in part" in shown_text(app), "the stored log")
         await shows(pilot, "the reference moved")
-        await pilot.press("o")
-        await until(pilot, lambda: "Log of this session" in shown_text(app), "the log of this session")
-        await pilot.press("o")
-        await until(pilot, lambda: "Log stored in part" in shown_text(app), "the stored log again")
         await turned_to(pilot, "collected")
         held = HeldJob(EVERY_KIND)
         await begun(pilot, app, held)
@@ -228,7 +225,8 @@ async def test_a_log_that_cannot_be_read_is_a_sentence(monkeypatch: pytest.Monke
     async with app.run_test(size=SMALL) as pilot:
         await show_collect(pilot, app, run)
         (run / "run.sqlite").write_bytes(b"no run")
-        await pilot.press("o", "o")  # the run's sessions are its log; the log of this session, and back
+        assert isinstance(app.day_screen, CollectScreen)
+        app.day_screen._read_log(run)
         await until(pilot, lambda: "run.sqlite" in app.message, "the sentence")
         assert app.is_running
 
