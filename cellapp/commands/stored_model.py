@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -47,13 +48,14 @@ def values_in_force(result: CalibrateResult, model: CellModel) -> CalibrateResul
         determined = tuple(key for key, one in stored.items() if one.tied_to is None)
         calibrated = CalibratedArm(own, determined, arm.merged, arm.degrees_of_freedom, {})
         kept, _, values, covariance = combinations(calibrated, calibrated)
-        related, errors = largest_correlations(kept, covariance), np.sqrt(np.diag(covariance))
+        related, errors = largest_correlations(kept, covariance), np.sqrt(np.maximum(np.diag(covariance), 0.0))
         nominal = dict(zip(own.nominal.names, own.nominal.vector().tolist(), strict=True))
         found = {}
         for key, value, error in zip(kept, values.tolist(), errors.tolist(), strict=True):
             held = True if key in own.geometry.at_bound else None
-            new = {"value": value, "standard_error": None if held else error, "nominal": nominal[key]}
-            found[key] = stored[key].model_copy(update={**new, "correlations": related[key], "at_bound": held})
+            new: dict[str, Any] = {"value": value, "standard_error": None if held else error, "nominal": nominal[key]}
+            new |= {"correlations": {} if held else related[key], "at_bound": held}
+            found[key] = stored[key].model_copy(update=new)
         arms[name] = arm.model_copy(update={"identified": found | tied_estimates(found, own.geometry.tied_to, nominal)})
     return result.model_copy(update={"arms": arms})
 

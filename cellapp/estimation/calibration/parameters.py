@@ -109,10 +109,10 @@ class ParameterSet:
         self, geometry: Geometry, angles: JointAngles, workspace: Workspace | None = None, more: tuple[int, ...] = ()
     ) -> tuple[Array, Array]:
         """Compute as ``jacobian`` of ``more`` parameters, then of the columns, each with those tied to it."""
-        tied = [pair for pair in self.tied if pair[1] in self.columns]
-        P, J = jacobian(geometry, angles, (*more, *self.columns, *(follower for follower, _ in tied)), workspace)
-        end = J.shape[1] - len(tied)
-        for place, (_, first) in enumerate(tied, start=end):
+        followers = tuple(follower for follower, _ in self.tied)
+        P, J = jacobian(geometry, angles, (*more, *self.columns, *followers), workspace)
+        end = J.shape[1] - len(followers)
+        for place, (_, first) in enumerate(self.tied, start=end):
             J[:, len(more) + self.columns.index(first)] += J[:, place]
         return P, J[:, :end]
 
@@ -120,8 +120,7 @@ class ParameterSet:
         """Return the geometry with ``values`` (k,) of the columns; tied parameters change by the same amount."""
         vector = geometry.vector()
         for follower, first in self.tied:
-            if first in self.columns:
-                vector[follower] += values[self.columns.index(first)] - vector[first]
+            vector[follower] += values[self.columns.index(first)] - vector[first]
         vector[list(self.columns)] = values
         return geometry.with_vector(vector)
 
@@ -317,7 +316,7 @@ def determined_set(estimated: ParameterSet, information: Array, prior_sd: Array)
         dropped=tuple(estimated.columns[place] for place in dropped),
         scaled_information=scaled[both[:, None], both],
         unit=unit[both],
-        tied=estimated.tied,
+        tied=tuple(pair for pair in estimated.tied if pair[1] in {estimated.columns[place] for place in kept}),
     )
 
 

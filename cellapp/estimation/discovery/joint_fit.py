@@ -666,11 +666,11 @@ def _reordered(found: Identification, effects: NDArray[np.intp]) -> Identificati
 
 def _precision(data: ArmData, found: Identification, layout: TermLayout, columns: Sequence[EffectColumn]) -> Array:
     """Return the prior precisions (p,) of all fitted parameters; zero where there is no prior."""
-    precision = np.zeros(layout.total)
+    precision, held = np.zeros(layout.total), found.geometry.at_bound
     for row, name in enumerate(found.names[: layout.geometric]):
         if name in data.prior_sigma:
             precision[row] = 1.0 / data.prior_sigma[name] ** 2
-        if name in found.geometry.at_bound:
+        if name in held:
             precision[row] = FIXED_SD**-2
     sd = prior_sd(columns)
     if sd is not None:

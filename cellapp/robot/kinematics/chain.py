@@ -174,7 +174,7 @@ class Geometry:
     @property
     def at_bound(self) -> set[str]:
         """Parameters at one of their bounds, and those that are tied to them."""
-        value = dict(zip(self.names, self.vector().tolist(), strict=True))
+        value = dict(zip(self.names, self.vector().tolist(), strict=True)) if self.bounds else {}
         held = {name for name, pair in self.bounds.items() if min(abs(value[name] - one) for one in pair) < AT_BOUND}
         return held.union(*(group for group in self.tied if held & {*group}))
 
