@@ -26,7 +26,7 @@ from cellapp.estimation.calibration.parameters import (
     prior_sds,
     typical_spreads,
 )
-from cellapp.estimation.calibration.quantities import conditions_of_arms
+from cellapp.estimation.calibration.quantities import ArmReadings
 from cellapp.estimation.design.information import VISIBLE
 from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData, whitening
 from cellapp.estimation.discovery.joint_fit import fit_terms
@@ -40,7 +40,7 @@ from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Tracker
 from cellapp.ground.results import Estimate
-from cellapp.robot.effects import EFFECTS, MeasurementConditions
+from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import Geometry, JointAngles, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
@@ -152,10 +152,8 @@ class PlannedReadings:
     load: NDArray[np.intp] | None = None
 
 
-def expected_readings(
-    profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings
-) -> tuple[dict[str, ArmModel], dict[str, Readings]]:
-    """Return nominal models of all arms, and the readings expected from a plan (arm -> q (n, N) [rad]).
+def expected_readings(profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings) -> dict[str, ArmReadings]:
+    """Return the readings of nominal arms that are expected from a plan (arm -> q (n, N) [rad]).
 
     Their noise is simulated, so that fits get realistic weights; no result depends on the draw beyond rounding.
 
@@ -189,7 +187,7 @@ def expected_readings(
             dwell_s=expected.dwell_s,
             covariance_M=covariance,
         )
-    return models, readings
+    return ArmReadings.of_cell(profile, models, readings)
 
 
 def nominal_model(profile: Profile, name: str) -> ArmModel:
@@ -231,10 +229,9 @@ class ArmDesign:
     data: ArmData
 
     @classmethod
-    def of(
-        cls, profile: Profile, name: str, model: ArmModel, readings: Readings, conditions: MeasurementConditions
-    ) -> ArmDesign:
-        """Build the design from the results of ``expected_readings`` and ``conditions_of_arms``."""
+    def of(cls, arm: ArmReadings) -> ArmDesign:
+        """Build the design from the result of ``expected_readings``."""
+        profile, name, model, readings = arm.profile, arm.name, arm.model, arm.readings
         stated = prior_sigmas(model.nominal, profile.calibration.priors, profile.arms[name].fixed)
         wanted = profile.calibration.parameter_set
         try:
@@ -245,7 +242,7 @@ class ArmDesign:
         priors = {**typical_spreads(model.nominal.joints), **stated}
         covariance = readings.covariance_M
         assert covariance is not None
-        return cls(name, ArmData(profile, model, readings, conditions, covariance, covariance, estimated, priors))
+        return cls(name, ArmData(profile, model, readings, arm.conditions, covariance, covariance, estimated, priors))
 
     def with_scatter(self, scatter_m: float) -> ArmDesign:
         """Return the design with a scatter of every coordinate [m] beside the tracker's noise."""
@@ -255,9 +252,7 @@ class ArmDesign:
 
 def arm_designs(profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings) -> dict[str, ArmDesign]:
     """Return the designs of all arms of a plan. Raise as ``expected_readings``, or if a parameter set is wrong."""
-    models, readings = expected_readings(profile, plan, expected)
-    conditions = conditions_of_arms(models, readings)
-    return {name: ArmDesign.of(profile, name, models[name], readings[name], conditions[name]) for name in plan}
+    return {name: ArmDesign.of(arm) for name, arm in expected_readings(profile, plan, expected).items()}
 
 
 def planned_accuracy(design: ArmDesign, scatter_m: float) -> PlannedAccuracy:

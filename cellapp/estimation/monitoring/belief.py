@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.least_squares import excess_variance, mean_variance
 from cellapp.estimation.calibration.parameters import ParameterSet
-from cellapp.estimation.calibration.quantities import ArmReadings, conditions_of_arms, states_nothing
+from cellapp.estimation.calibration.quantities import ArmReadings, states_nothing
 from cellapp.estimation.prior.belief import Measured, Posterior, design, is_smooth
 from cellapp.estimation.prior.calibrate import calibration_posterior
 from cellapp.estimation.readings import Readings
@@ -239,13 +239,10 @@ def check_belief(
     own = {
         name: readings[name] if name in angular else replace(readings[name], quaternion_M=None) for name in model.arms
     }
-    conditions = conditions_of_arms(model.arms, own)
-    models = {
-        name: watching(replace(arm, network=None), Measured.of(own[name], conditions[name]))
-        for name, arm in model.arms.items()
-    }
-    measured = ArmReadings.of_cell(profile, models, own)
-    arms = {name: arm_belief(*calibration_posterior(arm)) for name, arm in measured.items()}
+    arms = {}
+    for name, arm in ArmReadings.of_cell(profile, model.arms, own).items():
+        watched = watching(replace(arm.model, network=None), Measured.of(arm.readings, arm.conditions))
+        arms[name] = arm_belief(*calibration_posterior(replace(arm, model=watched)))
     if T_new_old is not None:
         arms = {name: _relocated(arm, T_new_old) for name, arm in arms.items()}
     return CheckBelief(arms, station)
