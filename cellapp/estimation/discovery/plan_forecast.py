@@ -224,7 +224,7 @@ def tracker_covariance(tracker: Tracker, p_M: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class ArmDesign:
+class ForecastDesign:
     """Expected readings of one arm as data of a search, with priors of typical arms instead of estimated ones."""
 
     name: str
@@ -233,7 +233,7 @@ class ArmDesign:
     @classmethod
     def of(
         cls, profile: Profile, name: str, model: ArmModel, readings: Readings, conditions: MeasurementConditions
-    ) -> ArmDesign:
+    ) -> ForecastDesign:
         """Build the design from the results of ``expected_readings`` and ``conditions_of_arms``."""
         stated = prior_sigmas(model.nominal, profile.calibration.priors, profile.arms[name].fixed)
         wanted = profile.calibration.parameter_set
@@ -247,20 +247,20 @@ class ArmDesign:
         assert covariance is not None
         return cls(name, ArmData(profile, model, readings, conditions, covariance, covariance, estimated, priors))
 
-    def with_scatter(self, scatter_m: float) -> ArmDesign:
+    def with_scatter(self, scatter_m: float) -> ForecastDesign:
         """Return the design with a scatter of every coordinate [m] beside the tracker's noise."""
         assert self.data.stated is not None
         return replace(self, data=replace(self.data, sigma=with_excess(self.data.stated, scatter_m**2)))
 
 
-def arm_designs(profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings) -> dict[str, ArmDesign]:
+def arm_designs(profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings) -> dict[str, ForecastDesign]:
     """Return the designs of all arms of a plan. Raise as ``expected_readings``, or if a parameter set is wrong."""
     models, readings = expected_readings(profile, plan, expected)
     conditions = conditions_of_arms(models, readings)
-    return {name: ArmDesign.of(profile, name, models[name], readings[name], conditions[name]) for name in plan}
+    return {name: ForecastDesign.of(profile, name, models[name], readings[name], conditions[name]) for name in plan}
 
 
-def planned_accuracy(design: ArmDesign, scatter_m: float) -> PlannedAccuracy:
+def planned_accuracy(design: ForecastDesign, scatter_m: float) -> PlannedAccuracy:
     """Compute standard errors of predicted SMR positions at the stops, and of the determined parameters.
 
     ``scatter_m`` [m] is a scatter of every coordinate beside the tracker's noise.
@@ -292,7 +292,7 @@ def accuracy_of(
     )
 
 
-def planned_effects(design: ArmDesign) -> tuple[PlannedEffect, ...]:
+def planned_effects(design: ForecastDesign) -> tuple[PlannedEffect, ...]:
     """Return for each effect of the library whether the stops can show it, and from which sizes on.
 
     Raises
@@ -313,7 +313,7 @@ def planned_effects(design: ArmDesign) -> tuple[PlannedEffect, ...]:
     )
 
 
-def _absent(design: ArmDesign) -> list[tuple[bool, AbsentEffect]]:
+def _absent(design: ForecastDesign) -> list[tuple[bool, AbsentEffect]]:
     """Return whether each effect could be seen, and its smallest sizes, in the order of the library."""
     data, settings = design.data, design.data.profile.discovery
     too_few = (
