@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from cellapp.robot.kinematics.chain import Geometry, nominal_geometry, parallel_rows, parameter_names, parameter_unit
 from cellapp.robot.kinematics.transforms import rotation_from_vector, transform
 from cellapp.robot.model import ArmModel
-from drivers.plant import ArmConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
+from drivers.plant import ArmConfig, Plant, PlantConfig, TrackerConfig, TrueErrors
 
 Array = NDArray[np.float64]
 HALF_TURN = np.pi / 2.0
@@ -69,7 +69,7 @@ def measured_rotations(model: ArmModel, q: Array, sigma_rad: float, rng: np.rand
 
 
 def plant_of(
-    rows: Array, tool: Array, T_M_B: Array = STATION, errors: GeometryErrors | None = None, seed: int = 0
+    rows: Array, tool: Array, T_M_B: Array = STATION, errors: TrueErrors | None = None, seed: int = 0
 ) -> Plant:
     """A plant of one arm, without effects, whose tracker frame is the cell frame."""
     n = len(rows)
@@ -90,7 +90,7 @@ def plant_of(
         seed=seed,
         arms=(arm,),
         tracker=TrackerConfig(T_C_M=np.eye(4)),
-        errors=errors or GeometryErrors(),
+        errors=errors or TrueErrors(),
         repeatability=0.0,
         temperature_c=20.0,
         noise=True,

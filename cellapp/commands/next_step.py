@@ -48,7 +48,7 @@ _PROPOSED_STOPS = 30
 """Stops to propose if discovery could not decide: about a quarter of an hour of measuring."""
 
 
-class ArmState(Record):
+class ArmProgress(Record):
     """How much of one arm's plan is measured, and in which splits; points that were ``recorded`` in motion."""
 
     type: str
@@ -72,13 +72,13 @@ class Step:
         return self.command or self.text
 
 
-def arm_states(run: RunFile) -> dict[str, ArmState]:
+def arm_states(run: RunFile) -> dict[str, ArmProgress]:
     """Return how much of each arm's plan is measured; counts the readings without reading them."""
     planned, measured = run.planned_counts(), run.split_counts()
     states = {}
     for name, arm in run.profile.arms.items():
         splits, total = measured.get(name, {}), planned.get(name, 0)
-        states[name] = ArmState(
+        states[name] = ArmProgress(
             type=arm.type.model,
             planned=total - len(run.profile.plan.reserves(total)),
             measured=sum(splits.values()),
@@ -89,7 +89,7 @@ def arm_states(run: RunFile) -> dict[str, ArmState]:
 
 
 def missing_step(
-    run: RunFile, stages: RunStages, arms: Mapping[str, ArmState], folder: Path | None = None
+    run: RunFile, stages: RunStages, arms: Mapping[str, ArmProgress], folder: Path | None = None
 ) -> Step | None:
     """Return the first step of the day that is missing or out of date, for a run in ``folder``; None without one."""
     folder = folder or run.folder
@@ -107,7 +107,7 @@ def missing_step(
 def next_step(
     run: RunFile,
     stages: RunStages,
-    arms: Mapping[str, ArmState],
+    arms: Mapping[str, ArmProgress],
     complaints: Sequence[str] = (),
     results: RunResults | None = None,
 ) -> Step:
@@ -206,7 +206,7 @@ def _again(run: RunFile) -> Iterator[tuple[str, Step]]:
         yield begins, Step(words, command, verb)
 
 
-def _missing_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmState]) -> NextVerb:
+def _missing_verb(run: RunFile, stages: RunStages, arms: Mapping[str, ArmProgress]) -> NextVerb:
     if not any(arm.measured or arm.recorded for arm in arms.values()):
         return "collect" if any(arm.planned for arm in arms.values()) else ""  # a run of tests alone has no plan
     sessions = [one for one in run.sessions() if not one.again]

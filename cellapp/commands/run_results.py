@@ -21,18 +21,18 @@ from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.iso9283.records import Iso9283Result
 from cellapp.estimation.monitoring.records import CheckResult
-from cellapp.estimation.uncertainty.budget import Evidence, MeasuredConditions
+from cellapp.estimation.uncertainty.budget import BudgetEvidence, MeasuredConditions
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, DISCOVER, STAGE_NAMES, Result, StageName
 
 
-def evidence_of(results: RunResults, arm: str, measured: MeasuredConditions | None = None) -> Evidence:
+def evidence_of(results: RunResults, arm: str, measured: MeasuredConditions | None = None) -> BudgetEvidence:
     """Return the evidence on one arm; ``measured`` are the conditions of its readings."""
     held = results.held
     commands = () if held.compensate is None else held.compensate.targets
     targets = () if held.verify is None else held.verify.targets
     points = [one.measured_M for one in targets if one.arm == arm and one.measured_M is not None]
-    return Evidence(
+    return BudgetEvidence(
         calibrated=None if results.calibrate is None else results.calibrate.arms.get(arm),
         discovered=None if held.discover is None else held.discover.arms.get(arm),
         commands=tuple(one.parts for one in commands if one.arm == arm and one.parts is not None),

@@ -57,7 +57,7 @@ _PREPARED: dict[str, Any] = {}
 
 
 @dataclass(frozen=True)
-class Work:
+class PoolWork:
     """Where tasks are computed and kept, who listens, and who can cancel.
 
     ``jobs``: processes, each of one thread; 1 computes in this process, None takes all cores. ``scheduler``: address of
@@ -101,7 +101,7 @@ def gather(
     given: Mapping[str, Given],
     found: type[Found],
     job: str,
-    work: Work,
+    work: PoolWork,
     *,
     all_may_fail: bool = False,
 ) -> Gathered[Found]:
@@ -175,7 +175,7 @@ class _Answer:
     exit_code: int = CheckFailed.exit_code
 
 
-def _answers(shared: _Shared, given: Mapping[str, Any], work: Work) -> Iterator[tuple[str, _Answer]]:
+def _answers(shared: _Shared, given: Mapping[str, Any], work: PoolWork) -> Iterator[tuple[str, _Answer]]:
     """Every task as it ends. Tasks whose process was ended are begun again, with those that waited behind them."""
     jobs = min(work.jobs or local_cores(), len(given))
     if jobs <= 1 and work.scheduler is None:

@@ -42,7 +42,7 @@ from drivers.arms.ur_links import RTDE_PORT, Connection, cause, program_name, ru
 from drivers.arms.ur_motion import OPTIONAL_VARIABLES, STILL_MOVING
 from drivers.arms.ur_options import UrOptions
 from drivers.arms.ur_probe import UrProbe, probe_ur
-from drivers.arms.ur_rtde_reader import Outputs
+from drivers.arms.ur_rtde_reader import RtdeOutputs
 from drivers.arms.ur_supervised_link import ANSWER_WITHIN_S, CONFIRM_WITHIN_S, SupervisedLink, arm_error, arm_state
 from drivers.arms.ur_worker_process import HeartbeatGaps, WorkerGone, WorkerProcess
 from drivers.patience import Patience
@@ -430,7 +430,7 @@ class UrRecorder:
         try:
             self._link = Connection.to(host, port, patience)
             try:
-                self._outputs = Outputs(self._link, patience, _REQUIRED, _OPTIONAL, 1.0 / period_s)
+                self._outputs = RtdeOutputs(self._link, patience, _REQUIRED, _OPTIONAL, 1.0 / period_s)
             except BaseException:
                 self._link.close()
                 raise

@@ -204,11 +204,11 @@ def _watch_until_rest(host: str, patience: Patience, port: int, dwell_s: float) 
 
 def samples(link: Connection, patience: Patience) -> Iterator[UrSample]:
     """Subscribe to the outputs and yield states as they come."""
-    for values in Outputs(link, patience, _REQUIRED, _OPTIONAL, _FREQUENCY_HZ).states(lambda: patience):
+    for values in RtdeOutputs(link, patience, _REQUIRED, _OPTIONAL, _FREQUENCY_HZ).states(lambda: patience):
         yield _sample(link.where, values)
 
 
-class Outputs:
+class RtdeOutputs:
     """A subscription to outputs of the controller.
 
     Attributes

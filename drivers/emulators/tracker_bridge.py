@@ -28,7 +28,7 @@ from drivers.plant import Plant
 from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge_links import Link
 from drivers.trackers.bridge_server import Reply, TrackerService, is_loopback
-from drivers.trackers.bridge_wire import BadField, Line
+from drivers.trackers.bridge_wire import BadField, WireLine
 from drivers.trackers.imperfections import Imperfections
 from drivers.trackers.protocol import TrackerTimeout
 from drivers.trackers.simulated import SimulatedTracker
@@ -132,7 +132,7 @@ class TrackerBridgeEmulator(TrackerService):
         if self.accepts_connections():
             super().line_received(link, raw)
 
-    def _without_session(self, link: Link, line: Line) -> None:
+    def _without_session(self, link: Link, line: WireLine) -> None:
         if line.word != "fault":
             super()._without_session(link, line)
             return
@@ -145,7 +145,7 @@ class TrackerBridgeEmulator(TrackerService):
             raise BadField(str(error)) from error
         self._answer(link, line.sequence, ("ok", {}))
 
-    def _command(self, link: Link, line: Line) -> None:
+    def _command(self, link: Link, line: WireLine) -> None:
         measuring = line.word == "measure" and line.fields.get("id", "") not in self._results
         if measuring and self._faults and self._active is None:
             if self._faults[0] == "tracker-reboot":

@@ -5,11 +5,11 @@ own equations. A calibration that fits this cell therefore does not merely repro
 """
 
 from drivers.plant.clearance import Clearance
-from drivers.plant.config import ArmConfig, CapsuleConfig, GeometryErrors, PlantConfig, TrackerConfig
+from drivers.plant.config import ArmConfig, CapsuleConfig, PlantConfig, TrackerConfig, TrueErrors
 from drivers.plant.mechanism import gravity_torques
 from drivers.plant.plant import Plant
 from drivers.plant.suggest import ONLY_MOVING, OUTSIDE, REALISTIC, suggest, suggest_other_law
-from drivers.plant.true_arm import Target
+from drivers.plant.true_arm import TrueTarget
 
 __all__ = [
     "ONLY_MOVING",
@@ -18,11 +18,11 @@ __all__ = [
     "ArmConfig",
     "CapsuleConfig",
     "Clearance",
-    "GeometryErrors",
     "Plant",
     "PlantConfig",
-    "Target",
     "TrackerConfig",
+    "TrueErrors",
+    "TrueTarget",
     "gravity_torques",
     "suggest",
     "suggest_other_law",

@@ -147,7 +147,7 @@ class TrackerConfig:
 
 
 @dataclass(frozen=True)
-class GeometryErrors:
+class TrueErrors:
     """Standard deviations of the true cell's differences from the nominal one.
 
     ``length`` [m]: offset of each axis line in both transverse directions. ``angle`` [rad]: its tilt about both, and
@@ -179,13 +179,13 @@ class PlantConfig:
     seed: int
     arms: tuple[ArmConfig, ...]
     tracker: TrackerConfig
-    errors: GeometryErrors = GeometryErrors()
+    errors: TrueErrors = TrueErrors()
     repeatability: float = 0.0
     temperature_c: float = 20.0
     noise: bool = True
     floor: float = 0.0
     holding_k: float = 0.0
-    factory: GeometryErrors | None = None
+    factory: TrueErrors | None = None
     earlier_jobs: int = 0
 
     def random(self, stream: int) -> np.random.Generator:

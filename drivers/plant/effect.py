@@ -68,7 +68,7 @@ class Situation:
     inertia: Array | None = None
 
 
-class Effect:
+class PlantEffect:
     """Base class of all effects, without any influence."""
 
     def initial_memory(self, q: Array) -> Array | None:
@@ -114,7 +114,7 @@ class Effect:
 
 
 @dataclass(frozen=True, eq=False)
-class Offset(Effect):
+class Offset(PlantEffect):
     """An effect without loads and memory: ``law`` gives the deviation in a situation, for the ``values`` of it."""
 
     law: Callable[..., Deflection]
@@ -125,7 +125,7 @@ class Offset(Effect):
 
 
 @dataclass(frozen=True, eq=False)
-class Bend(Effect):
+class Bend(PlantEffect):
     """An effect of loads: ``law`` gives the deviation in a posture, for the ``values`` of it."""
 
     law: Callable[..., Deflection]
@@ -136,7 +136,7 @@ class Bend(Effect):
 
 
 @dataclass(frozen=True, eq=False)
-class Apparent(Effect):
+class Apparent(PlantEffect):
     """An error of measured positions: ``law`` gives the apparent ones, for the ``values`` of it."""
 
     law: Callable[..., Array]
@@ -147,8 +147,8 @@ class Apparent(Effect):
 
 
 def by(
-    kind: Callable[[Callable[..., Any], Mapping[str, Any]], Effect], law: Callable[..., Any]
-) -> Callable[..., Effect]:
+    kind: Callable[[Callable[..., Any], Mapping[str, Any]], PlantEffect], law: Callable[..., Any]
+) -> Callable[..., PlantEffect]:
     """Return what makes an effect of a ``kind`` from the values of its law."""
     return lambda **values: kind(law, values)
 
@@ -273,7 +273,7 @@ class Parameters:
 # -- Factories of effects, made from how each parameter is read --------------------------------------------------------
 
 
-Factory = Callable[[Parameters], Effect]
+Factory = Callable[[Parameters], PlantEffect]
 Read = Callable[[Parameters, str], Any]
 
 NUMBER, NUMBERS, JOINTS = Parameters.number, Parameters.numbers, Parameters.joint_numbers
@@ -283,10 +283,10 @@ POSITIVES, NOT_NEGATIVES = partial(NUMBERS, above=0.0), partial(NUMBERS, least=0
 VECTOR, SEED = partial(NUMBERS, count=3), partial(Parameters.integer, least=0)
 
 
-def made(effect: Callable[..., Effect], optional: Mapping[str, Read] | None = None, /, **reads: Read) -> Factory:
+def made(effect: Callable[..., PlantEffect], optional: Mapping[str, Read] | None = None, /, **reads: Read) -> Factory:
     """Return the factory of an effect that takes the parameters of these names, read in this order."""
 
-    def factory(parameters: Parameters) -> Effect:
+    def factory(parameters: Parameters) -> PlantEffect:
         parameters.require(*reads, optional=tuple(optional or ()))
         return effect(**{key: read(parameters, key) for key, read in {**reads, **(optional or {})}.items()})
 
@@ -296,7 +296,7 @@ def made(effect: Callable[..., Effect], optional: Mapping[str, Read] | None = No
 def by_law(**factories: Factory) -> Factory:
     """Return the factory of an effect whose parameter ``law`` names one of these; the first if it is missing."""
 
-    def factory(parameters: Parameters) -> Effect:
+    def factory(parameters: Parameters) -> PlantEffect:
         law, others = parameters.by_law(*factories)
         return factories[law](others)
 
@@ -306,7 +306,7 @@ def by_law(**factories: Factory) -> Factory:
 def of_arms(joints: int, what: str, factory: Factory) -> Factory:
     """Return a factory that refuses arms of fewer joints."""
 
-    def checked(parameters: Parameters) -> Effect:
+    def checked(parameters: Parameters) -> PlantEffect:
         if parameters.joints < joints:
             raise parameters.effect_error(f"{what} needs an arm of at least {joints} joints, not {parameters.joints}")
         return factory(parameters)

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from drivers.plant.config import ArmConfig, Array, CapsuleConfig, GeometryErrors
+from drivers.plant.config import ArmConfig, Array, CapsuleConfig, TrueErrors
 from drivers.plant.transforms import across, cross_matrix, inverse, rigid, transform_points
 
 STANDARD_GRAVITY = 9.80665
@@ -320,7 +320,7 @@ def nominal(arm: ArmConfig) -> Mechanism:
     )
 
 
-def with_errors(mechanism: Mechanism, errors: GeometryErrors, rng: np.random.Generator) -> Mechanism:
+def with_errors(mechanism: Mechanism, errors: TrueErrors, rng: np.random.Generator) -> Mechanism:
     """Return the mechanism with normally distributed errors of axes, joint zeros, SMR and probe.
 
     The draws do not depend on the sizes, so that one size can be changed alone.
@@ -372,7 +372,7 @@ _GYRATION_M = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Bodies:
+class TrueBodies:
     """Bodies in n postures: axes (N, n, 3), points on them, centres (N, n, 3), masses (N,)."""
 
     axes: Array
@@ -381,7 +381,7 @@ class Bodies:
     masses: Array
 
     @classmethod
-    def at(cls, mechanism: Mechanism, q: Array) -> Bodies:
+    def at(cls, mechanism: Mechanism, q: Array) -> TrueBodies:
         """Return the bodies of the undeflected arm at ``q`` (n, N)."""
         posture = Posture(mechanism, q, np.zeros(3))
         masses = mechanism.masses.copy()
@@ -405,7 +405,7 @@ class Bodies:
 def inertia_torques(mechanism: Mechanism, before: Array, q: Array, after: Array, step_s: float) -> Array:
     """Return torques of inertia (n, N) [Nm] at ``q`` (n, N); ``before`` and ``after`` are the positions one step
     earlier and one step later."""
-    one, here, other = (Bodies.at(mechanism, at) for at in (before, q, after))
+    one, here, other = (TrueBodies.at(mechanism, at) for at in (before, q, after))
     acceleration = (one.centers - 2.0 * here.centers + other.centers) / step_s**2
     force = -here.masses[:, None, None] * acceleration
     moment = np.cross(here.centers, force)

@@ -46,7 +46,7 @@ class AnyMotion(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class PlantMotion:
     """Motion from ``q_from`` (N,) at ``start_s`` to ``q_to`` (N,) at ``end_s``.
 
     The share of the travel is a parabola in each phase. Phase k begins at ``times[k]`` after the start with the share
@@ -112,7 +112,7 @@ def _largest_rate(travel: Array, limit: Array) -> float:
     return 1.0 / float((np.abs(travel) / limit).max())
 
 
-def travel(start_s: float, q_from: Array, q_to: Array, speed: Array, acceleration: Array) -> Motion | None:
+def travel(start_s: float, q_from: Array, q_to: Array, speed: Array, acceleration: Array) -> PlantMotion | None:
     """Return the fastest motion from rest to rest within ``speed`` and ``acceleration`` (N,); None if nothing moves."""
     way = q_to - q_from
     if np.abs(way).max() < _ZERO_RAD:
@@ -122,7 +122,7 @@ def travel(start_s: float, q_from: Array, q_to: Array, speed: Array, acceleratio
     ramp = rate / pull
     cruise = max(1.0 / rate - ramp, 0.0)
     ramp_share = 0.5 * rate * ramp
-    return Motion(
+    return PlantMotion(
         start_s=start_s,
         duration_s=2.0 * ramp + cruise,
         q_from=q_from,
@@ -134,14 +134,14 @@ def travel(start_s: float, q_from: Array, q_to: Array, speed: Array, acceleratio
     )
 
 
-def braked(motion: AnyMotion, time_s: float, acceleration: Array) -> Motion | None:
+def braked(motion: AnyMotion, time_s: float, acceleration: Array) -> PlantMotion | None:
     """Return the braking motion of ``motion`` from ``time_s`` on, within ``acceleration`` (N,); None if it rests."""
     now = np.array([time_s])
     q, velocity = motion.position(now)[0], motion.velocity(now)[0]
     if np.abs(velocity).max() < _ZERO_RAD:
         return None
     duration = 1.0 / _largest_rate(velocity, acceleration)
-    return Motion(
+    return PlantMotion(
         start_s=time_s,
         duration_s=duration,
         q_from=q,

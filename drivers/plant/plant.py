@@ -19,7 +19,7 @@ from drivers.plant.motion import Phase, braked, note_phase, phase_of, travel
 from drivers.plant.optics import covariances, noise, why_hidden
 from drivers.plant.servo import follow
 from drivers.plant.transforms import inverse, transform_points
-from drivers.plant.true_arm import Seen, Target, TrueArm, draw_true_arm, largest_change, watch
+from drivers.plant.true_arm import Seen, TrueArm, TrueTarget, draw_true_arm, largest_change, watch
 
 _EQUILIBRIUM_RAD = 1e-12
 _MAX_ITERATIONS = 200
@@ -42,7 +42,7 @@ class Plant:
         self.schedule = Schedule()
         self._clock_s = 0.0
         self._T_M_C = inverse(config.tracker.T_C_M)
-        self._air = Air(config.temperature_c, np.random.default_rng([config.seed, 0]))
+        self._air = TrueAir(config.temperature_c, np.random.default_rng([config.seed, 0]))
         self._air_now = (np.nan, np.nan)
         """Cache: a time [s] and the air temperature at that time [degC]."""
         self._noise = config.random(1)
@@ -387,13 +387,13 @@ class Plant:
         for arm in self._arms.values():
             arm.T_M_B, arm.resting = self._T_M_C @ arm.T_C_B, None
 
-    def targets(self) -> list[Target]:
+    def targets(self) -> list[TrueTarget]:
         """Return the SMRs of all arms at the current time."""
         found = []
         for name, arm in self._arms.items():
             seen = self._current(arm)
             why = why_hidden(self.config.tracker, seen.p_M, seen.normal_M, arm.config.smr_acceptance)
-            found.append(Target(name, seen.p_M, why, arm.motion is not None, seen.R_M_S, arm.config.probe_sigma))
+            found.append(TrueTarget(name, seen.p_M, why, arm.motion is not None, seen.R_M_S, arm.config.probe_sigma))
         return found
 
     def measure_positions(
@@ -497,7 +497,7 @@ JOINT_RISE_K = 20.0
 """Steady-state temperature difference of a joint that rotates at 1 rad/s without pause and one at rest [K]."""
 
 
-class Air:
+class TrueAir:
     """Air temperature: the configured mean plus three slow sine waves with seeded phases, at most 0.5 K."""
 
     def __init__(self, mean_c: float, rng: np.random.Generator) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from drivers.plant import effects as hidden
 from drivers.plant.clearance import Clearance, segment_distances
 from drivers.plant.config import ArmConfig, Array, PlantConfig
-from drivers.plant.effect import Effect
+from drivers.plant.effect import PlantEffect
 from drivers.plant.mechanism import (
     NO_DEFLECTION,
     STANDARD_GRAVITY,
@@ -27,7 +27,7 @@ from drivers.plant.transforms import rigid, transform_points
 
 
 @dataclass(frozen=True, eq=False)
-class Target:
+class TrueTarget:
     """An SMR at the current time: its arm, position (3,) [m] in M, and why the tracker cannot see it ("" if it can).
 
     ``R_M_S`` (3, 3) is the orientation of a 6-D probe, which is measured with the standard deviation ``sigma_rad``
@@ -61,7 +61,7 @@ class TrueArm:
     T_C_B: Array
     T_M_B: Array
     gravity: Array  # acceleration of free fall in B
-    effects: tuple[Effect, ...]
+    effects: tuple[PlantEffect, ...]
     repeatability: np.random.Generator
     q: Array  # (N,) at the last rest, or at the start of the current motion
     memories: list[Array | None]  # at that moment

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from serial.urlhandler.protocol_socket import Serial as TcpPort
 
 from drivers.trackers import bridge_wire as wire
-from drivers.trackers.bridge_wire import BadField, Fields, Garbled, Line, read_limits, read_packet
+from drivers.trackers.bridge_wire import BadField, Fields, Garbled, WireLine, read_limits, read_packet
 from drivers.trackers.protocol import (
     Halted,
     NotReady,
@@ -456,7 +456,7 @@ class BridgeTracker:
             age_s = wire.read_optional(fields, "age", 0.0) or 0.0
         self._sign_s = max(self._sign_s, time.monotonic() - age_s)
 
-    def _raise_error(self, verb: str, answer: Line) -> NoReturn:
+    def _raise_error(self, verb: str, answer: WireLine) -> NoReturn:
         """Raise the exception that an ``error`` line encodes."""
         kind, text = answer.fields.get("kind", ""), answer.fields.get("text", "no reason was given")
         if kind == "busy":

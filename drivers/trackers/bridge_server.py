@@ -24,7 +24,7 @@ import numpy as np
 
 from drivers.trackers import bridge_wire as wire
 from drivers.trackers.bridge_links import JOIN_S, Link, LinkServer, RateLimitedLog
-from drivers.trackers.bridge_wire import BadField, Fields, Garbled, Line, ServedTracks
+from drivers.trackers.bridge_wire import BadField, Fields, Garbled, ServedTracks, WireLine
 from drivers.trackers.protocol import Halted, Preparation, Tracker, TrackerError, TrackerLinkLost
 
 # -- The only thread that calls the tracker behind a bridge: one command at a time, reconnecting after a lost link ----
@@ -374,7 +374,7 @@ class TrackerService:
         word, fields = reply
         self._links.send(link, wire.encode(sequence, word, fields))
 
-    def _dispatch(self, link: Link, line: Line) -> None:
+    def _dispatch(self, link: Link, line: WireLine) -> None:
         busy = {"busy": str(int(self._active is not None))}
         match line.word:
             case "sync":
@@ -404,7 +404,7 @@ class TrackerService:
             case _:
                 self._error(link, line.sequence, "unknown-command", f"unknown command '{line.word}'")
 
-    def _without_session(self, link: Link, line: Line) -> None:
+    def _without_session(self, link: Link, line: WireLine) -> None:
         """Refuse a command on a link that has no session."""
         link.bad_lines += 1
         self._error(link, line.sequence, "no-session", "send 'hello' first: this connection does not hold the tracker")
@@ -413,7 +413,7 @@ class TrackerService:
 
     # -- sessions ------------------------------------------------------------------------------------------------------
 
-    def _hello(self, link: Link, line: Line) -> None:
+    def _hello(self, link: Link, line: WireLine) -> None:
         version = line.fields.get("protocol", "")
         if version != str(wire.VERSION):
             self._error(link, line.sequence, "version", f"this bridge supports version {wire.VERSION}, not '{version}'")
@@ -439,7 +439,7 @@ class TrackerService:
         link.state, link.nonce = "challenged", secrets.token_hex(16)
         self._answer(link, line.sequence, ("ok", reply | {"auth": "hmac-sha256", "nonce": link.nonce}))
 
-    def _auth(self, link: Link, line: Line) -> None:
+    def _auth(self, link: Link, line: WireLine) -> None:
         assert self._token is not None
         client_nonce = wire.read_id(line.fields, "nonce")
         given = line.fields.get("proof", "")
@@ -477,7 +477,7 @@ class TrackerService:
 
     # -- commands for the tracker --------------------------------------------------------------------------------------
 
-    def _command(self, link: Link, line: Line) -> None:
+    def _command(self, link: Link, line: WireLine) -> None:
         """Start a command; if its id is known, answer with its stored or pending result."""
         verb = line.word
         measures = verb in _MEASURING

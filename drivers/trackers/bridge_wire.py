@@ -92,7 +92,7 @@ class BadField(ValueError):
 
 
 @dataclass(frozen=True)
-class Line:
+class WireLine:
     """One line: its number, its word (a command, ``ok``, ``wait`` or ``error``) and its fields."""
 
     sequence: int
@@ -110,7 +110,7 @@ def encode(sequence: int, word: str, fields: Fields | None = None) -> bytes:
     return line
 
 
-def decode(raw: bytes) -> Line:
+def decode(raw: bytes) -> WireLine:
     """Decode a line, with or without its line end. Raises ``Garbled``."""
     raw = raw.rstrip(b"\r\n")
     if len(raw) + 1 > LONGEST_LINE:
@@ -129,7 +129,7 @@ def decode(raw: bytes) -> Line:
         if key in fields:
             raise Garbled(f"the key '{key}' occurs twice")
         fields[key] = _unescaped(value)
-    return Line(int(match.group(1)), match.group(2).decode("ascii"), fields)
+    return WireLine(int(match.group(1)), match.group(2).decode("ascii"), fields)
 
 
 def _escaped(value: str) -> str:

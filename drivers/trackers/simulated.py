@@ -63,7 +63,7 @@ class SimulatedTracker:
 
     Attributes
     ----------
-    plant, errors, sight, dynamic : Plant, Imperfections, Sight, numpy.random.Generator
+    plant, errors, sight, dynamic : Plant, Imperfections, TrueSight, numpy.random.Generator
         Its cell, its own errors, what it sees, and the random numbers of a moving SMR.
     obstacles : list of str
         Unmet preconditions in words; add one to make the tracker refuse.
@@ -100,7 +100,7 @@ class SimulatedTracker:
         """
         self.plant = plant
         self.errors = imperfections
-        self.sight = Sight(plant, nests)
+        self.sight = TrueSight(plant, nests)
         self._wrong_target_m = wrong_target_m
         self._switched_on_s = switched_on_s
         self._pass_time = plant.advance if pass_time is None else pass_time
@@ -237,7 +237,7 @@ class SimulatedTracker:
             sigma_rad=None if locked.R_M_S is None else locked.sigma_rad,
         )
 
-    def _orientation(self, locked: Smr) -> Vector | None:
+    def _orientation(self, locked: TrueSmr) -> Vector | None:
         """Return the measured orientation of a 6-D probe (4,); None for an SMR."""
         if locked.R_M_S is None:
             return None
@@ -283,7 +283,7 @@ class SimulatedTracker:
         self.measured += len(track.p_M)
         return track
 
-    def hidden(self, locked: Smr, p_M: Vector, normal_M: Vector) -> str:
+    def hidden(self, locked: TrueSmr, p_M: Vector, normal_M: Vector) -> str:
         """Return why the locked SMR is not visible at ``p_M`` (3,) now; empty if it is."""
         return self._down() or self.sight.hidden(locked, p_M, normal_M)
 
@@ -298,7 +298,7 @@ class SimulatedTracker:
             read = read * (1.0 + DYNAMIC_M * self.dynamic.standard_normal(distance.shape) / distance)
         return read, np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0)
 
-    def _lock(self, expected: Vector) -> Smr:
+    def _lock(self, expected: Vector) -> TrueSmr:
         around = []
         for target in self.sight.targets():
             distance = float(np.linalg.norm(target.p_M - expected))
@@ -328,7 +328,7 @@ class SimulatedTracker:
                 raise Halted("tracker: a halt was requested; no measurement was made")
             left = 0.0 if left <= step else end_s - self.plant.clock_s
 
-    def _average(self, locked: Smr, averaging_s: float) -> None:
+    def _average(self, locked: TrueSmr, averaging_s: float) -> None:
         """Wait for the end of the averaging; check the target while anything moves or an event changes it."""
         began_s = self.plant.clock_s
         left = averaging_s
@@ -342,7 +342,7 @@ class SimulatedTracker:
                 self._check_target(locked, began_s)
             left = 0.0 if left <= step else began_s + averaging_s - self.plant.clock_s
 
-    def _check_target(self, locked: Smr, began_s: float) -> None:
+    def _check_target(self, locked: TrueSmr, began_s: float) -> None:
         now = self.sight.behind_bodies(next(target for target in self.sight.targets() if target.owner == locked.owner))
         if now.hidden:
             raise TargetLost(f"tracker: the beam to the SMR of {locked.owner} broke in mid-measurement: {now.hidden}")
@@ -351,7 +351,7 @@ class SimulatedTracker:
             self._unstable(locked)
 
     @staticmethod
-    def _unstable(locked: Smr) -> NoReturn:
+    def _unstable(locked: TrueSmr) -> NoReturn:
         raise Unstable(f"tracker: the SMR of {locked.owner} moved while it was measured")
 
     # -- what it reads -------------------------------------------------------------------------------------------------
@@ -409,7 +409,7 @@ class SimulatedTracker:
 
 
 @dataclass(frozen=True, eq=False)
-class Smr:
+class TrueSmr:
     """An SMR: its owner in words, its arm (None for a nest), position (3,) [m] in M, why it is hidden ("" if visible).
 
     ``R_M_S`` and ``sigma_rad`` are those of ``Target``.
@@ -424,7 +424,7 @@ class Smr:
     sigma_rad: float = 0.0
 
 
-class Sight:
+class TrueSight:
     """The view of a tracker of ``plant``.
 
     Attributes
@@ -442,24 +442,24 @@ class Sight:
         """Cache: arm -> joint positions, and the ends of its capsules there."""
         self.covered: set[str] = set()
 
-    def targets(self) -> list[Smr]:
+    def targets(self) -> list[TrueSmr]:
         """Return all SMRs of arms and nests, ignoring bodies in the beam."""
         found = []
         for target in self._plant.targets():
             why = self._cover(target.arm) or target.hidden
             probe = (target.R_M_S, target.sigma_rad)
-            found.append(Smr(f"arm {target.arm}", target.arm, target.p_M, why, target.moving, *probe))
+            found.append(TrueSmr(f"arm {target.arm}", target.arm, target.p_M, why, target.moving, *probe))
         for name, p_M in self._nests.items():
             facing = -p_M / np.linalg.norm(p_M)
             why = self._cover(name) or why_hidden(self._plant.config.tracker, p_M, facing, math.pi)
-            found.append(Smr(f"nest {name}", None, p_M, why))
+            found.append(TrueSmr(f"nest {name}", None, p_M, why))
         return found
 
     def _cover(self, name: str) -> str:
         """Return why the SMR of an arm or nest is covered; empty if it is not."""
         return "something covers it" if name in self.covered else ""
 
-    def behind_bodies(self, target: Smr) -> Smr:
+    def behind_bodies(self, target: TrueSmr) -> TrueSmr:
         """Return the SMR, hidden if a body is in the beam."""
         why = target.hidden or self._beam_obstacle(target.p_M, target.arm)
         return replace(target, hidden=why)
@@ -496,14 +496,14 @@ class Sight:
             self._placed[name] = (key, (start, end))
         return self._placed[name][1]
 
-    def recent(self, locked: Smr, time_s: Vector) -> tuple[Vector, Vector]:
+    def recent(self, locked: TrueSmr, time_s: Vector) -> tuple[Vector, Vector]:
         """Return positions and viewing directions (n, 3) of an SMR at recent times (n,)."""
         if locked.arm is not None:
             return recent_smr(self._plant, locked.arm, time_s)
         p_M = np.repeat(locked.p_M[None], len(time_s), axis=0)
         return p_M, -p_M / np.linalg.norm(p_M, axis=1, keepdims=True)
 
-    def hidden(self, locked: Smr, p_M: Vector, normal_M: Vector) -> str:
+    def hidden(self, locked: TrueSmr, p_M: Vector, normal_M: Vector) -> str:
         """Return why an SMR at ``p_M`` (3,) is not visible now; empty if it is."""
         if why := self._cover(locked.arm or locked.owner.removeprefix("nest ")):
             return why
@@ -528,7 +528,7 @@ class SimulatedStream:
     def __init__(
         self,
         tracker: SimulatedTracker,
-        locked: Smr,
+        locked: TrueSmr,
         interval_s: float,
         lost: Callable[[TrackerError], None],
         received: Callable[[Packet], None],

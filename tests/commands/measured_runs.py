@@ -13,7 +13,7 @@ from cellapp.cell.run import RunFile
 from cellapp.commands.calibrate.run import calibrate_run
 from cellapp.commands.discover.run import discover_run
 from cellapp.estimation.readings import Readings
-from cellapp.ground.profile import Discovery, Profile
+from cellapp.ground.profile import DiscoverySettings, Profile
 from cellapp.ground.profile.sections import Tolerances, Traceability, TraceableArm
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
 from cellapp.robot.model.nominal import nominal_arm
@@ -35,7 +35,7 @@ class Truth:
 def cell(seed: int = 1, *, serials: tuple[str, str] | None = None, tolerance_m: float | None = None) -> Profile:
     """Two arms without devices; ``serials`` are given in the profile."""
     without = without_devices("left", "right")
-    profile = without.model_copy(update={"name": "cell", "seed": seed, "discovery": Discovery()})
+    profile = without.model_copy(update={"name": "cell", "seed": seed, "discovery": DiscoverySettings()})
     if serials is not None:
         arms = {name: TraceableArm(serial=serial) for name, serial in zip(profile.arms, serials)}
         profile = profile.model_copy(update={"traceability": Traceability(arms=arms)})

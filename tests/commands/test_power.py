@@ -28,7 +28,7 @@ from cellapp.commands.trials.power import (
 )
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
 from cellapp.ground.errors import InputError
-from cellapp.ground.executors import Gathered, TimeLimit, Work
+from cellapp.ground.executors import Gathered, PoolWork, TimeLimit
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Notice, Progress
 from tests.program import app
@@ -151,7 +151,7 @@ def power_by(
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("cellapp.commands.trials.power.gather", gather)
         told = list[Progress]()
-        found = power_of(planned, trials, 3, Work(listener=told.append), limit)
+        found = power_of(planned, trials, 3, PoolWork(listener=told.append), limit)
     assert isinstance(told[0].detail, Notice)
     assert limit.words() in told[0].detail.text
     return found
@@ -236,7 +236,7 @@ def test_a_run_keeps_it_and_its_report_shows_it(
 ) -> None:
     asked = list[tuple[PlannedCell, int, int]]()
 
-    def power_of_these(planned: PlannedCell, trials: int, seed: int, work: Work, limit: TimeLimit) -> PowerResult:
+    def power_of_these(planned: PlannedCell, trials: int, seed: int, work: PoolWork, limit: TimeLimit) -> PowerResult:
         assert limit.minutes == 3.0
         asked.append((planned, trials, seed))
         return result
@@ -261,4 +261,4 @@ def test_a_run_keeps_it_and_its_report_shows_it(
 def test_a_run_without_a_plan_is_refused(tmp_path: Path) -> None:
     RunFile.create(tmp_path / "run", twin()).close()
     with pytest.raises(InputError, match="plan"):
-        power_at(tmp_path / "run", 8, 0, Work(), TimeLimit.from_now(None))
+        power_at(tmp_path / "run", 8, 0, PoolWork(), TimeLimit.from_now(None))

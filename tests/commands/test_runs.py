@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 
 from cellapp.cell.driving.requests import taking_requests
 from cellapp.cell.run import RunFile, SessionEnd
-from cellapp.cell.run.run_arms import CONTROLLERS_RESULT, ArmIdentity, ControllerIdentity, arm_identities
+from cellapp.cell.run.run_arms import CONTROLLERS_RESULT, ControllerIdentity, StoredIdentity, arm_identities
 from cellapp.commands.run_results import read_results
 from cellapp.commands.runs.result import ArmHistory, RunsResult, RunSummary
 from cellapp.commands.runs.run import arm_history, list_runs, summarise
@@ -470,7 +470,7 @@ def test_the_command_says_and_writes(worn: Path, tmp_path: Path) -> None:
 # -- who an arm is ----------------------------------------------------------------------------------------------------
 
 
-def identities(folder: Path, profile: Profile, serials: dict[str, str]) -> dict[str, ArmIdentity]:
+def identities(folder: Path, profile: Profile, serials: dict[str, str]) -> dict[str, StoredIdentity]:
     with planned_run(folder, profile=profile) as run:
         if serials:
             recorded = {name: ControllerIdentity("UR10", serial, "5.1", "") for name, serial in serials.items()}
@@ -486,13 +486,13 @@ def test_an_arm_is_known_by_its_controller_then_by_the_profile_then_by_names(tmp
         }
     )
     bare = identities(tmp_path / "bare", profile, {})
-    assert bare["left"] == ArmIdentity("two, left (left)", "names")
+    assert bare["left"] == StoredIdentity("two, left (left)", "names")
     by_profile = identities(tmp_path / "profile", given, {"right": ""})
     assert [one.key for one in by_profile.values()] == ["P-1", "P-2"]
     by_controller = identities(tmp_path / "controller", given, {"left": "C-1"})
-    assert by_controller["left"] == ArmIdentity("C-1", "controller", "C-1")
+    assert by_controller["left"] == StoredIdentity("C-1", "controller", "C-1")
     assert by_controller["right"].known_by == "profile"
-    assert by_controller["right"].is_other_than(ArmIdentity("P-3", "profile", "P-3"))
+    assert by_controller["right"].is_other_than(StoredIdentity("P-3", "profile", "P-3"))
     assert not by_controller["right"].is_other_than(by_controller["left"]), "numbers of different things"
     assert not bare["left"].is_other_than(bare["right"])
 

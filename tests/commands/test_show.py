@@ -200,7 +200,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[ToyRequest]:
 
     monkeypatch.setattr(Verb, "run", run)
     monkeypatch.setattr(Verb, "view", lambda verb, result, request: View())
-    monkeypatch.setattr("cellapp.interfaces.cli.job.Job.result", lambda job, result: None)
+    monkeypatch.setattr("cellapp.interfaces.cli.job.CommandJob.result", lambda job, result: None)
     return requests
 
 

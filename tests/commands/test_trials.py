@@ -25,7 +25,7 @@ from cellapp.commands.trials.sealed import DescribedTerm, GroundTruth, HiddenLaw
 from cellapp.commands.trials.sealed_setup import CONFOUNDED, EXPECTED, PAIRS, TRIPLES, Setup, cases, library_name
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.errors import CheckFailed, InputError
-from cellapp.ground.executors import Work
+from cellapp.ground.executors import PoolWork
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Cancelled, CancelToken, Progress
 from cellapp.interfaces import cli
@@ -72,9 +72,9 @@ def judged_once(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[st
             cancel.cancel()
 
     with pytest.raises(Cancelled):
-        judge_trials(folder, Work(listener=stop_after_the_first, cancel=cancel))
+        judge_trials(folder, PoolWork(listener=stop_after_the_first, cancel=cancel))
     first = stored(folder)
-    return folder, first, judge_trials(folder, Work())
+    return folder, first, judge_trials(folder, PoolWork())
 
 
 @pytest.fixture
@@ -234,7 +234,7 @@ def test_a_changed_truth_breaks_the_seal(mine: Path, place: float) -> None:
     data[int(place * len(data))] ^= 1
     (mine / "truth.json").write_bytes(data)
     with pytest.raises(CheckFailed, match="the seal is broken"):
-        judge_trials(mine, Work())
+        judge_trials(mine, PoolWork())
     assert stored(mine) == [""] * 10, "it is reported before any work"
 
 
@@ -245,10 +245,10 @@ def test_changed_readings_are_reported(judged_once: tuple[Path, list[str], Judge
     connection.commit()
     connection.close()
     with pytest.raises(CheckFailed, match="run-0002: its readings are not those that were sealed"):
-        judge_trials(folder, Work())
+        judge_trials(folder, PoolWork())
     shutil.rmtree(folder / "run-0002")
     with pytest.raises(InputError, match="run-0002 is missing, but was sealed"):
-        judge_trials(folder, Work())
+        judge_trials(folder, PoolWork())
 
 
 def test_what_is_wrong_is_said_as_approved(
@@ -281,7 +281,7 @@ def test_judging_goes_on_where_it_was_stopped(judged_once: tuple[Path, list[str]
     assert all(after)
     assert [text for text, before in zip(after, first, strict=True) if before] == done, "not judged twice"
     events: list[Progress] = []
-    assert judge_trials(folder, Work(listener=events.append)).trials == result.trials
+    assert judge_trials(folder, PoolWork(listener=events.append)).trials == result.trials
     assert [(event.done, event.total) for event in events] == [(3, 3)]
     assert stored(folder) == after
 
@@ -290,7 +290,7 @@ def test_what_hides_in_a_run_is_compared_with_what_was_found_there(tmp_path: Pat
     folder = tmp_path / "trials"
     seal_trials(small(), folder, 1, Setup(kind="one"), seed=0)
     judge_run(folder / "run-0001", source_digest())
-    result = judge_trials(folder, Work())
+    result = judge_trials(folder, PoolWork())
     (trial,) = result.trials
     assert [hidden.effect for hidden in trial.hidden] == ["joint_compliance"]
     assert trial.visible
@@ -314,7 +314,7 @@ def test_a_run_that_fails_is_reported_and_does_not_stop_the_others(
             connection.execute("UPDATE reading SET split = 'identify'")
         connection.commit()
         connection.close()
-    result = judge_trials(folder, Work())
+    result = judge_trials(folder, PoolWork())
     assert len(result.failed) == 1
     assert result.failed[0].startswith(
         "run-0001: arm 'left': 60 readings leave 60 different configurations to identify and 0"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
+from drivers.plant import ArmConfig, CapsuleConfig, Plant, PlantConfig, TrackerConfig, TrueErrors
 
 _ALPHA = [np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0]
 _TABLES: dict[str, dict[str, Any]] = {
@@ -105,7 +105,7 @@ def make_config(make_arm: Callable[..., ArmConfig]) -> Callable[..., PlantConfig
             "seed": 1,
             "arms": arms or (make_arm(),),
             "tracker": TrackerConfig(**({"T_C_M": pose} | (tracker or {}))),
-            "errors": GeometryErrors(),
+            "errors": TrueErrors(),
             "noise": False,
         }
         return PlantConfig(**(values | changes))

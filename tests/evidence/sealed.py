@@ -19,7 +19,7 @@ from cellapp.commands.trials.judge import judge_trials
 from cellapp.commands.trials.scoring import ACCEPTED, JudgeResult, PosteriorScore, ScoredRun, posterior_scores
 from cellapp.commands.trials.sealed import seal_trials
 from cellapp.commands.trials.sealed_setup import HARD, MIXED, NONE, ONE, OUT, PAIR, Setup
-from cellapp.ground.executors import Work
+from cellapp.ground.executors import PoolWork
 from cellapp.ground.grouping import grouped
 from tests.evidence.shared.cells import TWIN
 from tests.evidence.skeleton import Evidence, Limit, Share, Table
@@ -65,7 +65,7 @@ def one(case: dict[str, Any]) -> dict[str, Any]:
         setup = setup.model_copy(update={"stops": case["stops"]})
     with TemporaryDirectory() as folder:
         seal_trials(load_profile(TWIN), Path(folder) / "block", case["runs"], setup, seed=case["draw"])
-        result = judge_trials(Path(folder) / "block", Work())
+        result = judge_trials(Path(folder) / "block", PoolWork())
     if result.failed:
         raise ValueError("; ".join(result.failed))
     return {"set": case["set"], "judged": result.to_json()}

@@ -23,7 +23,7 @@ import pytest
 import cellapp
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.errors import CheckFailed, InputError
-from cellapp.ground.executors import ComputingLost, Work, gather
+from cellapp.ground.executors import ComputingLost, PoolWork, gather
 from cellapp.ground.progress import Cancelled, CancelToken, Progress, eta_words, in_lines, with_eta
 from cellapp.ground.results import Record
 
@@ -178,25 +178,25 @@ def square(prepared: tuple[float, Path | None], number: int) -> Square:
     return Square(value=number**2 + value, process=os.getpid())
 
 
-def values(given: dict[str, int], work: Work, folder: Path | None = None) -> list[float | None]:
+def values(given: dict[str, int], work: PoolWork, folder: Path | None = None) -> list[float | None]:
     """Values of all tasks; None of those that failed."""
     found = gather(square, partial(offset, 0.5, folder), given, Square, "squares", work)
     return [None if one is None else one.value for one in found.results]
 
 
 def test_a_task_that_fails_is_named_and_does_not_stop_the_others() -> None:
-    found = gather(square, partial(offset, 0.0), {"a": -1, "b": 2}, Square, "squares", Work())
+    found = gather(square, partial(offset, 0.0), {"a": -1, "b": 2}, Square, "squares", PoolWork())
     assert found.results[0] is None
     assert [one.value for one in found.found] == [4.0]
     assert found.failed[0].startswith("a: ValueError: negative (test_control.py:")
     with pytest.raises(CheckFailed, match=r"negative .*all 2 failed"):
-        gather(square, partial(offset, 0.0), {"a": -1, "b": -2}, Square, "squares", Work())
-    assert not gather(square, partial(offset, 0.0), {"a": -1}, Square, "x", Work(), all_may_fail=True).found
+        gather(square, partial(offset, 0.0), {"a": -1, "b": -2}, Square, "squares", PoolWork())
+    assert not gather(square, partial(offset, 0.0), {"a": -1}, Square, "x", PoolWork(), all_may_fail=True).found
 
 
 def test_what_a_results_file_holds_is_not_computed_again(tmp_path: Path) -> None:
     kept = tmp_path / "kept.jsonl"
-    work = Work(results=kept)
+    work = PoolWork(results=kept)
     assert values(FOUR | {"fails": -1}, work, tmp_path) == [1.5, 4.5, 9.5, 16.5, None]
     (tmp_path / f"prepared-{os.getpid()}").unlink()
     with kept.open("a") as file:  # killed while it wrote
@@ -216,10 +216,10 @@ def test_another_file_is_no_results_file_and_stays(tmp_path: Path, text: str) ->
     kept = tmp_path / "notes.txt"
     kept.write_text(text)
     with pytest.raises(InputError, match=r"notes.txt is no results file"):
-        values(FOUR, Work(results=kept))
+        values(FOUR, PoolWork(results=kept))
     assert kept.read_text() == text
     with pytest.raises(InputError, match="choose a file that can be written"):
-        values(FOUR, Work(results=tmp_path / "missing" / "kept.jsonl"))
+        values(FOUR, PoolWork(results=tmp_path / "missing" / "kept.jsonl"))
 
 
 def test_a_cancelled_job_begins_nothing_and_keeps_what_ended(tmp_path: Path) -> None:
@@ -230,13 +230,13 @@ def test_a_cancelled_job_begins_nothing_and_keeps_what_ended(tmp_path: Path) -> 
             cancel.cancel()
 
     with pytest.raises(Cancelled):
-        values(FOUR, Work(results=kept, listener=after_two, cancel=cancel))
+        values(FOUR, PoolWork(results=kept, listener=after_two, cancel=cancel))
     assert len(kept.read_text().splitlines()) == 2
 
 
 def test_processes_prepare_once_give_the_same_and_outlive_one_that_is_killed(tmp_path: Path) -> None:
     (tmp_path / "kill-2").touch()
-    found = gather(square, partial(offset, 0.5, tmp_path), FOUR, Square, "squares", Work(jobs=2))
+    found = gather(square, partial(offset, 0.5, tmp_path), FOUR, Square, "squares", PoolWork(jobs=2))
     assert [one.value for one in found.found] == [1.5, 4.5, 9.5, 16.5]
     assert os.getpid() not in {one.process for one in found.found}
     assert len([*tmp_path.glob("prepared-*")]) <= 4, "two processes, and two after one was killed"
@@ -245,7 +245,7 @@ def test_processes_prepare_once_give_the_same_and_outlive_one_that_is_killed(tmp
 def test_a_task_that_always_ends_its_process_is_named(tmp_path: Path) -> None:
     kept = tmp_path / "kept.jsonl"
     with pytest.raises(ComputingLost, match=r"processes were ended 3 times.*at thirteen(, one)?; repeat") as raised:
-        values({"thirteen": 13, "one": 1}, Work(jobs=2, results=kept))
+        values({"thirteen": 13, "one": 1}, PoolWork(jobs=2, results=kept))
     assert raised.value.exit_code == 4
 
 
@@ -294,10 +294,10 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
 
 def test_workers_of_a_cluster_give_the_same(cluster: tuple[str, subprocess.Popen[bytes]], tmp_path: Path) -> None:
     address, scheduler = cluster
-    work = Work(jobs=None, scheduler=address, results=tmp_path / "kept.jsonl")
+    work = PoolWork(jobs=None, scheduler=address, results=tmp_path / "kept.jsonl")
     assert values(FOUR | {"fails": -1}, work) == [1.5, 4.5, 9.5, 16.5, None]
     with pytest.raises(InputError, match="--jobs: the scheduler has workers of its own"):
-        values(FOUR, Work(jobs=2, scheduler=address))
+        values(FOUR, PoolWork(jobs=2, scheduler=address))
 
     def end_it(event: Progress) -> None:
         if event.done == 5:
@@ -305,12 +305,12 @@ def test_workers_of_a_cluster_give_the_same(cluster: tuple[str, subprocess.Popen
 
     more = FOUR | {f"slow {number}": 1000 + number for number in range(3)}
     with pytest.raises(ComputingLost, match="the scheduler is gone"):
-        values(more, Work(jobs=None, scheduler=address, results=work.results, listener=end_it))
+        values(more, PoolWork(jobs=None, scheduler=address, results=work.results, listener=end_it))
 
 
 def test_no_scheduler_is_said_with_what_to_do() -> None:
     with pytest.raises(InputError, match=r"no Dask scheduler answers .*'dask scheduler'"):
-        values(FOUR, Work(jobs=None, scheduler="nonsense://x"))
+        values(FOUR, PoolWork(jobs=None, scheduler="nonsense://x"))
 
 
 def until(holds, what: str) -> None:

@@ -32,7 +32,7 @@ from cellapp.robot.model.nominal import joint_rates, pose_matrix
 from drivers.arms.protocol import Arm, ArmError, JointLimits
 from drivers.arms.settings import ArmContext
 from drivers.clock import Clock, RealClock, SimulatedClock
-from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant, PlantConfig, TrackerConfig
+from drivers.plant import ArmConfig, CapsuleConfig, Plant, PlantConfig, TrackerConfig, TrueErrors
 from drivers.plant.sweep import SweepRecord, record_sweep, recorder_of
 from drivers.sensors.protocol import AirSensor, SensorError
 from drivers.settings import SettingError
@@ -382,13 +382,13 @@ def build_plant(profile: Profile, *, watch_clearance: bool = False) -> Plant:
                 distance=tracker.distance,
                 averaging_s=tracker.averaging,
             ),
-            errors=GeometryErrors(**settings.geometry.model_dump()),
+            errors=TrueErrors(**settings.geometry.model_dump()),
             repeatability=settings.repeatability,
             temperature_c=settings.temperature,
             noise=settings.noise,
             earlier_jobs=settings.earlier_jobs,
             floor=profile.plan.floor,
-            factory=None if settings.factory is None else GeometryErrors(**settings.factory.model_dump()),
+            factory=None if settings.factory is None else TrueErrors(**settings.factory.model_dump()),
         )
         return Plant(config, watch_clearance=watch_clearance)
     except ValueError as error:

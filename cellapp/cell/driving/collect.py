@@ -33,7 +33,7 @@ from cellapp.cell.driving.motion import (
 )
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
 from cellapp.cell.driving.records import CollectResult, End
-from cellapp.cell.driving.supervision import Opened, Supervisor, opening, reacting
+from cellapp.cell.driving.supervision import CellSupervisor, Opened, opening, reacting
 from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, sweeps_left
 from cellapp.cell.driving.work import StopQueue, Travel, Work, forbidden_stops, remaining_work, work_again
 from cellapp.cell.planning.planned_stops import planned_time, time_notice
@@ -109,7 +109,7 @@ class CollectSession:
         self._is_loaded = profile.loads > 1  # then each reading states its payload, and collecting never ends early
         self._queue = StopQueue(self.work)
         self._mover = Mover(profile, self.cell, self.bodies, self.reaction, self._emit)
-        self._supervisor = Supervisor(
+        self._supervisor = CellSupervisor(
             self.cell,
             self.control,
             self.reaction,

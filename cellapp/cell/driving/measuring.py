@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.driving.motion import Mover, PointAtRest, Vector
-from cellapp.cell.driving.supervision import Supervisor
+from cellapp.cell.driving.supervision import CellSupervisor
 from cellapp.cell.run import ReferenceRow, RunFile
 from cellapp.estimation.calibration.station_location import ArmPoints, RoughStation, fit_station, predicted_points
 from cellapp.ground.errors import HardwareError
@@ -45,7 +45,7 @@ class SmrMeasurement:
     """Measures SMRs with the repeats and waits of a profile."""
 
     mover: Mover
-    supervisor: Supervisor
+    supervisor: CellSupervisor
     repeat: Repeat
     tracker_ready: Callable[[], bool]
     """Callback that connects and prepares the tracker again; returns whether it is ready then."""
@@ -147,7 +147,7 @@ class References:
     run: RunFile
     session: int
     measurement: SmrMeasurement
-    supervisor: Supervisor
+    supervisor: CellSupervisor
     suspect: Callable[[Suspicion], None]
     accept_drift: bool = False
     carried: Mapping[str, str] = field(default_factory=dict)

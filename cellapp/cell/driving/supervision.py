@@ -149,7 +149,7 @@ def _attend(cell: Cell, control: JobControl) -> None:
 
 
 @dataclass
-class Supervisor:
+class CellSupervisor:
     """Holds a job when a person or the cell asks for it. The cell's clock advances during all waits."""
 
     cell: Cell

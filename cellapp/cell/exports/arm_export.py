@@ -26,7 +26,7 @@ NETWORK, UNNAMED = "residual_network", "unnamed"
 
 
 @dataclass(frozen=True)
-class Workspace:
+class ExportSpace:
     """Configurations ``q`` (n, N) [rad] of one arm over which losses are stated, with the conditions there."""
 
     q: Array
@@ -68,17 +68,17 @@ class ArmExport:
         return self.model.geometry
 
 
-def workspace(measured_q: Array, conditions: MeasurementConditions, seed: int) -> Workspace:
+def workspace(measured_q: Array, conditions: MeasurementConditions, seed: int) -> ExportSpace:
     """Draw random configurations within the joint ranges of ``measured_q`` (n, N) [rad].
 
     Each gets the conditions (approach, payload, temperatures, other arm) of a randomly chosen reading.
     """
     rng = np.random.default_rng(seed)
     q = rng.uniform(measured_q.min(axis=0), measured_q.max(axis=0), (POSES, measured_q.shape[1]))
-    return Workspace(q, conditions.take(rng.integers(len(measured_q), size=POSES)))
+    return ExportSpace(q, conditions.take(rng.integers(len(measured_q), size=POSES)))
 
 
-def lost_parts(model: ArmModel, space: Workspace) -> dict[str, PositionLoss]:
+def lost_parts(model: ArmModel, space: ExportSpace) -> dict[str, PositionLoss]:
     """Return the position error without each effect of a model, and without its network."""
     parts = {
         part: replace(model, effects=tuple(its), network=None)
@@ -89,7 +89,7 @@ def lost_parts(model: ArmModel, space: Workspace) -> dict[str, PositionLoss]:
     return {part: lost_by(model.geometry, only, space) for part, only in parts.items()}
 
 
-def lost_by(geometry: Geometry, model: ArmModel, space: Workspace) -> PositionLoss:
+def lost_by(geometry: Geometry, model: ArmModel, space: ExportSpace) -> PositionLoss:
     """Return position (and, if measured, flange rotation) errors of a rigid chain that replaces a model."""
     shift = model.predict(space.q, conditions=space.conditions) - smr_positions(geometry, space.q)
     errors = {"mm": np.linalg.norm(shift, axis=1) * 1e3}

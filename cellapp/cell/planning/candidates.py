@@ -30,7 +30,7 @@ from cellapp.cell.safety.bodies import (
     usable_acceptance,
 )
 from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone, visible
-from cellapp.cell.safety.shapes import Obstacle, beam_gaps
+from cellapp.cell.safety.shapes import ObstacleBody, beam_gaps
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import CancelToken
@@ -217,11 +217,11 @@ def body_margins(cell: CellBodies, field: TrackerField, name: str) -> Mapping[st
     return margins
 
 
-def _beam_margin(obstacle: Obstacle, tracker: Array, placed: Placed) -> Array:
+def _beam_margin(obstacle: ObstacleBody, tracker: Array, placed: Placed) -> Array:
     return beam_gaps((obstacle,), tracker, placed.smr, BEAM_RADIUS) - BEAM_RADIUS
 
 
-def _obstacle_margin(obstacle: Obstacle, asked: Array, placed: Placed) -> Array:
+def _obstacle_margin(obstacle: ObstacleBody, asked: Array, placed: Placed) -> Array:
     bodies = np.flatnonzero(asked > -np.inf)
     gaps = obstacle.gaps(placed.start[:, bodies], placed.end[:, bodies], placed.radius[bodies], asked[bodies])
     return np.asarray((gaps - asked[bodies]).min(axis=1))

@@ -305,7 +305,7 @@ class Errors:
 
 
 @dataclass(frozen=True, eq=False)
-class Judge:
+class DesignJudge:
     """Model, workspace points and random plans by which plans of one arm are judged.
 
     Attributes
@@ -337,7 +337,7 @@ class Judge:
         stops: int,
         rng: np.random.Generator,
         cancel: CancelToken,
-    ) -> Judge:
+    ) -> DesignJudge:
         """Set up for plans of ``stops`` stops of an arm; ``others`` are configurations of the other arms."""
         cell = cell_bodies(profile)
         number = min(math.ceil(_LARGER[-1] * stops), max(_MOST_RANDOM, stops))
@@ -472,7 +472,7 @@ def arm_design(
     n = len(q)
     others = {other: theirs for other, theirs in stops.items() if other != name}
     with one_blas_thread():
-        judge = Judge.of(profile, name, others, n, rng, cancel or CancelToken())
+        judge = DesignJudge.of(profile, name, others, n, rng, cancel or CancelToken())
         rows = judge.rows(q)
         parts = [*(part for part in _PARTS if part < n), n]
         random = judge.random_plans(sorted({*parts, *judge.sizes(n)}))

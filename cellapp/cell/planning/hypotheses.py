@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cellapp.estimation.design.information import VISIBLE, Discrimination, detectable_size
+from cellapp.estimation.design.information import VISIBLE, TwoModels, detectable_size
 from cellapp.estimation.discovery.arm_data import (
     UNKNOWN,
     ArmData,
@@ -26,7 +26,7 @@ from cellapp.estimation.discovery.arm_data import (
     with_term,
 )
 from cellapp.estimation.discovery.joint_fit import JointFit, LinearModel, ProjectedResidual, fit_terms, refit
-from cellapp.estimation.discovery.outcome import Discovery
+from cellapp.estimation.discovery.outcome import ArmFound
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectContext, InputVariable, Law, MeasurementConditions
 from cellapp.robot.effects.effect import is_unnamed, lent_effect, lent_law
@@ -92,7 +92,7 @@ class Hypothesis:
         columns = len(self.fit.rows) + sum(len(rival.names) for rival in self.rivals)
         return columns * max(len(self.rivals), 1)
 
-    def discriminations(self, design: CandidateDesign) -> list[Discrimination]:
+    def discriminations(self, design: CandidateDesign) -> list[TwoModels]:
         """Set up one discrimination for each law of the rival, over candidate stops."""
         data, fit = self.data, self.fit
         others = [term for number, term in enumerate(fit.terms) if number != self.term]
@@ -106,7 +106,7 @@ class Hypothesis:
             columns = data.columns(self.against, rival.law, rival.names) if rival.names else []
             more = [design.rows(self.against, rival.law, rival.names)] if rival.names else []
             found.append(
-                Discrimination(
+                TwoModels(
                     run_columns=np.concatenate([fit.rows[kept], fit.displacements(columns)]),
                     precision=np.concatenate([fit.precision[kept], [_bound_precision(c) for c in columns]]),
                     run_signals=signals,
@@ -123,7 +123,7 @@ def _bound_precision(column: EffectColumn) -> float:
     return 1.0 / bound**2 if math.isfinite(bound) and bound > 0.0 else 0.0
 
 
-def refitted_discovery(data: ArmData, discovery: Discovery) -> tuple[ArmData, JointFit]:
+def refitted_discovery(data: ArmData, discovery: ArmFound) -> tuple[ArmData, JointFit]:
     """Repeat the final fit of a discovery: the accepted terms with the weights of its search."""
     smooth = Smoothness(0.0, 0, Excess(discovery.scatter_m))  # its scatter scales smooth priors; no free part
     terms = (
@@ -248,7 +248,7 @@ _MOVES_NOTHING = 1e-12
 """Lower limit of divisors: the information about a parameter, or the motion by it, may be zero."""
 
 
-def open_hypotheses(data: ArmData, fit: JointFit, discovery: Discovery, joined: EffectContext) -> list[Hypothesis]:
+def open_hypotheses(data: ArmData, fit: JointFit, discovery: ArmFound, joined: EffectContext) -> list[Hypothesis]:
     """Find hypotheses for further stops to decide; ``joined`` is the context of the run and some of these stops.
 
     First, accepted effects against those that the data cannot distinguish from them. If there are none, against the
@@ -323,7 +323,7 @@ def _swapped_hypotheses(
     return _hypotheses_against(data, other, number, fit.terms[number].slug, least, joined)
 
 
-def _faint_effects(data: ArmData, fit: JointFit, discovery: Discovery, joined: EffectContext) -> list[Hypothesis]:
+def _faint_effects(data: ArmData, fit: JointFit, discovery: ArmFound, joined: EffectContext) -> list[Hypothesis]:
     """Return the effects that this plan shows least, and those that it cannot show because a factor did not vary."""
     faint = sorted(discovery.result.not_found, key=lambda entry: entry.visible_share or 0.0)
     slugs = [entry.effect for entry in faint[:_MOST_FAINT]]

@@ -146,7 +146,7 @@ def _joint_columns(joints: int) -> list[str]:
 
 
 @dataclass(frozen=True)
-class _Point:
+class _PlanPoint:
     """One row: joint positions, and the cells that belong to rows ``stop`` only; None where a cell is empty."""
 
     line: int
@@ -163,7 +163,7 @@ class _Points:
 
     def __init__(self, table: CsvTable, profile: Profile, problems: Problems) -> None:
         self._table, self._profile, self._problems = table, profile, problems
-        self.by_stop: dict[int, dict[str, dict[str, _Point]]] = {}
+        self.by_stop: dict[int, dict[str, dict[str, _PlanPoint]]] = {}
         self.first_line: dict[int, int] = {}
         for index, line in enumerate(table.lines):
             self._add(line, {name: cells[index].strip() for name, cells in table.cells.items()})
@@ -209,7 +209,7 @@ class _Points:
                 self._problems.add(line, column, f"there is a value, but arm {name} has {len(limits)} joints")
         return None if None in found else np.array(found, dtype=np.float64)
 
-    def _of_stop(self, line: int, cells: Mapping[str, str], point: str) -> _Point | None:
+    def _of_stop(self, line: int, cells: Mapping[str, str], point: str) -> _PlanPoint | None:
         """Parse the cells of a row that describe its stop; None if one is wrong."""
         before = self._problems.count
         for column in _OF_STOP:
@@ -226,7 +226,7 @@ class _Points:
             self._problems.add(
                 line, "load", f"there is no load {load_number}; with arms.NAME.payloads there are 0 to {most}"
             )
-        found = _Point(
+        found = _PlanPoint(
             line=line,
             q=np.empty(0),
             dwell_s=dwell_s or 0.0,
@@ -313,6 +313,6 @@ class _Points:
         return tuple(legs)
 
 
-def _approach(points: Mapping[str, _Point]) -> Array:
+def _approach(points: Mapping[str, _PlanPoint]) -> Array:
     """Return where the last motion of an arm begins (N,); NaN if it is not planned."""
     return points[APPROACH].q if APPROACH in points else np.full_like(points[STOP].q, np.nan)

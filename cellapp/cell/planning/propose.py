@@ -33,9 +33,9 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies, refuse_motion, visible_stops
 from cellapp.estimation.calibration.quantities import ArmReadings
-from cellapp.estimation.design.information import HOPELESS, Discrimination, SequentialDesign, joint_gains
+from cellapp.estimation.design.information import HOPELESS, SequentialDesign, TwoModels, joint_gains
 from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData
-from cellapp.estimation.discovery.outcome import Discovery
+from cellapp.estimation.discovery.outcome import ArmFound
 from cellapp.estimation.discovery.records import Unnamed
 from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
@@ -206,7 +206,7 @@ class ArmHypotheses:
         cls,
         measured: ArmReadings,
         models: Mapping[str, ArmModel],
-        discovery: Discovery,
+        discovery: ArmFound,
         poses: CandidatePoses,
         count: int,
         effort: Effort,
@@ -253,7 +253,7 @@ class ArmCandidates:
     run: RunConditions
     approaches: Approaches
     allowed: NDArray[np.bool_]
-    comparisons: list[tuple[Hypothesis, list[Discrimination]]]
+    comparisons: list[tuple[Hypothesis, list[TwoModels]]]
     designs: list[tuple[Hypothesis, SequentialDesign]]
 
     @classmethod
@@ -298,7 +298,7 @@ class ArmCandidates:
         return poses.q[self.name][pose] - step if step.any() else None
 
 
-def _decidable(comparison: list[Discrimination], needed: float, count: int) -> list[Discrimination]:
+def _decidable(comparison: list[TwoModels], needed: float, count: int) -> list[TwoModels]:
     """Drop laws that contain the effect itself (as dry friction contains backlash), unless all do."""
     decidable = []
     for one in comparison:
@@ -466,7 +466,7 @@ def predict_arm(
     return predictions, advice
 
 
-def _least(comparison: Sequence[Discrimination], chosen: NDArray[np.intp]) -> float:
+def _least(comparison: Sequence[TwoModels], chosen: NDArray[np.intp]) -> float:
     """Return the least discrimination over the laws of the rival."""
     return min(one.noncentrality(chosen) for one in comparison)
 
@@ -547,7 +547,7 @@ def propose_stops(
     profile: Profile,
     model: CellModel,
     readings: Mapping[str, Readings],
-    found: Mapping[str, Discovery],
+    found: Mapping[str, ArmFound],
     count: int,
     listener: Listener = ignore,
     cancel: CancelToken | None = None,

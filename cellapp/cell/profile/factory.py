@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from cellapp.cell.profile.messages import KeyPath, Place
+from cellapp.cell.profile.messages import KeyPath, Spot
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile.schema import ArmType, Profile
 from cellapp.robot.kinematics.chain import FACTORY_SOURCE, MOST_FACTORY, of_one_type
@@ -14,7 +14,7 @@ from cellapp.robot.kinematics.transforms import Array
 
 
 def require_own_factories(
-    profile: Profile, places: Mapping[KeyPath, Place], types: Callable[[], Mapping[str, ArmType]]
+    profile: Profile, places: Mapping[KeyPath, Spot], types: Callable[[], Mapping[str, ArmType]]
 ) -> None:
     """Raise ``InputError`` if an arm's factory calibration is that of another type; ``types`` are those of cellapp."""
     for name, arm in profile.arms.items():

@@ -16,10 +16,10 @@ from pydantic import ValidationError
 
 from cellapp.cell.profile.files import controller_table
 from cellapp.cell.profile.messages import (
-    Document,
     KeyPath,
-    Place,
     PlacedError,
+    Spot,
+    YamlDocument,
     described,
     dotted,
     plain,
@@ -88,7 +88,7 @@ def explained(path: Path) -> list[tuple[str, str, str]]:
     return [(dotted(at), value, _origin(document.places, at)) for at, value in values.items()]
 
 
-def _origin(places: Mapping[KeyPath, Place], at: KeyPath) -> str:
+def _origin(places: Mapping[KeyPath, Spot], at: KeyPath) -> str:
     given = next((at[:end] for end in range(len(at), 0, -1) if at[:end] in places), ())
     has_keys = any(len(key) > len(given) and key[: len(given)] == given for key in places)
     if not given or (given != at and has_keys):  # a section that is given, without this key
@@ -112,7 +112,7 @@ def _walk(at: KeyPath, value: object) -> Iterator[tuple[KeyPath, object]]:
         yield at, value
 
 
-def _folders(document: Document) -> tuple[Path, ...]:
+def _folders(document: YamlDocument) -> tuple[Path, ...]:
     """Return the folder of a document's file, then those of the files that it extends."""
     return tuple(dict.fromkeys(Path(place.file).parent for place in (document.places[()], *document.places.values())))
 
@@ -127,21 +127,21 @@ def profile_from_dict(content: Mapping[str, Any], folder: Path = Path()) -> Prof
     InputError
         As ``load_profile``, with the key.
     """
-    document = Document(plain_data(content))
+    document = YamlDocument(plain_data(content))
     _enter_places(document, (), document.data)
     _check_version(document)
     return checked_profile(document, (folder,))
 
 
-def _enter_places(document: Document, at: KeyPath, value: Any) -> None:
+def _enter_places(document: YamlDocument, at: KeyPath, value: Any) -> None:
     """Enter the place of a value, and of all values below it, for a profile that is not a file."""
-    document.places[at] = Place("profile", 0, at)
+    document.places[at] = Spot("profile", 0, at)
     inside = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, part in inside:
         _enter_places(document, (*at, key), part)
 
 
-def checked_profile(document: Document, folders: Sequence[Path]) -> Profile:
+def checked_profile(document: YamlDocument, folders: Sequence[Path]) -> Profile:
     """Validate a document as a profile; files that it names are in the first of ``folders`` that has them.
 
     Raises
@@ -159,7 +159,7 @@ def checked_profile(document: Document, folders: Sequence[Path]) -> Profile:
     return profile
 
 
-def _require_own_factories(profile: Profile, places: Mapping[KeyPath, Place]) -> None:
+def _require_own_factories(profile: Profile, places: Mapping[KeyPath, Spot]) -> None:
     """Raise ``InputError`` if an arm's factory calibration is that of another type."""
     if any(arm.factory is not None for arm in profile.arms.values()):
         from cellapp.cell.profile.factory import require_own_factories  # numerics; other profiles load without
@@ -198,12 +198,12 @@ def _completed(stored: Any, given: Any) -> Any:
     return {key: value for key, value in merged.items() if given.get(key, "") is not None}
 
 
-def load_text(path: Path) -> Document:
+def load_text(path: Path) -> YamlDocument:
     """Return the plain data of a profile's file, as ``read_document``. Raises ``InputError``."""
     return read_document(_read_text(path), path)
 
 
-def read_document(text: str, path: Path) -> Document:
+def read_document(text: str, path: Path) -> YamlDocument:
     """Return the plain data of a profile's text, whose file is, or will be, ``path``. Raises ``InputError``.
 
     Types of arms are still the paths of their files.
@@ -213,7 +213,7 @@ def read_document(text: str, path: Path) -> Document:
     return document
 
 
-def _extended(document: Document, path: Path, below: tuple[Path, ...] = ()) -> Document:
+def _extended(document: YamlDocument, path: Path, below: tuple[Path, ...] = ()) -> YamlDocument:
     """Complete a document by the profile that it extends, if any; ``below`` are those that extend this one."""
     if "extends" not in document.data:
         return document
@@ -234,7 +234,7 @@ def _extended(document: Document, path: Path, below: tuple[Path, ...] = ()) -> D
     return replace(document, data=_completed(its.data, document.data), places=its.places | document.places)
 
 
-def _read_arm_types(document: Document, folders: Sequence[Path]) -> None:
+def _read_arm_types(document: YamlDocument, folders: Sequence[Path]) -> None:
     """Replace the paths of arm types by the contents of the files: from the first of ``folders``, else from a plug-in.
 
     The paths of the controllers' own calibrations are replaced, too.
@@ -271,7 +271,7 @@ def own_arm_types() -> dict[str, ArmType]:
     return {path.stem: arm_type_of_text(_read_text(path), path) for path in paths}
 
 
-def _locate_meshes(document: Document, folders: Sequence[Path]) -> None:
+def _locate_meshes(document: YamlDocument, folders: Sequence[Path]) -> None:
     """Replace the paths of mesh files by absolute ones, in the first of ``folders`` that has the file.
 
     Raises
@@ -316,7 +316,7 @@ def profile_from_json(text: str) -> Profile:
     return profile
 
 
-def _check_version(document: Document) -> None:
+def _check_version(document: YamlDocument) -> None:
     version = document.data.get("version")
     if isinstance(version, int) and not isinstance(version, bool) and version > VERSION:
         raise InputError(
@@ -325,7 +325,7 @@ def _check_version(document: Document) -> None:
         )
 
 
-def _read_arm_type(folders: Sequence[Path], name: str, place: Place) -> Document:
+def _read_arm_type(folders: Sequence[Path], name: str, place: Spot) -> YamlDocument:
     path = _first_file(folders, name) or ARM_TYPES.get(name)
     if path is not None:
         return _parse_yaml(_read_text(path), path)
@@ -365,7 +365,7 @@ def _described(path: Path, arm_type: object) -> dict[str, object]:
     return dict(zip(("delta_theta", "delta_d", "delta_a", "delta_alpha"), map(tuple, deltas), strict=True))
 
 
-def _read_controller(folders: Sequence[Path], name: str, place: Place, arm_type: object) -> dict[str, object]:
+def _read_controller(folders: Sequence[Path], name: str, place: Spot, arm_type: object) -> dict[str, object]:
     path = _first_file(folders, name)
     if path is None:
         raise PlacedError(
@@ -399,15 +399,15 @@ def _composed(text: str) -> tuple[yaml.Node | None, _Loader | _FastLoader]:
     return loader.get_single_node(), loader
 
 
-def _parse_yaml(text: str, path: Path) -> Document:
+def _parse_yaml(text: str, path: Path) -> YamlDocument:
     try:
         node, loader = _composed(text)
         if node is None:
             raise InputError(f"{path}: the file is empty; expected a mapping of keys to values")
         if not isinstance(node, yaml.MappingNode):
             raise InputError(f"{path}:{_line(node)}: expected keys with values at the top, got {described(node)}")
-        document = Document()
-        document.data = _plain_data(node, (), Place(str(path), _line(node), ()), document.places, loader)
+        document = YamlDocument()
+        document.data = _plain_data(node, (), Spot(str(path), _line(node), ()), document.places, loader)
         return document
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -439,7 +439,7 @@ def _read_text(path: Path) -> str:
 
 
 def _plain_data(
-    node: yaml.Node, at: KeyPath, place: Place, places: dict[KeyPath, Place], loader: _Loader | _FastLoader
+    node: yaml.Node, at: KeyPath, place: Spot, places: dict[KeyPath, Spot], loader: _Loader | _FastLoader
 ) -> Any:
     """Return a node as dict, list, text, number, bool or None; enter its place and those below it into ``places``."""
     if len(at) > _MOST_LEVELS:
@@ -451,14 +451,14 @@ def _plain_data(
         return _mapping(node, at, place, places, loader)
     if isinstance(node, yaml.SequenceNode):
         return [
-            _plain_data(item, (*at, index), Place(place.file, _line(item), (*place.inside, index)), places, loader)
+            _plain_data(item, (*at, index), Spot(place.file, _line(item), (*place.inside, index)), places, loader)
             for index, item in enumerate(node.value)
         ]
     return _scalar(node, place, loader)
 
 
 def _mapping(
-    node: yaml.MappingNode, at: KeyPath, place: Place, places: dict[KeyPath, Place], loader: _Loader | _FastLoader
+    node: yaml.MappingNode, at: KeyPath, place: Spot, places: dict[KeyPath, Spot], loader: _Loader | _FastLoader
 ) -> dict[str, Any]:
     result: dict[str, Any] = {}
     lines: dict[str, int] = {}
@@ -469,7 +469,7 @@ def _mapping(
             raise InputError(
                 f"{place.file}:{_line(key_node)}: {text} is not a key; a key is a word, or put it in quotes"
             )
-        here = Place(place.file, _line(key_node), (*place.inside, key))
+        here = Spot(place.file, _line(key_node), (*place.inside, key))
         if key in result:
             raise InputError(f"{here}: duplicate key (first in line {lines[key]}); keep one")
         lines[key] = here.line
@@ -477,7 +477,7 @@ def _mapping(
     return result
 
 
-def _scalar(node: yaml.Node, place: Place, loader: _Loader | _FastLoader) -> str | int | float | bool | None:
+def _scalar(node: yaml.Node, place: Spot, loader: _Loader | _FastLoader) -> str | int | float | bool | None:
     kind = node.tag.removeprefix("tag:yaml.org,2002:")
     if kind == "timestamp":
         return str(node.value)

@@ -56,7 +56,7 @@ _MEANT = {"offset": "theta", "r": "a", "length": "a", "twist": "alpha", "limits"
 
 
 @dataclass(frozen=True)
-class Place:
+class Spot:
     """Where a value is written: file, line (0: not in a file), and its path inside that file."""
 
     file: str
@@ -72,16 +72,16 @@ class Place:
 class PlacedError(InputError):
     """Bad input at one place of a profile."""
 
-    def __init__(self, place: Place, words: str) -> None:
+    def __init__(self, place: Spot, words: str) -> None:
         super().__init__(f"{place}: {words}")
 
 
 @dataclass
-class Document:
+class YamlDocument:
     """A profile, or another file of ``schema``, as plain data, with the place of each of its values."""
 
     data: Any = None
-    places: dict[KeyPath, Place] = field(default_factory=dict)
+    places: dict[KeyPath, Spot] = field(default_factory=dict)
     schema: type[Section] = Profile
 
 
@@ -118,7 +118,7 @@ def described(value: object) -> str:
             return str(value)
 
 
-def validation_message(error: ValidationError, document: Document) -> str:
+def validation_message(error: ValidationError, document: YamlDocument) -> str:
     """Return one line for each error, in the order of the file; after the first few, their number."""
     located = [(document.places[at], texts) for at, texts in _found(error, document)]
     ordered = sorted(located, key=lambda entry: (entry[0].file, entry[0].line))
@@ -137,7 +137,7 @@ def value_message(details: ErrorDetails) -> str:
         case "value_error":
             return plain(details["msg"])
         case _:
-            return _expected(details, (), Document(details["input"]))
+            return _expected(details, (), YamlDocument(details["input"]))
 
 
 def plain(message: str) -> str:
@@ -145,7 +145,7 @@ def plain(message: str) -> str:
     return message.removeprefix("Value error, ").replace("got NoneType", "got nothing")
 
 
-def _found(error: ValidationError, document: Document) -> list[tuple[KeyPath, list[str]]]:
+def _found(error: ValidationError, document: YamlDocument) -> list[tuple[KeyPath, list[str]]]:
     """Return the written path of each error with its messages: several for the alternatives of one value."""
     found: dict[tuple[KeyPath, str], list[str]] = {}
     for details in _without_literal_branches(error.errors(include_url=False), document.places):
@@ -157,7 +157,7 @@ def _found(error: ValidationError, document: Document) -> list[tuple[KeyPath, li
     return [(at, texts) for (at, _), texts in found.items()]
 
 
-def _without_literal_branches(errors: Sequence[ErrorDetails], places: dict[KeyPath, Place]) -> Iterator[ErrorDetails]:
+def _without_literal_branches(errors: Sequence[ErrorDetails], places: dict[KeyPath, Spot]) -> Iterator[ErrorDetails]:
     """Drop "expected the word 'unknown', got a list" if another error concerns the same list, "at least 2 values" of a
     list that has them, and an unknown key that an earlier row of the same list has."""
     paths = [_walk(details["loc"], places)[0] for details in errors]
@@ -175,7 +175,7 @@ def _without_literal_branches(errors: Sequence[ErrorDetails], places: dict[KeyPa
             yield details
 
 
-def _sentence(place: Place, texts: Sequence[str]) -> str:
+def _sentence(place: Spot, texts: Sequence[str]) -> str:
     words = _joined(texts)
     return f"{place}{words}" if words.startswith(".") else f"{place}: {words}"
 
@@ -189,7 +189,7 @@ def _joined(texts: Sequence[str]) -> str:
     return short(first, _LONGEST)
 
 
-def _located_message(details: ErrorDetails, document: Document) -> tuple[KeyPath, str]:
+def _located_message(details: ErrorDetails, document: YamlDocument) -> tuple[KeyPath, str]:
     """Return the written path of an error and its message; a message that starts with a dot continues the key."""
     at, rest = _walk(details["loc"], document.places)
     kind = details["type"]
@@ -204,7 +204,7 @@ def _located_message(details: ErrorDetails, document: Document) -> tuple[KeyPath
     return at, _expected(details, at, document)
 
 
-def _missing(location: Sequence[Key], at: KeyPath, rest: Sequence[Key], document: Document) -> str:
+def _missing(location: Sequence[Key], at: KeyPath, rest: Sequence[Key], document: YamlDocument) -> str:
     last = rest[-1] if rest else None
     if isinstance(last, int):
         expected = _tuple_length(location, last + 1, document.schema)
@@ -213,7 +213,7 @@ def _missing(location: Sequence[Key], at: KeyPath, rest: Sequence[Key], document
     return f"{dot}{last}{_MISSING}"
 
 
-def _wrong_kind(details: ErrorDetails, at: KeyPath, document: Document) -> tuple[KeyPath, str]:
+def _wrong_kind(details: ErrorDetails, at: KeyPath, document: YamlDocument) -> tuple[KeyPath, str]:
     """Describe a device's key ``kind`` that is missing or names no kind."""
     context = details.get("ctx", {})
     key = str(context["discriminator"]).strip("'")
@@ -223,7 +223,7 @@ def _wrong_kind(details: ErrorDetails, at: KeyPath, document: Document) -> tuple
     return ((*at, key) if (*at, key) in document.places else at), message
 
 
-def _expected(details: ErrorDetails, at: KeyPath, document: Document) -> str:
+def _expected(details: ErrorDetails, at: KeyPath, document: YamlDocument) -> str:
     """Describe a value that has the wrong type, size or length."""
     kind, value, context = details["type"], details["input"], details.get("ctx", {})
     got = described(value)
@@ -249,7 +249,7 @@ def _expected(details: ErrorDetails, at: KeyPath, document: Document) -> str:
             return plain(details["msg"])
 
 
-def _walk(location: Sequence[Key], places: dict[KeyPath, Place]) -> tuple[KeyPath, list[Key]]:
+def _walk(location: Sequence[Key], places: dict[KeyPath, Spot]) -> tuple[KeyPath, list[Key]]:
     """Return the longest part of pydantic's location that is written in the file, and the keys that remain.
 
     The location also contains the names of a union's branches, which are not written in the file.
@@ -270,7 +270,7 @@ def _value(data: Any, at: KeyPath) -> Any:
     return data
 
 
-def _own_message(at: KeyPath, message: str, places: dict[KeyPath, Place]) -> tuple[KeyPath, str]:
+def _own_message(at: KeyPath, message: str, places: dict[KeyPath, Spot]) -> tuple[KeyPath, str]:
     """Move the key with which the schema's own messages start into the path."""
     match = re.match(r"([A-Za-z_][\w.\[\]]*): ", message)
     if not match:

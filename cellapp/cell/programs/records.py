@@ -19,7 +19,7 @@ TargetKind = Literal["pose", "joints"]
 
 
 @dataclass(frozen=True)
-class Place:
+class ArmPlace:
     """Place of numbers in the text: each number's offsets, or one expression from ``start`` to ``end``."""
 
     start: int
@@ -46,11 +46,11 @@ class ProgramTarget:
         ``qnear``: the solution nearest to these joint positions [rad] is meant.
     function : str
         Function or thread that contains the motion.
-    place : Place
+    place : ArmPlace
         Place where the new numbers may be written: at the motion itself.
     as_joints : bool
         Whether joint positions must be written at ``place`` although a pose was meant.
-    shared : Place or None
+    shared : ArmPlace or None
         Place of the numbers of a variable that nothing else uses; preferred to ``place`` if all its uses agree.
     position_only : bool
         Whether the rotation is not used (the via point of ``movec``); then ``facing`` is used.
@@ -65,9 +65,9 @@ class ProgramTarget:
     tcp: Six | None
     near: Six | None
     function: str
-    place: Place
+    place: ArmPlace
     as_joints: bool = False
-    shared: Place | None = None
+    shared: ArmPlace | None = None
     position_only: bool = False
     facing: Six | None = None
 
@@ -89,7 +89,7 @@ class ReadProgram:
     Attributes
     ----------
     text : str
-        Text to which the offsets of ``Place`` refer.
+        Text to which the offsets of ``ArmPlace`` refer.
     targets, left : tuples
         Targets and unchanged motions in the order of the text.
     payload_kg : float or None

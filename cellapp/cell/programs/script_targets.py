@@ -27,7 +27,7 @@ import numpy as np
 
 from cellapp.cell.profile.factory import fitting_types
 from cellapp.cell.profile.loader import own_arm_types
-from cellapp.cell.programs.records import LeftMotion, Place, ProgramTarget, ReadProgram, Six
+from cellapp.cell.programs.records import ArmPlace, LeftMotion, ProgramTarget, ReadProgram, Six
 from cellapp.cell.programs.urscript import (
     SIX,
     Call,
@@ -35,9 +35,9 @@ from cellapp.cell.programs.urscript import (
     Expression,
     Items,
     Name,
-    Number,
     Operation,
-    Program,
+    ParsedProgram,
+    ScriptNumber,
     Statement,
     Unresolved,
     Value,
@@ -102,7 +102,7 @@ def read_script(data: bytes, where: str, tcp: Six | None = None) -> ReadProgram:
     """
     text = data.decode("utf-8", "surrogateescape")
     program = parse_program(text, where)
-    reader = _Reader(program, where, tcp)
+    reader = _TargetReader(program, where, tcp)
     targets, left = reader.motions()
     return ReadProgram(
         text=text,
@@ -119,10 +119,10 @@ def six(numbers: Iterable[float]) -> Six:
     return a, b, c, d, e, f
 
 
-class _Reader:
+class _TargetReader:
     """Reads the motions of one program."""
 
-    def __init__(self, program: Program, where: str, tcp: Six | None) -> None:
+    def __init__(self, program: ParsedProgram, where: str, tcp: Six | None) -> None:
         self._program, self._constants = program, Constants(program)
         self._goals: list[_Goal | None] = []
         self._tcps = [
@@ -341,17 +341,17 @@ def _unreadable(statement: Statement) -> list[LeftMotion]:
     return [LeftMotion(statement.line, word, "this line cannot be read") for word in known[:1]]
 
 
-def _place(expression: Expression) -> Place:
+def _place(expression: Expression) -> ArmPlace:
     """Return where the numbers of an expression are in the text, each one's place if it is a list of plain numbers."""
     if isinstance(expression, Items) and all(_is_number(item) for item in expression.items):
-        return Place(expression.start, expression.end, tuple((item.start, item.end) for item in expression.items))
-    return Place(expression.start, expression.end)
+        return ArmPlace(expression.start, expression.end, tuple((item.start, item.end) for item in expression.items))
+    return ArmPlace(expression.start, expression.end)
 
 
 def _is_number(expression: Expression) -> bool:
     """Return whether an expression consists of numbers only, as ``-0.3`` or ``d2r(90)``."""
     inner = list(parts_of(expression))
-    return all(isinstance(part, Number | Operation | Call) for part in inner)
+    return all(isinstance(part, ScriptNumber | Operation | Call) for part in inner)
 
 
 _LARGEST = 32 * 1024 * 1024
@@ -537,7 +537,7 @@ class _XmlReader:
                 tcp=None,
                 near=None,
                 function="",
-                place=Place(first, last, spans),
+                place=ArmPlace(first, last, spans),
             )
         )
 

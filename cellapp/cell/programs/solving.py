@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from cellapp.cell.programs.records import CorrectedTarget, CorrectResult, Place, ProgramTarget, ReadProgram
+from cellapp.cell.programs.records import ArmPlace, CorrectedTarget, CorrectResult, ProgramTarget, ReadProgram
 from cellapp.cell.programs.script_targets import six
 from cellapp.cell.programs.urscript import pose_matrix, pose_numbers
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
@@ -469,14 +469,14 @@ def number_text(value: float) -> str:
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _agree(shared: Place, targets: Sequence[ProgramTarget], corrected: Sequence[CorrectedTarget]) -> bool:
+def _agree(shared: ArmPlace, targets: Sequence[ProgramTarget], corrected: Sequence[CorrectedTarget]) -> bool:
     """Return whether all uses of a variable have the same new numbers."""
     found = [result.new for target, result in zip(targets, corrected, strict=True) if target.shared == shared]
     known = [one for one in found if one is not None]
     return len(known) == len(found) and bool(np.ptp(np.array(known), axis=0).max() < _AGREE)
 
 
-def _edits(place: Place, numbers: Sequence[float], *, pose: bool) -> dict[tuple[int, int], str]:
+def _edits(place: ArmPlace, numbers: Sequence[float], *, pose: bool) -> dict[tuple[int, int], str]:
     texts = [number_text(value) for value in numbers]
     if place.numbers:
         return dict(zip(place.numbers, texts, strict=True))

@@ -80,7 +80,7 @@ class Expression:
 
 
 @dataclass(frozen=True, eq=False)
-class Number(Expression):
+class ScriptNumber(Expression):
     """Number."""
 
     value: float
@@ -200,7 +200,7 @@ class _Reader:
             case ast.Name():
                 word = self.words[node.col_offset]
                 if word.kind == "number":
-                    return Number(start, end, float(word.text))
+                    return ScriptNumber(start, end, float(word.text))
                 is_name = word.kind == "name" and word.text not in ("True", "False")
                 return Name(start, end, word.text) if is_name else Other(start, end)
             case ast.List():
@@ -262,7 +262,7 @@ class Statement:
 
 
 @dataclass(frozen=True)
-class Program:
+class ParsedProgram:
     """Program: its text, statements, and the parameters of its functions; of one that is defined twice, all and ""."""
 
     text: str
@@ -270,7 +270,7 @@ class Program:
     parameters: Mapping[str, tuple[str, ...]]
 
 
-def parse_program(text: str, where: str) -> Program:
+def parse_program(text: str, where: str) -> ParsedProgram:
     """Parse a program.
 
     Raises
@@ -302,7 +302,7 @@ def parse_program(text: str, where: str) -> Program:
     if stack:
         kind, _, line = stack[-1]
         raise InputError(f"{where}:{line}: '{kind}' has no 'end'; nothing was written")
-    return Program(text, tuple(statements), parameters)
+    return ParsedProgram(text, tuple(statements), parameters)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -390,7 +390,7 @@ def pose_numbers(T: Array) -> tuple[float, ...]:
 class Constants:
     """Constant variables of a program."""
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: ParsedProgram) -> None:
         self._parameters = program.parameters
         self._assigned = grouped((name, one) for one in program.statements for name in _assigned_names(one))
 
@@ -417,7 +417,7 @@ class Constants:
     def value(self, expression: Expression, path: tuple[str, ...], within: tuple[str, ...] = ()) -> Value:
         """Return the value of an expression in a function. Raise ``Unresolved``."""
         match expression:
-            case Number(value=value):
+            case ScriptNumber(value=value):
                 return Value((value,))
             case Name(name=name):
                 check_chain(name, within)

@@ -22,7 +22,7 @@ _SINCE = 9
 
 
 @dataclass(frozen=True)
-class Earlier:
+class EarlierReadings:
     """The replaced readings of one arm, by stop, the oldest first.
 
     Attributes
@@ -62,16 +62,16 @@ def replace_stop(run: RunFile, stop: int, rows: Mapping[str, Reading], outcomes:
                 insert_outcome(connection, outcome)
 
 
-def earlier_readings(run: RunFile, arm: str) -> Earlier:
+def earlier_readings(run: RunFile, arm: str) -> EarlierReadings:
     """Return the replaced readings of an arm; none in a file of an older schema."""
     with run.look() as connection:
         if schema_version(connection) < _SINCE:
-            return Earlier(run.rows(arm).take([]), ())
+            return EarlierReadings(run.rows(arm).take([]), ())
         times = connection.execute(
             "SELECT replaced FROM earlier_reading WHERE arm = ? ORDER BY configuration, rowid", (arm,)
         )
         joints = len(run.profile.arms[arm].type.joints)
-        return Earlier(
+        return EarlierReadings(
             select_readings(connection, arm, joints, "earlier_reading"), tuple(replaced for (replaced,) in times)
         )
 

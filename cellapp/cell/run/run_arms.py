@@ -43,14 +43,14 @@ STORED_CONTROLLERS = TypeAdapter(dict[str, ControllerIdentity])
 
 
 @dataclass(frozen=True)
-class ArmIdentity:
+class StoredIdentity:
     """Identity of an arm; ``key`` is the same in all its runs, ``serial`` is empty where only names are known."""
 
     key: str
     known_by: IdentityBasis
     serial: str = ""
 
-    def is_other_than(self, other: ArmIdentity) -> bool:
+    def is_other_than(self, other: StoredIdentity) -> bool:
         """Return whether serial numbers prove two arms to be different ones."""
         return self.known_by == other.known_by and bool(self.serial) and self.serial != other.serial
 
@@ -66,23 +66,23 @@ def recorded_controllers(run: RunFile) -> dict[str, ControllerIdentity]:
         raise InputError(f"{run.path}: the record of its controllers is damaged; start a new run") from None
 
 
-def arm_identities(run: RunFile) -> Mapping[str, ArmIdentity]:
+def arm_identities(run: RunFile) -> Mapping[str, StoredIdentity]:
     """Identify every arm of the run's profile: by its controller's serial, by the profile's, or by names.
 
     A simulated arm has no serial number of its own: all of them report the same one.
     """
-    controllers, found = dict[str, ControllerIdentity](), dict[str, ArmIdentity]()
+    controllers, found = dict[str, ControllerIdentity](), dict[str, StoredIdentity]()
     with suppress(InputError):  # a damaged record: names then identify the arms
         controllers = recorded_controllers(run)
     for name, arm in run.profile.arms.items():
         controller = controllers.get(name)
         given = run.profile.traceability.arms.get(name)
         if controller is not None and controller.serial and not arm.driver.needs_plant:
-            found[name] = ArmIdentity(controller.serial, "controller", controller.serial)
+            found[name] = StoredIdentity(controller.serial, "controller", controller.serial)
         elif given is not None and given.serial:
-            found[name] = ArmIdentity(given.serial, "profile", given.serial)
+            found[name] = StoredIdentity(given.serial, "profile", given.serial)
         else:
-            found[name] = ArmIdentity(f"{run.profile.name}, {name} ({arm.type.model})", "names")
+            found[name] = StoredIdentity(f"{run.profile.name}, {name} ({arm.type.model})", "names")
     return found
 
 

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.safety.shapes import Obstacle
+from cellapp.cell.safety.shapes import ObstacleBody
 from cellapp.robot.kinematics.chain import Geometry, frame_poses, frame_vectors
 from cellapp.robot.kinematics.transforms import Array
 
@@ -45,7 +45,7 @@ class ArmBodies:
         SMR viewing direction in the flange frame, a unit vector.
     acceptance : float
         Half the acceptance angle of the SMR [rad].
-    mounted : tuple of Obstacle
+    mounted : tuple of ObstacleBody
         Obstacles fixed to the flange, their poses in the flange frame. The last capsules cover them.
     covered : tuple of str
         Names of the mounted obstacles that the last ``len(covered)`` capsules cover.
@@ -59,7 +59,7 @@ class ArmBodies:
     limits: Array
     normal_F: Array
     acceptance: float
-    mounted: tuple[Obstacle, ...] = ()
+    mounted: tuple[ObstacleBody, ...] = ()
     covered: tuple[str, ...] = ()
 
     @property

@@ -10,7 +10,7 @@ import numpy as np
 
 from cellapp.cell.safety.bodies import ArmBodies, TrackerField, place
 from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies
-from cellapp.cell.safety.shapes import Cylinder, Obstacle, RoundedBox, Shape, load_mesh
+from cellapp.cell.safety.shapes import Cylinder, ObstacleBody, RoundedBox, Shape, load_mesh
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Arm, Profile
 from cellapp.ground.profile.sections import (
@@ -71,7 +71,7 @@ def home_positions(profile: Profile) -> dict[str, np.ndarray]:
     return {name: np.array(arm.home) for name, arm in profile.arms.items() if arm.home is not None}
 
 
-def _arm_bodies(arm: Arm, geometry: Geometry, mounted: Sequence[Obstacle]) -> ArmBodies:
+def _arm_bodies(arm: Arm, geometry: Geometry, mounted: Sequence[ObstacleBody]) -> ArmBodies:
     """Build the capsules of an arm's type, then those that cover what is mounted on its flange."""
     capsules, covers = arm.type.capsules, [cover(obstacle) for obstacle in mounted]
     covered = [obstacle.name for obstacle, one in zip(mounted, covers, strict=True) for _ in one.radius]
@@ -112,18 +112,18 @@ def _check_obstacles(profile: Profile, cell: CellBodies) -> None:
             )
 
 
-def _obstacles(profile: Profile, bases: dict[str, Array]) -> tuple[list[Obstacle], dict[str, list[Obstacle]]]:
+def _obstacles(profile: Profile, bases: dict[str, Array]) -> tuple[list[ObstacleBody], dict[str, list[ObstacleBody]]]:
     """Return obstacles in the cell, poses in C; and arm -> those on its flange, poses in F. ``bases``: T_C_B."""
-    placed: list[Obstacle] = []
-    mounted: dict[str, list[Obstacle]] = {}
+    placed: list[ObstacleBody] = []
+    mounted: dict[str, list[ObstacleBody]] = {}
     for name, entry in profile.obstacles.items():
         pose = pose_matrix(entry.pose)
         shape, centre = _shape(f"profile {profile.name}: obstacles.{name}", entry)
-        obstacle = Obstacle(name, shape, pose @ transform(np.eye(3), centre))
+        obstacle = ObstacleBody(name, shape, pose @ transform(np.eye(3), centre))
         if entry.arm is None:
             placed.append(obstacle)
         elif entry.fixed_to == "base":
-            placed.append(Obstacle(name, shape, bases[entry.arm] @ obstacle.pose, entry.arm))
+            placed.append(ObstacleBody(name, shape, bases[entry.arm] @ obstacle.pose, entry.arm))
         else:
             mounted.setdefault(entry.arm, []).append(obstacle)
     return placed, mounted
@@ -214,7 +214,7 @@ class Cover:
     excess: float
 
 
-def cover(obstacle: Obstacle) -> Cover:
+def cover(obstacle: ObstacleBody) -> Cover:
     """Cover an obstacle by capsules; exact for spheres and capsules."""
     shape = obstacle.shape
     if isinstance(shape, RoundedBox):

@@ -36,7 +36,7 @@ from cellapp.cell.safety.bodies import (
     sight_conditions,
     sight_of,
 )
-from cellapp.cell.safety.shapes import Obstacle, beam_gaps, box_about
+from cellapp.cell.safety.shapes import ObstacleBody, beam_gaps, box_about
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array, rows_at
 
@@ -278,7 +278,7 @@ class CellBodies:
         Least distance between arms, and of arms from floor, ceiling and obstacles [m].
     floor, ceiling : float
         Heights of floor and ceiling in the cell frame C [m]; the ceiling may be infinite.
-    obstacles : tuple of Obstacle
+    obstacles : tuple of ObstacleBody
         What stands in the cell, poses in the cell frame C. Those mounted on a flange are with its arm.
     apart : float
         Additional distance that arms keep from each other while they move [m], as their positions may deviate.
@@ -289,7 +289,7 @@ class CellBodies:
     clearance: float
     floor: float
     ceiling: float = math.inf
-    obstacles: tuple[Obstacle, ...] = ()
+    obstacles: tuple[ObstacleBody, ...] = ()
     apart: float = 0.0
 
     @property

@@ -302,7 +302,7 @@ def _loaded(file: str, scale: float, _changed_ns: int, _bytes: int) -> tuple[Mes
 
 
 @dataclass(frozen=True, eq=False)
-class Obstacle:
+class ObstacleBody:
     """A named solid at a pose.
 
     Attributes
@@ -326,9 +326,9 @@ class Obstacle:
         """Half the sizes, (3,) [m], of its bounding box along the axes of the frame in which the pose is given."""
         return np.asarray(np.abs(self.pose[:3, :3]) @ self.shape.half)
 
-    def moved(self, T_A_B: Array) -> Obstacle:
+    def moved(self, T_A_B: Array) -> ObstacleBody:
         """Return the obstacle with its pose in frame A instead of B."""
-        return Obstacle(self.name, self.shape, T_A_B @ self.pose, self.base_of)
+        return ObstacleBody(self.name, self.shape, T_A_B @ self.pose, self.base_of)
 
     def far(self, low: Array, high: Array, distance: float) -> bool:
         """Return whether all points between the corners ``low`` and ``high`` (3,) are farther than ``distance`` [m]."""
@@ -368,7 +368,7 @@ def box_about(start: Array, end: Array, radius: Array) -> tuple[Array, Array]:
     return low, high
 
 
-def beam_gaps(obstacles: Sequence[Obstacle], source: Array, target: Array, within: float) -> Array:
+def beam_gaps(obstacles: Sequence[ObstacleBody], source: Array, target: Array, within: float) -> Array:
     """Compute the smallest distance (n,) [m] of the beams from ``source`` (3,) to ``target`` (n, 3) from any obstacle.
 
     Distances above ``within`` [m] may be underestimated, but not below it. Infinite without obstacles.

@@ -19,8 +19,8 @@ from cellapp.cell.targets.goals import ArmGoals, goals_of_arm
 from cellapp.cell.targets.invert import (
     LARGEST_CORRECTION,
     Branches,
-    Chosen,
     Inverted,
+    Picked,
     Positions,
     admissible_configurations,
     choose,
@@ -232,7 +232,7 @@ def _commands(group: _Group) -> dict[str, list[Command]]:
 
 
 def _of_arm(
-    group: _Group, chosen: Chosen, name: str, rows: NDArray[np.intp], at: Positions, reasons: Mapping[int, str]
+    group: _Group, chosen: Picked, name: str, rows: NDArray[np.intp], at: Positions, reasons: Mapping[int, str]
 ) -> tuple[list[Command], Predicted]:
     """Return the commands of one arm, and what is predicted of the targets ``rows``, which are accepted.
 
@@ -286,7 +286,7 @@ def _seen(group: _Group, name: str, at: Positions) -> NDArray[np.bool_]:
     return visible(group.cell, name, at[name], others)
 
 
-def _refusals(group: _Group, chosen: Chosen) -> dict[int, str]:
+def _refusals(group: _Group, chosen: Picked) -> dict[int, str]:
     """Return target index -> why it is not commanded."""
     missed: dict[str, dict[int, str]] = {}
     for name, one in group.branches.items():
@@ -316,7 +316,7 @@ _SAME_POSE = 1e-6
 """Residual [m, rad] below which a pose counts as reachable, although no start of the search reached it."""
 
 
-def refusal(group: _Group, chosen: Chosen, row: int, missed: Mapping[str, str]) -> str:
+def refusal(group: _Group, chosen: Picked, row: int, missed: Mapping[str, str]) -> str:
     """Return the reason of the best branch of a target; ``missed`` says how far arms without a solution are off."""
     for name, one in group.branches.items():
         of = f"arm {name}: " if len(group.branches) > 1 else ""

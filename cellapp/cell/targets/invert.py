@@ -238,7 +238,7 @@ class Branches:
 
 
 @dataclass(frozen=True, eq=False)
-class Chosen:
+class Picked:
     """Chosen solutions for n targets.
 
     Attributes
@@ -279,7 +279,7 @@ def admissible_configurations(cell: CellBodies, homes: Mapping[str, Array], name
     return np.asarray(samples[clear_with_others(cell, homes, {name: samples})])
 
 
-def choose(cell: CellBodies, homes: Mapping[str, Array], branches: Mapping[str, Branches], solve: Solve) -> Chosen:
+def choose(cell: CellBodies, homes: Mapping[str, Array], branches: Mapping[str, Branches], solve: Solve) -> Picked:
     """Choose among the branches of each arm for n targets: visible ones first, then the nearest to home.
 
     Candidates are solved with the calibrated model one after the other, until the gate accepts both commands, the
@@ -291,7 +291,7 @@ def choose(cell: CellBodies, homes: Mapping[str, Array], branches: Mapping[str, 
     places = {name: np.array([entry[k] for entry in pick]) for k, name in enumerate(branches)}
     nominal = {name: np.full((n, one.q.shape[2]), np.nan) for name, one in branches.items()}
     unsolved = {name: Inverted(np.full(q.shape, np.nan), *np.full((2, n), np.inf)) for name, q in nominal.items()}
-    chosen = Chosen(np.zeros(n, dtype=bool), nominal, unsolved)
+    chosen = Picked(np.zeros(n, dtype=bool), nominal, unsolved)
     for attempt in range(int(count.max(initial=0))):
         rows = np.flatnonzero(~chosen.accepted & (count > attempt))
         if not len(rows):
@@ -313,7 +313,7 @@ def choose(cell: CellBodies, homes: Mapping[str, Array], branches: Mapping[str, 
     return chosen
 
 
-def _keep_nominal(chosen: Chosen, rows: NDArray[np.intp], q: Positions) -> None:
+def _keep_nominal(chosen: Picked, rows: NDArray[np.intp], q: Positions) -> None:
     for name, one in q.items():
         chosen.nominal[name][rows] = one
 

@@ -38,7 +38,7 @@ AT_ONCE = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
+class Extent:
     """Covariances (n, 3, 3) [m^2] of the predicted SMR by source; their sum is that of the true position.
 
     Geometry and effects are fitted together, and their errors partly cancel: each gets its share of the covariance of
@@ -126,7 +126,7 @@ def _never_measured(payload_kg: float, ranges: ConditionRanges) -> list[str]:
     return [f"payload {payload_kg:g} kg was never measured (the readings had {had})"]
 
 
-def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Spread:
+def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: ConditionRanges) -> Extent:
     """Return the covariances of a model with posterior draws at ``q`` (n, N) [rad].
 
     Outside the joint ranges of the readings, ``extrapolation`` is what exceeds the values at the nearest configuration
@@ -140,7 +140,7 @@ def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges
     loaded = payload_covariance(arm, q, conditions, near, ranges.elasticity)
     beyond = np.flatnonzero(np.any(inside != q, axis=1))
     if not len(beyond):
-        return Spread(parameters, effects, network, loaded, nothing)
+        return Extent(parameters, effects, network, loaded, nothing)
     within = _of_model(arm, inside[beyond], near.take(beyond))
     extrapolation = nothing.copy()
     for here, there in zip((parameters, effects), within[:2], strict=True):
@@ -152,7 +152,7 @@ def spread_of(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges
         lost = arm.network.correct(inside[beyond]) - arm.network.correct(q[beyond])
         lost = lost @ arm.geometry.T_M_B()[:3, :3].T
         extrapolation[beyond] += lost[:, :, None] * lost[:, None]
-    return Spread(parameters, effects, network, extrapolation + loaded, nothing)
+    return Extent(parameters, effects, network, extrapolation + loaded, nothing)
 
 
 # -- inside -----------------------------------------------------------------------------------------------------------
@@ -182,7 +182,7 @@ def _noise(arm: ArmModel, q: Array, conditions: MeasurementConditions, ranges: C
     return ranges.noise.covariance(arm.predict(q, conditions=conditions), arm.noise(q))
 
 
-def _judged(spread: Spread, noise: Array, excess: Array, tolerances_mm: Sequence[float | None]) -> list[Prediction]:
+def _judged(spread: Extent, noise: Array, excess: Array, tolerances_mm: Sequence[float | None]) -> list[Prediction]:
     """Return predictions in mm from covariances: ``noise`` of a measurement; ``excess`` (n,) [m^2] of it is motion.
 
     Uncertainty and upper bound refer to what a measurement will find, with one covariance. Only the distance that the

@@ -41,7 +41,7 @@ _WORDS: Mapping[str, KeyPath] = {
 
 
 @dataclass(frozen=True)
-class _Quantity:
+class _CsvQuantity:
     """Contents of a column of numbers: its key in a target, its kind for ``parse_quantity``, and allowed units."""
 
     path: KeyPath
@@ -49,24 +49,24 @@ class _Quantity:
     units: tuple[str, ...]
 
 
-def _vector(key: str, kind: str, units: tuple[str, ...], *names: str) -> dict[str, _Quantity]:
-    return {name: _Quantity((key, place), kind, units) for place, name in enumerate(names)}
+def _vector(key: str, kind: str, units: tuple[str, ...], *names: str) -> dict[str, _CsvQuantity]:
+    return {name: _CsvQuantity((key, place), kind, units) for place, name in enumerate(names)}
 
 
-_OF_ONE_ARM: Mapping[str, _Quantity] = {
+_OF_ONE_ARM: Mapping[str, _CsvQuantity] = {
     **_vector("position", "length", ("mm", "m"), "x", "y", "z"),
     **_vector("rpy", "angle", ("deg", "rad"), "roll", "pitch", "yaw"),
     **_vector("rotation_vector", "angle", ("deg", "rad"), "rx", "ry", "rz"),
     **_vector("quaternion", "", (), "qw", "qx", "qy", "qz"),
-    "payload": _Quantity(("conditions", "payload"), "mass", ("kg",)),
-    "temperature": _Quantity(("conditions", "temperature"), "temperature", ("c",)),
-    "time": _Quantity(("conditions", "time"), "time", ("s",)),
-    "dwell": _Quantity(("conditions", "dwell"), "time", ("s",)),
+    "payload": _CsvQuantity(("conditions", "payload"), "mass", ("kg",)),
+    "temperature": _CsvQuantity(("conditions", "temperature"), "temperature", ("c",)),
+    "time": _CsvQuantity(("conditions", "time"), "time", ("s",)),
+    "dwell": _CsvQuantity(("conditions", "dwell"), "time", ("s",)),
 }
-_QUANTITIES: Mapping[str, _Quantity] = {
+_QUANTITIES: Mapping[str, _CsvQuantity] = {
     **_OF_ONE_ARM,
-    "tolerance": _Quantity(("tolerance",), "length", ("mm", "m", "um")),
-    "orientation_tolerance": _Quantity(("orientation_tolerance",), "angle", ("mrad", "rad", "deg")),
+    "tolerance": _CsvQuantity(("tolerance",), "length", ("mm", "m", "um")),
+    "orientation_tolerance": _CsvQuantity(("orientation_tolerance",), "angle", ("mrad", "rad", "deg")),
     **{f"partner_{name}": replace(of, path=("partner", *of.path)) for name, of in _OF_ONE_ARM.items()},
 }
 """Quantities by the name of their column without its unit."""

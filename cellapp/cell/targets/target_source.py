@@ -123,7 +123,7 @@ _TOO_DEEP = "maximum nesting depth"
 """Message of PyYAML from 6.0.4, which limits the depth itself; earlier versions recurse until the process dies."""
 
 
-class _Loader(yaml.CSafeLoader):
+class _TargetLoader(yaml.CSafeLoader):
     """YAML's safe loader that also reads 1e-3 as a number and refuses duplicate keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
@@ -138,7 +138,7 @@ class _Loader(yaml.CSafeLoader):
         return result
 
 
-_Loader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123456789"))
+_TargetLoader.add_implicit_resolver("tag:yaml.org,2002:float", EXPONENT, list("-+.0123456789"))
 
 
 def read_yaml(path: Path, what: str = "target list", forms: str = "YAML or CSV") -> TargetSource:
@@ -146,7 +146,7 @@ def read_yaml(path: Path, what: str = "target list", forms: str = "YAML or CSV")
     text = _text(path, what, forms)
     try:
         _check_levels(path, text, what)
-        loader = _Loader(text)
+        loader = _TargetLoader(text)
         root = loader.get_single_node()
         content = None if root is None else loader.construct_document(root)
     except yaml.MarkedYAMLError as error:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import cast
 
-from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration
-from cellapp.estimation.calibration.learning import Shape, Training
+from cellapp.estimation.calibration.calibrate import ArmCalibration, CellCalibration
+from cellapp.estimation.calibration.learning import NetForm, Training
 from cellapp.estimation.calibration.pair_calibration import PAIR_NAMES, PairCalibration, PairMethod
 from cellapp.estimation.calibration.quantities import summarise
 from cellapp.estimation.calibration.records import (
@@ -30,7 +30,7 @@ from cellapp.robot.model.nominal import FIXED_SD
 _SCATTER = "root of chi-square per degree of freedom against the stated uncertainty, or metres without one"
 
 
-def calibrate_result(calibration: Calibration) -> CalibrateResult:
+def calibrate_result(calibration: CellCalibration) -> CalibrateResult:
     """Build the object that ``calibrate --json`` writes and the run file stores."""
     return CalibrateResult(
         arms={name: arm_result(arm) for name, arm in calibration.arms.items()},
@@ -112,7 +112,7 @@ def _network(training: Training) -> NetworkResult:
     )
 
 
-def _trial(shape: Shape, left_out_rms_m: float) -> NetworkTrial:
+def _trial(shape: NetForm, left_out_rms_m: float) -> NetworkTrial:
     return NetworkTrial(
         inputs=shape.inputs,
         hidden=(shape.hidden,),

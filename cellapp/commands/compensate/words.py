@@ -44,7 +44,7 @@ _ADVICE: Mapping[str, str] = {
 
 
 @dataclass(frozen=True)
-class Unknown:
+class NotStated:
     """An unstated condition over all targets: largest displacement [mm], where, and number of targets."""
 
     condition: str
@@ -74,14 +74,14 @@ def arms_words(arms: Iterable[str]) -> str:
     return " + ".join(dict.fromkeys(arms))
 
 
-def unknown_conditions(targets: Sequence[TargetCommand]) -> list[Unknown]:
+def unknown_conditions(targets: Sequence[TargetCommand]) -> list[NotStated]:
     """Summarize the unstated conditions, the most important first."""
     found = grouped((one.condition, (one.mm, target.name, one.effects)) for target in targets for one in target.unknown)
     summaries = []
     for condition, entries in found.items():
         mm, worst, _ = max(entries, key=lambda entry: entry[0])
         effects = tuple(dict.fromkeys(effect for _, _, effects in entries for effect in effects))
-        summaries.append(Unknown(condition, effects, mm, worst, len({name for _, name, _ in entries})))
+        summaries.append(NotStated(condition, effects, mm, worst, len({name for _, name, _ in entries})))
     return sorted(summaries, key=lambda one: -one.mm)
 
 

@@ -56,7 +56,7 @@ from cellapp.estimation.discovery.records import (
     ProposalQuestion,
 )
 from cellapp.ground.counting import mm
-from cellapp.ground.profile.schema import Discovery
+from cellapp.ground.profile.schema import DiscoverySettings
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_PICTURES = 6
@@ -76,7 +76,9 @@ def explanation_text(result: DiscoverResult) -> str:
     return "\n".join(line for line in printed(arms) if isinstance(line, str))
 
 
-def discovery_section(discover: DiscoverResult, settings: Discovery, charts: Mapping[str, Sequence[Chart]]) -> Section:
+def discovery_section(
+    discover: DiscoverResult, settings: DiscoverySettings, charts: Mapping[str, Sequence[Chart]]
+) -> Section:
     """Show all arms; ``charts`` has each arm's charts of the model's uncertainty."""
     verdicts = (f"arm {name}, {arm.verdict}: {verdict_sentence(name, arm)}" for name, arm in discover.arms.items())
     arms = [
@@ -193,7 +195,7 @@ def _pictures(name: str, arm: ArmDiscoveryResult) -> Iterator[Section]:
         yield Section([*undrawn_sentences(arm), *more, *drawn], about=about, title="What the effects look like")
 
 
-def _decision_words(settings: Discovery) -> str:
+def _decision_words(settings: DiscoverySettings) -> str:
     return (
         "Physical effects that the geometry cannot explain, in the order in which they were found, evaluated on"
         " configurations that the search did not use. The score of an effect is what it explains beside the re-fitted"

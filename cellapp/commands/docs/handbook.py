@@ -115,7 +115,7 @@ _CAPTION = re.compile(r"(!\[([^\]]+)\]\([^)]+\)\n)\n\*\2\.?\*\n")
 
 
 @dataclass(frozen=True)
-class Section:
+class ChapterSection:
     """A heading of a chapter with the Markdown up to the next heading; ``level`` 1 is the chapter's own."""
 
     chapter: str
@@ -136,15 +136,15 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundText:
     """A section that contains all searched words, and its first line with one of them."""
 
-    section: Section
+    section: ChapterSection
     line: str
 
 
 @cache
-def sections(chapter: str) -> tuple[Section, ...]:
+def sections(chapter: str) -> tuple[ChapterSection, ...]:
     """Build the sections of a chapter in order.
 
     Raises
@@ -155,7 +155,7 @@ def sections(chapter: str) -> tuple[Section, ...]:
     return tuple(_split(chapter, topic_text(chapter)))
 
 
-def search(words: str) -> tuple[Found, ...]:
+def search(words: str) -> tuple[FoundText, ...]:
     """Find the sections with all of some words, ignoring case; first those with all words in the heading."""
     wanted = words.lower().split()
     if not wanted:
@@ -167,10 +167,10 @@ def search(words: str) -> tuple[Found, ...]:
         if all(word in f"{one.heading}\n{one.text}".lower() for word in wanted)
     ]
     hits.sort(key=lambda one: not all(word in one.heading.lower() for word in wanted))  # stable sort
-    return tuple(Found(one, _line_with(one.text, wanted)) for one in hits)
+    return tuple(FoundText(one, _line_with(one.text, wanted)) for one in hits)
 
 
-def _split(chapter: str, text: str) -> Iterator[Section]:
+def _split(chapter: str, text: str) -> Iterator[ChapterSection]:
     fenced, started = False, (1, chapter)
     lines: list[str] = []
     for line in text.splitlines():
@@ -184,9 +184,9 @@ def _split(chapter: str, text: str) -> Iterator[Section]:
     yield _section(chapter, started, lines)
 
 
-def _section(chapter: str, started: tuple[int, str], lines: list[str]) -> Section:
+def _section(chapter: str, started: tuple[int, str], lines: list[str]) -> ChapterSection:
     level, heading = started
-    return Section(chapter, anchor_of(heading), heading, level, "\n".join(lines) + "\n")
+    return ChapterSection(chapter, anchor_of(heading), heading, level, "\n".join(lines) + "\n")
 
 
 def _line_with(text: str, words: list[str]) -> str:

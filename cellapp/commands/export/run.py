@@ -10,7 +10,7 @@ from cellapp.cell.exports.arm_export import (
     ArmFile,
     CommandFile,
     ExportResult,
-    Workspace,
+    ExportSpace,
     conversion_mm,
     lost_by,
     lost_parts,
@@ -244,7 +244,7 @@ def _stage(run: RunFile, stages: RunStages, name: str) -> StoredStage:
     return found
 
 
-def _workspaces(run: RunFile, model: CellModel) -> dict[str, Workspace]:
+def _workspaces(run: RunFile, model: CellModel) -> dict[str, ExportSpace]:
     readings = {name: known_readings(run, name) for name in model.arms}
     conditions = conditions_of_arms(model.arms, readings)
     return {name: workspace(own.q, conditions[name], run.profile.seed) for name, own in readings.items()}

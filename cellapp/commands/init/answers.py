@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from cellapp.cell.profile.files import path_exists, write_new
 from cellapp.cell.profile.loader import checked_profile, load_text
-from cellapp.cell.profile.messages import Document, KeyPath, dotted, value_message
+from cellapp.cell.profile.messages import KeyPath, YamlDocument, dotted, value_message
 from cellapp.cell.profile.starters import FOLDER, SurveyPoint, arm_type_files, copies
 from cellapp.commands.init.own_data import InitResult
 from cellapp.estimation.calibration.station_location import BaseFit, base_from_points
@@ -97,7 +97,7 @@ def _new_types(content: dict[str, Any], profiles: Path) -> list[str]:
 # -- bases from points -------------------------------------------------------------------------------------------------
 
 
-def _taken_points(document: Document) -> Mapping[str, tuple[SurveyPoint, ...]]:
+def _taken_points(document: YamlDocument) -> Mapping[str, tuple[SurveyPoint, ...]]:
     """Parse the points of each base, and put a pose in their place until it is computed."""
     arms, tracker = document.data.get("arms"), document.data.get("tracker")
     surveys = {}
@@ -117,7 +117,7 @@ def _taken_points(document: Document) -> Mapping[str, tuple[SurveyPoint, ...]]:
     return surveys
 
 
-def _points(document: Document, at: KeyPath, listed: object) -> tuple[SurveyPoint, ...]:
+def _points(document: YamlDocument, at: KeyPath, listed: object) -> tuple[SurveyPoint, ...]:
     try:
         return _POINTS.validate_python(tuple(listed) if isinstance(listed, list) else listed)
     except ValidationError as error:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from cellapp.cell.run.run_arms import IdentityBasis
-from cellapp.commands.next_step import ArmState
+from cellapp.commands.next_step import ArmProgress
 from cellapp.commands.stages import NextVerb
 from cellapp.estimation.discovery.records import BeforeAfter
 from cellapp.ground.profile import CellKind
@@ -72,7 +72,7 @@ class RunSummary(Record):
     cell: CellKind = "none"
     began: str = ""
     changed: str = ""
-    arms: Mapping[str, ArmState] = {}
+    arms: Mapping[str, ArmProgress] = {}
     stops_planned: int = 0
     stops_measured: int = 0
     stops_left: int = 0

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from cellapp.cell.driving.records import End
 from cellapp.cell.run.file import RunFile
-from cellapp.cell.run.run_arms import ArmIdentity, arm_identities
+from cellapp.cell.run.run_arms import StoredIdentity, arm_identities
 from cellapp.cell.run.sqlite_file import FILE_NAME, Session
 from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.record import Work
@@ -228,12 +228,12 @@ FALSE_ALARM = 0.01
 
 
 @dataclass(frozen=True)
-class _Found:
+class _FoundRun:
     """An arm in one run: who it is, and its calibration, or why there is none to compare."""
 
     run: RunSummary
     name: str
-    identity: ArmIdentity
+    identity: StoredIdentity
     calibrated: CalibratedArm | None
     remark: str
 
@@ -257,7 +257,7 @@ def arm_history(arm: str, folder: Path | None = None) -> ArmHistory:
     """
     listed = list_runs(folder)
     problems = [run.problem for run in listed.runs if run.problem]
-    found = list[_Found]()
+    found = list[_FoundRun]()
     for run in sorted(listed.runs, key=lambda run: (run.began or run.changed, run.run)):
         if not run.problem:
             try:
@@ -290,17 +290,17 @@ def arm_history(arm: str, folder: Path | None = None) -> ArmHistory:
     )
 
 
-def _arms(run: RunSummary) -> Iterator[_Found]:
+def _arms(run: RunSummary) -> Iterator[_FoundRun]:
     with RunFile.peek(Path(run.run)) as opened:
         stages = read_stages(opened, counted_basis)
         stale = stages.stale_arms()
         arms = {} if stale else comparable_arms(opened, stages)
         missing = stale or ("not calibrated" if stages.in_force is None else "its model has no covariance")
         for name, identity in arm_identities(opened).items():
-            yield _Found(run, name, identity, arms.get(name), "" if name in arms else missing)
+            yield _FoundRun(run, name, identity, arms.get(name), "" if name in arms else missing)
 
 
-def _chosen(found: Sequence[_Found], arm: str, folder: str) -> list[_Found]:
+def _chosen(found: Sequence[_FoundRun], arm: str, folder: str) -> list[_FoundRun]:
     """Return the runs of the one arm that has this serial number, identity or name."""
     own = [one for one in found if arm == one.identity.key] or [one for one in found if arm == one.name]
     keys = dict.fromkeys(one.identity.key for one in own)
@@ -314,7 +314,7 @@ def _chosen(found: Sequence[_Found], arm: str, folder: str) -> list[_Found]:
     return own
 
 
-def _differences(first: _Found, later: _Found) -> list[Difference]:
+def _differences(first: _FoundRun, later: _FoundRun) -> list[Difference]:
     assert first.calibrated is not None
     assert later.calibrated is not None
     return differences(first.calibrated, later.calibrated)

@@ -8,7 +8,7 @@ from pydantic import SerializeAsAny
 
 from cellapp.cell.run.records import ArmOrder, RecordingState
 from cellapp.cell.run.sqlite_file import Event
-from cellapp.commands.next_step import ArmState
+from cellapp.commands.next_step import ArmProgress
 from cellapp.commands.run_results import RunResults
 from cellapp.commands.stages import NextVerb
 from cellapp.ground.results import Record, Result, StageName
@@ -50,7 +50,7 @@ class OverviewResult(Result, schema="cellapp-overview"):
 
     run: str
     profile: str
-    arms: Mapping[str, ArmState]
+    arms: Mapping[str, ArmProgress]
     in_order: Mapping[str, ArmOrder] = {}
     stages: tuple[StageState, ...]
     in_force: StageName | None

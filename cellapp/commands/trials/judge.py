@@ -38,7 +38,7 @@ from cellapp.estimation.discovery.arm_data import UNKNOWN
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter
 from cellapp.ground.errors import InputError
-from cellapp.ground.executors import Work, gather
+from cellapp.ground.executors import PoolWork, gather
 from cellapp.ground.progress import Progress
 from cellapp.ground.results import CALIBRATE, Record
 from cellapp.ground.version import __version__
@@ -160,7 +160,7 @@ class StoredTrial(Record):
     arms: Mapping[str, StoredFindings]
 
 
-def judge_trials(folder: Path, work: Work, *, again: bool = False) -> JudgeResult:
+def judge_trials(folder: Path, work: PoolWork, *, again: bool = False) -> JudgeResult:
     """Calibrate and search all runs of a folder that are not judged yet, then open the truth and compare.
 
     The findings are stored in the runs themselves; workers of a cluster must see the folder
@@ -249,7 +249,7 @@ def _stored(folder: Path) -> StoredTrial | None:
         return None
 
 
-def _judge_all(runs: Sequence[Path], source: str, total: int, work: Work) -> Mapping[str, str]:
+def _judge_all(runs: Sequence[Path], source: str, total: int, work: PoolWork) -> Mapping[str, str]:
     """Judge runs; return run -> error for those that failed."""
     before = total - len(runs)
     work.listener(Progress("judge", before, total, f"{before} judged before" if before else ""))

@@ -40,7 +40,7 @@ from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.uncertainty.naming_curve import NamingCurve
 from cellapp.ground.counting import counted
-from cellapp.ground.executors import TimeLimit, Work, gather, local_cores
+from cellapp.ground.executors import PoolWork, TimeLimit, gather, local_cores
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant as PlantSection
 from cellapp.ground.progress import Notice, Progress
@@ -231,7 +231,7 @@ _FOLLOWED = 0.3
 """Share absorbed by geometry from which that is stated as the limit of naming."""
 
 
-def power_at(where: Path, trials: int, seed: int, work: Work, limit: TimeLimit) -> PowerResult:
+def power_at(where: Path, trials: int, seed: int, work: PoolWork, limit: TimeLimit) -> PowerResult:
     """Try the stops that a profile would plan, or those that are planned in a run, which keeps the result.
 
     Raises as ``make_stops`` and ``power_of`` do, and ``InputError`` if the run has no plan.
@@ -247,7 +247,7 @@ def power_at(where: Path, trials: int, seed: int, work: Work, limit: TimeLimit) 
         return result
 
 
-def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: TimeLimit) -> PowerResult:
+def power_of(planned: PlannedCell, trials: int, seed: int, work: PoolWork, limit: TimeLimit) -> PowerResult:
     """Make ``trials`` trials of each effect in each arm, in rounds; ``seed`` draws them all.
 
     The time limit is shared among the effects; the intervals state the remaining uncertainty.
@@ -262,7 +262,7 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: Ti
     cell = trial_cell(planned)
     lacking = _lacking(cell)
     tried = [
-        _Tried(arm, effect, seed, cell.noise_rms_mm(arm)) for (arm, effect), reason in lacking.items() if not reason
+        _TriedSize(arm, effect, seed, cell.noise_rms_mm(arm)) for (arm, effect), reason in lacking.items() if not reason
     ]
     failed: list[str] = []
     allowed = work.jobs or local_cores()  # the first trials show their duration
@@ -306,7 +306,7 @@ def power_of(planned: PlannedCell, trials: int, seed: int, work: Work, limit: Ti
 
 
 @dataclass(frozen=True)
-class _Tried:
+class _TriedSize:
     """One effect in one arm and its trials so far; ``noise_mm`` is the rms length of the noise.
 
     ``failed`` counts trials that could not be computed: they are not repeated.
@@ -342,7 +342,7 @@ class _Tried:
             rng = np.random.default_rng([self.seed, place, *f"{self.arm} {self.effect}".encode()])
             yield NamingTrial(arm=self.arm, effect=self.effect, size_mm=size, seed=int(rng.integers(2**31)))
 
-    def with_trials(self, asked: Sequence[NamingTrial], found: Sequence[NamingTrial | None]) -> _Tried:
+    def with_trials(self, asked: Sequence[NamingTrial], found: Sequence[NamingTrial | None]) -> _TriedSize:
         """Add those of the trials ``asked`` that are of this effect and arm; the result of a failed one is None."""
         own = [
             result
@@ -375,7 +375,7 @@ class _Tried:
         )
 
 
-def _round(tried: Sequence[_Tried], most: int) -> list[NamingTrial]:
+def _round(tried: Sequence[_TriedSize], most: int) -> list[NamingTrial]:
     """Return the next trials, the first of each effect before the second of any; at most ``most`` of each."""
     each = [list(one.next_trials(most)) for one in tried]
     return [trial for together in zip_longest(*each) for trial in together if trial is not None]

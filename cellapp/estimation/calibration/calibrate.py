@@ -365,7 +365,7 @@ class ArmCalibration:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class CellCalibration:
     """The calibrated cell: its model, every arm, the pair, and notes for the operator."""
 
     model: CellModel
@@ -382,7 +382,7 @@ def calibrate_readings(
     cancel: CancelToken | None = None,
     *,
     known: Mapping[str, ArmCalibration] = MappingProxyType({}),
-) -> Calibration:
+) -> CellCalibration:
     """Calibrate geometry, networks and pair from readings that have splits; arms in ``known`` are not identified again.
 
     Raises
@@ -433,7 +433,7 @@ def calibrate_readings(
         provenance=provenance.model_dump(),
     )
     listener(Progress("calibrate", total, total, "done"))
-    return Calibration(model, arms, pair, tuple(notes), provenance)
+    return CellCalibration(model, arms, pair, tuple(notes), provenance)
 
 
 def _refuse_exchanged_probes(profile: Profile, readings: Mapping[str, Readings]) -> None:

@@ -56,7 +56,7 @@ from cellapp.estimation.calibration.parameters import (
 )
 from cellapp.estimation.calibration.quantities import with_probe
 from cellapp.ground.errors import InputError, NotConverged
-from cellapp.ground.profile.schema import Calibration
+from cellapp.ground.profile.schema import CalibrationSettings
 from cellapp.robot.kinematics.chain import AT_BOUND, TOOL_NAMES, Geometry, JointAngles, parameter_names, smr_positions
 from cellapp.robot.kinematics.transforms import Array, register, rotation_x
 from cellapp.robot.model.nominal import FIXED_SD
@@ -329,19 +329,19 @@ class _Problem:
         effects = self.observations.effects
         return effects is not None and effects.prior_sd is not None
 
-    def at_start(self) -> Estimate:
+    def at_start(self) -> FitPoint:
         values = self.start.vector()[list(self.parameters.columns)]
         effects = self.observations.effects
         of_effects = np.zeros(self.effect_count) if effects is None or effects.start is None else effects.start
         return self._estimate(np.concatenate([values, of_effects]), None, self.precision)
 
-    def _estimate(self, values: Array, weights: Array | None, precision: Array) -> Estimate:
+    def _estimate(self, values: Array, weights: Array | None, precision: Array) -> FitPoint:
         if self.limits is not None:
             values = np.clip(values, *self.limits)
         normal = normal_equations(self.start, self.observations, self.parameters, values, weights)
-        return Estimate(values, normal, weights, precision)
+        return FitPoint(values, normal, weights, precision)
 
-    def reweighted(self, point: Estimate) -> Estimate:
+    def reweighted(self, point: FitPoint) -> FitPoint:
         if self.robust != "none":
             whitened = self.observations.whiten(point.normal.residuals, 0, self.observations.count)
             weights = robust_weights(np.linalg.norm(whitened, axis=0), self.robust)
@@ -362,26 +362,26 @@ class _Problem:
         freedom = self._degrees_of_freedom(point, by_priors)
         return replace(point, precision=precision, variance=(point.normal.cost + expected) / (freedom + 1.0))
 
-    def _right(self, point: Estimate) -> Array:
+    def _right(self, point: FitPoint) -> Array:
         return np.asarray(point.normal.b / point.variance + point.precision * (self.mean - point.values))
 
-    def promise(self, point: Estimate, step: Array) -> float:
+    def promise(self, point: FitPoint, step: Array) -> float:
         return float(step @ self._right(point))
 
-    def step(self, point: Estimate, damping: float) -> tuple[Array, Array]:
+    def step(self, point: FitPoint, damping: float) -> tuple[Array, Array]:
         unit = point.normal.unit
         limits = None if self.limits is None else (self.limits - point.values) / unit
         step = damped_step(point.posterior_precision(point.variance), unit * self._right(point), damping, limits)
         return unit * step, step
 
-    def moved(self, point: Estimate, step: Array) -> Estimate:
+    def moved(self, point: FitPoint, step: Array) -> FitPoint:
         moved = self._estimate(point.values + step, point.weights, point.precision)
         return replace(moved, variance=point.variance)
 
-    def objective(self, point: Estimate) -> float:
+    def objective(self, point: FitPoint) -> float:
         return point.normal.cost / point.variance + float(point.precision @ (point.values - self.mean) ** 2)
 
-    def result(self, minimum: Minimum[Estimate]) -> Identification:
+    def result(self, minimum: Minimum[FitPoint]) -> Identification:
         """Return the identification; parameters at their bounds are held there."""
         point = minimum.point
         if self.limits is None:
@@ -393,7 +393,7 @@ class _Problem:
         found = replace(self, precision=precision, mean=mean)._result(here)
         return replace(found, prior_sigma=sigma_by_name(self.parameters.names, point.precision))
 
-    def _result(self, minimum: Minimum[Estimate]) -> Identification:
+    def _result(self, minimum: Minimum[FitPoint]) -> Identification:
         point, effects = minimum.point, self.observations.effects
         normal, n = point.normal, self.observations.count
         geometry, effect_values = split_values(self.start, self.parameters, point.values)
@@ -436,7 +436,7 @@ class _Problem:
             freedom_of_rotations=_freedom_of_rotations(point, angular),
         )
 
-    def _degrees_of_freedom(self, point: Estimate, by_priors: Array) -> float:
+    def _degrees_of_freedom(self, point: FitPoint, by_priors: Array) -> float:
         """Compute the number of measured coordinates less the number of parameters that they determine."""
         n = self.observations.count if point.weights is None else int(np.count_nonzero(point.weights > _LEAST_WEIGHT))
         return max(1.0, 3 * n - len(by_priors) + float(by_priors.sum()))
@@ -448,7 +448,7 @@ def _in_table(values: Array, to_table: Array) -> Array:
     return np.concatenate([to_table @ values[:size], values[size:]])
 
 
-def _freedom_of_rotations(point: Estimate, angular: NDArray[np.bool_] | None) -> float:
+def _freedom_of_rotations(point: FitPoint, angular: NDArray[np.bool_] | None) -> float:
     """Compute the degrees of freedom of the orientations: coordinates less the parameters that they determine."""
     if angular is None or point.normal.of_rotations is None:
         return 0.0
@@ -460,7 +460,7 @@ def _freedom_of_rotations(point: Estimate, angular: NDArray[np.bool_] | None) ->
 
 
 @dataclass(frozen=True)
-class Estimate:
+class FitPoint:
     """Parameter values (k,), the normal equations there, the weights used in them, precisions of priors (k,).
 
     ``variance`` scales the stated covariance of the readings when they are weighed against the priors.
@@ -516,12 +516,12 @@ def refused_by_arm(name: str) -> Iterator[None]:
         raise InputError(f"arm '{name}': calibration.parameter_set: {error}") from None
 
 
-def robust_loss(settings: Calibration, *, robust: bool) -> RobustName:
+def robust_loss(settings: CalibrationSettings, *, robust: bool) -> RobustName:
     """Return the robust loss of the profile; Tukey's if it has none and ``robust`` asks for one."""
     return "tukey" if robust and settings.robust == "none" else settings.robust
 
 
-class _Fit(Protocol):
+class _FinalFit(Protocol):
     def __call__(
         self, start: Geometry, *, sigma: Array | None, parameter_set: SetName | ParameterSet
     ) -> Identification: ...
@@ -568,7 +568,7 @@ def identify_with_excess(
     NotConverged
         If the last identification, of the better one, did not converge.
     """
-    fit: _Fit = partial(
+    fit: _FinalFit = partial(
         identify,
         q=q,
         p_M=p_M,
@@ -594,7 +594,7 @@ def identify_with_excess(
 
 
 def _rounds(
-    fit: _Fit, start: Geometry, sigma: Array | None, parameter_set: SetName | ParameterSet
+    fit: _FinalFit, start: Geometry, sigma: Array | None, parameter_set: SetName | ParameterSet
 ) -> tuple[Identification, float]:
     """Iterate identification and excess variance from one start; return the identification and excess scatter [m]."""
     found = fit(start, sigma=None, parameter_set=parameter_set)

@@ -141,7 +141,7 @@ further."""
 
 
 @dataclass(frozen=True)
-class Shape:
+class NetForm:
     """A candidate network: inputs, size of the hidden layer, and whether its output frame rotates with joint 1."""
 
     inputs: Inputs
@@ -159,7 +159,7 @@ _CANDIDATES = 3
 """Number of shapes that ``candidate_shapes`` returns."""
 
 
-def candidate_shapes(readings: int) -> tuple[Shape, ...]:
+def candidate_shapes(readings: int) -> tuple[NetForm, ...]:
     """Return the candidate shapes for a number of readings.
 
     The output is in a frame that rotates with joint 1, or in one that does not. Angles as inputs suit errors that grow
@@ -167,9 +167,9 @@ def candidate_shapes(readings: int) -> tuple[Shape, ...]:
     """
     hidden = int(np.clip(readings // _READINGS_A_UNIT, _FEWEST_UNITS, _MOST_UNITS))
     return (
-        Shape("sincos", hidden, rotates_with_joint_1=True),
-        Shape("sincos", hidden),
-        Shape("angles", hidden, rotates_with_joint_1=True),
+        NetForm("sincos", hidden, rotates_with_joint_1=True),
+        NetForm("sincos", hidden),
+        NetForm("angles", hidden, rotates_with_joint_1=True),
     )
 
 
@@ -181,7 +181,7 @@ class Training:
     ----------
     network : ResidualNetwork or None
         None if the best candidate predicts left-out folds no better than none, by ``WORTH`` and a standard error.
-    shape : Shape
+    shape : NetForm
         The best candidate.
     left_out_rms, without_rms : float
         Rms length of the residual on left-out folds, with the best candidate and without a network [m]. The readings
@@ -193,10 +193,10 @@ class Training:
     """
 
     network: ResidualNetwork | None
-    shape: Shape
+    shape: NetForm
     left_out_rms: float
     without_rms: float
-    tried: tuple[tuple[Shape, float], ...]
+    tried: tuple[tuple[NetForm, float], ...]
     batches: BatchesResult | None = None
 
 
@@ -207,7 +207,7 @@ def train_network(
     seed: int,
     steps: JobSteps = UNTOLD,
     *,
-    shapes: Sequence[Shape] | None = None,
+    shapes: Sequence[NetForm] | None = None,
     fold: NDArray[np.int64] | None = None,
 ) -> Training:
     """Train a residual network on at most ``_MOST_READINGS`` readings; draw them by ``seed`` if there are more.
@@ -223,7 +223,7 @@ def train_network(
     seed : int
     steps : JobSteps
         There are ``training_steps(len(shapes))``.
-    shapes : sequence of Shape, optional
+    shapes : sequence of NetForm, optional
         Candidates; the default depends on the number of readings.
     fold : array of int, shape (n,), optional
         Fold of each reading; drawn by ``seed`` if not given.
@@ -288,7 +288,7 @@ class _Committee:
         Those trained so far, of the first folds.
     """
 
-    def __init__(self, shape: Shape, x: Array, y: Array, fold: NDArray[np.int64], group: Groups, seed: int) -> None:
+    def __init__(self, shape: NetForm, x: Array, y: Array, fold: NDArray[np.int64], group: Groups, seed: int) -> None:
         self.shape, self.net = shape, Perceptron(x.shape[1], shape.hidden, y.shape[1])
         self.members: list[_Member] = []
         self._x, self._y, self._fold, self._group, self._seed = x, y, fold, group, seed

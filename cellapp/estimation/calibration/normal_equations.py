@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.parameters import ParameterSet, gram_matrix
-from cellapp.robot.kinematics.chain import Geometry, JointAngles, Workspace, joint_jacobian
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, ScratchSpace, joint_jacobian
 from cellapp.robot.kinematics.transforms import Array
 
 _CHUNK = 2048
@@ -72,7 +72,7 @@ class Observations:
     white : array, shape (3, 3, n) or (n,), or None
         Whitening factors (``weights.whitener``); None for equal weights.
     effects : EffectColumns or None
-    workspace : Workspace
+    workspace : ScratchSpace
         Holds the Jacobian of one chunk at a time.
     """
 
@@ -81,7 +81,7 @@ class Observations:
     p_M: Array
     white: Array | None
     effects: EffectColumns | None
-    workspace: Workspace = field(default_factory=Workspace, repr=False, compare=False)
+    workspace: ScratchSpace = field(default_factory=ScratchSpace, repr=False, compare=False)
 
     @cached_property
     def common_white(self) -> float | None:

@@ -119,7 +119,7 @@ class Residuals:
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _BatchFit:
     """A fit, the excess variance of a coordinate that follows from it, the mean of the stated variances [m^2], and
     chi-square per degree of freedom."""
 
@@ -184,7 +184,7 @@ class OnlineFit:
         )
         self._q, self._p_M = np.empty((0, nominal.joints)), np.empty((0, 3))
         self._covariance_M = np.empty((0, 3, 3))
-        self._fits: tuple[_Fit, _Fit] | None = None
+        self._fits: tuple[_BatchFit, _BatchFit] | None = None
         """By the geometry alone, and with the joint errors."""
         self._next = 0
 
@@ -199,7 +199,7 @@ class OnlineFit:
         return self._fits is not None and all(fit.found.converged for fit in self._fits)
 
     @property
-    def _model(self) -> tuple[_Fit, _Fit] | None:
+    def _model(self) -> tuple[_BatchFit, _BatchFit] | None:
         return self._fits if self.ready else None
 
     @property
@@ -235,7 +235,7 @@ class OnlineFit:
     def refit(self) -> None:
         """Fit all readings from the last result; at first, and again with a few more readings, from the nominal arm."""
         start = None if self.count in _REGISTERED_AGAIN else self.geometry
-        before: Sequence[_Fit | None] = (None, None) if start is None or self._fits is None else self._fits
+        before: Sequence[_BatchFit | None] = (None, None) if start is None or self._fits is None else self._fits
         start = self._registered() if start is None else start
         if start is None:
             return
@@ -324,7 +324,7 @@ class OnlineFit:
             return None
         return start_from_nominal(self._nominal, q, p_M, tool_unknown=self._tool_unknown)
 
-    def _fitted(self, start: Geometry, before: _Fit | None, *, with_errors: bool) -> _Fit:
+    def _fitted(self, start: Geometry, before: _BatchFit | None, *, with_errors: bool) -> _BatchFit:
         """Fit until the excess variance of the residuals is that of the weights, without gross errors."""
         stated = self._stated()
         excess = _FIRST_EXCESS_M**2 if before is None else before.excess
@@ -341,7 +341,7 @@ class OnlineFit:
             )
             start, cost = found.geometry, found.scale**2 * found.degrees_of_freedom
             variance = (cost + _ANCHOR) / (found.degrees_of_freedom + _ANCHOR)
-            fit = _Fit(found, gross, excess, float(np.trace(stated, axis1=1, axis2=2).mean()) / 3.0, variance)
+            fit = _BatchFit(found, gross, excess, float(np.trace(stated, axis1=1, axis2=2).mean()) / 3.0, variance)
             if found.degrees_of_freedom >= _LEAST_FREEDOM:
                 excess = _excess_of(found, stated[rows])
             # A gross error among the readings of a fit raises their excess: against that alone it would not stand out.

@@ -23,7 +23,7 @@ from cellapp.robot.kinematics.chain import (
     TOOL_NAMES,
     Geometry,
     JointAngles,
-    Workspace,
+    ScratchSpace,
     all_names,
     jacobian,
     parallel_rows,
@@ -106,7 +106,7 @@ class ParameterSet:
         return cls(name, geometry.joints, tuple(c for c in columns if c not in followers), tied=tied)
 
     def jacobian(
-        self, geometry: Geometry, angles: JointAngles, workspace: Workspace | None = None, more: tuple[int, ...] = ()
+        self, geometry: Geometry, angles: JointAngles, workspace: ScratchSpace | None = None, more: tuple[int, ...] = ()
     ) -> tuple[Array, Array]:
         """Compute as ``jacobian`` of ``more`` parameters, then of the columns, each with those tied to it."""
         followers = tuple(follower for follower, _ in self.tied)

@@ -185,7 +185,7 @@ def fit_station(
     if rough is None:
         measured_M = np.concatenate([own.measured_M for own in points.values()] or [np.empty((0, 3))])
         _check_layout(measured_M, "the tracker's station")
-    return _fit(_Problem(model, points, excess_m, tuple(seed), rough), start)
+    return _fit(_StationProblem(model, points, excess_m, tuple(seed), rough), start)
 
 
 def displacement_m(model: CellModel, points: Points, T_new_old: Array) -> float:
@@ -198,7 +198,7 @@ def displacement_m(model: CellModel, points: Points, T_new_old: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _StationProblem:
     model: CellModel
     points: Points
     excess_m: Mapping[str, float]
@@ -206,7 +206,7 @@ class _Problem:
     rough: RoughStation | None
 
 
-def _fit(problem: _Problem, station: Array) -> StationFit:
+def _fit(problem: _StationProblem, station: Array) -> StationFit:
     for _ in range(_REWEIGHTED):
         noise, drawn = _uncertainty(problem, station)
         L = np.linalg.cholesky(noise + drawn.T @ drawn / len(drawn))
@@ -234,7 +234,7 @@ def _fit(problem: _Problem, station: Array) -> StationFit:
     )
 
 
-def _with_prior(problem: _Problem, station: Array) -> tuple[Array, Array]:
+def _with_prior(problem: _StationProblem, station: Array) -> tuple[Array, Array]:
     """Return ``_linearised``, and below it the rows of the station's prior."""
     r, J = _linearised(problem, station)
     if problem.rough is None:
@@ -243,14 +243,14 @@ def _with_prior(problem: _Problem, station: Array) -> tuple[Array, Array]:
     return np.concatenate([r, moved]), np.concatenate([J, np.eye(6)])
 
 
-def _linearised(problem: _Problem, station: Array) -> tuple[Array, Array]:
+def _linearised(problem: _StationProblem, station: Array) -> tuple[Array, Array]:
     """Compute residuals (3 n,) and derivatives (3 n, 6) of the predicted coordinates."""
     expected = predicted_points(relocated(problem.model, station), problem.points)
     r = np.concatenate([(problem.points[name].measured_M - p_M).ravel() for name, p_M in expected.items()])
     return r, np.concatenate([twist_columns(p_M).reshape(-1, 6) for p_M in expected.values()])
 
 
-def _uncertainty(problem: _Problem, station: Array) -> tuple[Array, Array]:
+def _uncertainty(problem: _StationProblem, station: Array) -> tuple[Array, Array]:
     """Compute the noise covariance (3 n, 3 n) [m^2] and draws of the model's error (S, 3 n) [m] at the points."""
     model = relocated(problem.model, station)
     sizes = [3 * len(own) for own in problem.points.values()]

@@ -192,7 +192,7 @@ class _Scaled:
 
 
 @dataclass(frozen=True, eq=False)
-class Discrimination:
+class TwoModels:
     """Signals of one model against a rival model, on the run and at candidate stops. All arrays are whitened.
 
     Attributes

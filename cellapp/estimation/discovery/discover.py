@@ -28,7 +28,7 @@ from cellapp.estimation.discovery.accepted import accepted_effects, contradictio
 from cellapp.estimation.discovery.all_readings import fit_terms_to_all, fit_to_all
 from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData, smoothness_of
 from cellapp.estimation.discovery.joint_fit import noise_of, with_posterior
-from cellapp.estimation.discovery.outcome import CellDiscovery, Discovery, HeldOut
+from cellapp.estimation.discovery.outcome import ArmFound, CellDiscovery, HeldOut
 from cellapp.estimation.discovery.plan_forecast import detectability
 from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter, GapStep, HeldOutBeforeAfter, Noise
@@ -55,7 +55,7 @@ _SUBSET_SEED = 0x5EA
 """Combined with the profile's seed, so that the draw of these readings is independent of all other draws."""
 
 
-ArmSearch = Callable[[ArmReadings, JobSteps], "Discovery"]
+ArmSearch = Callable[[ArmReadings, JobSteps], "ArmFound"]
 """Search of one calibrated arm, as ``discover_arm``."""
 
 
@@ -102,8 +102,8 @@ def _may_train(profile: Profile) -> bool:
 
 def _discover_arms(
     profile: Profile, arms: Mapping[str, ArmReadings], listener: Listener, cancel: CancelToken, search_arm: ArmSearch
-) -> dict[str, Discovery]:
-    found: dict[str, Discovery] = {}
+) -> dict[str, ArmFound]:
+    found: dict[str, ArmFound] = {}
     total = _total_steps(profile, len(arms))
     searched = SharedProgress(listener, "discover", 0, total, cancel)
     for name, arm in arms.items():
@@ -130,7 +130,7 @@ def _discover_arms(
 
 def discover_arm(
     arm: ArmReadings, steps: JobSteps = UNTOLD, prior_sigma: Mapping[str, float] | None = None
-) -> Discovery:
+) -> ArmFound:
     """Search the identify and train splits for effects, and evaluate the models on the validate split.
 
     Gross errors of the geometry are left out of all splits, as ``calibrate`` leaves them out.
@@ -150,7 +150,7 @@ def discover_arm(
     return _evaluated(arm, result, held_out, started)
 
 
-def _evaluated(arm: ArmReadings, result: Searched, held_out: HeldOut, started: float) -> Discovery:
+def _evaluated(arm: ArmReadings, result: Searched, held_out: HeldOut, started: float) -> ArmFound:
     """Build the discovery from a search: evidence of the effects and errors on held-out readings.
 
     ``started`` is the start of the search by ``time.perf_counter`` [s].
@@ -200,7 +200,7 @@ def _evaluated(arm: ArmReadings, result: Searched, held_out: HeldOut, started: f
         verdict=word,
         sentence=f"arm {arm.name}: {'; '.join(filter(None, [_with_what_was_left_out(sentence, result), claim]))}",
     )
-    return Discovery(evaluated, terms, final, _scatter_m(found))
+    return ArmFound(evaluated, terms, final, _scatter_m(found))
 
 
 def _scatter_m(found: SearchResult) -> float:
@@ -376,7 +376,7 @@ _READINGS_A_FOLD = 2
 """Least number of readings for each fold of a network's training: one reading has no scatter."""
 
 
-def needs_network(profile: Profile, discovery: Discovery) -> bool:
+def needs_network(profile: Profile, discovery: ArmFound) -> bool:
     """Return whether the profile asks for a network beside the effects of this outcome.
 
     There is none beside effects from recordings: samples of motion contain what no pose at rest has.
@@ -390,7 +390,7 @@ def needs_network(profile: Profile, discovery: Discovery) -> bool:
     return asked == "always" or (asked == "unknown" and discovery.result.verdict == "unknown effect")
 
 
-def with_network(arm: ArmReadings, discovery: Discovery, steps: JobSteps = UNTOLD) -> Discovery:
+def with_network(arm: ArmReadings, discovery: ArmFound, steps: JobSteps = UNTOLD) -> ArmFound:
     """Add to the outcome the corrections of a network before and after the accepted effects.
 
     The network joins the model only if an effect stays unknown and the network predicts the left-out folds of its

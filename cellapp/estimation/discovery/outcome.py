@@ -120,7 +120,7 @@ def _statistics(errors: Array) -> HeldOutPosition:
 
 
 @dataclass(frozen=True)
-class Discovery:
+class ArmFound:
     """Outcome of discovery in one arm's data.
 
     Attributes
@@ -140,7 +140,7 @@ class Discovery:
     model: ArmModel
     scatter_m: float = 0.0
 
-    def with_model(self, model: ArmModel, held_out: HeldOut, **changes: Any) -> Discovery:
+    def with_model(self, model: ArmModel, held_out: HeldOut, **changes: Any) -> ArmFound:
         """Return the outcome with another final model, its errors on held-out readings, and changes of the result."""
         result = self.result
         before, after = result.heldout_position_mm, held_out.position_mm(model)
@@ -152,7 +152,7 @@ class Discovery:
         }
         if angles is not None and angles_after is not None:
             errors["heldout_orientation_mrad"] = HeldOutBeforeAfter(before=angles.before, after=angles_after)
-        return Discovery(result.model_copy(update={**errors, **changes}), self.terms, model, self.scatter_m)
+        return ArmFound(result.model_copy(update={**errors, **changes}), self.terms, model, self.scatter_m)
 
 
 @dataclass(frozen=True)
@@ -163,6 +163,6 @@ class CellDiscovery:
     accepted or there is no pair.
     """
 
-    arms: Mapping[str, Discovery]
+    arms: Mapping[str, ArmFound]
     model: CellModel
     pair: PairCalibration | None

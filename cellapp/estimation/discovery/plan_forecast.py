@@ -222,14 +222,14 @@ def tracker_covariance(tracker: Tracker, p_M: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class ArmDesign:
+class ForecastDesign:
     """Expected readings of one arm as data of a search, with priors of typical arms instead of estimated ones."""
 
     name: str
     data: ArmData
 
     @classmethod
-    def of(cls, arm: ArmReadings) -> ArmDesign:
+    def of(cls, arm: ArmReadings) -> ForecastDesign:
         """Build the design from the result of ``expected_readings``."""
         profile, name, model, readings = arm.profile, arm.name, arm.model, arm.readings
         stated = prior_sigmas(model.nominal, profile.calibration.priors, profile.arms[name].fixed)
@@ -244,18 +244,18 @@ class ArmDesign:
         assert covariance is not None
         return cls(name, ArmData(profile, model, readings, arm.conditions, covariance, covariance, estimated, priors))
 
-    def with_scatter(self, scatter_m: float) -> ArmDesign:
+    def with_scatter(self, scatter_m: float) -> ForecastDesign:
         """Return the design with a scatter of every coordinate [m] beside the tracker's noise."""
         assert self.data.stated is not None
         return replace(self, data=replace(self.data, sigma=with_excess(self.data.stated, scatter_m**2)))
 
 
-def arm_designs(profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings) -> dict[str, ArmDesign]:
+def arm_designs(profile: Profile, plan: Mapping[str, Array], expected: PlannedReadings) -> dict[str, ForecastDesign]:
     """Return the designs of all arms of a plan. Raise as ``expected_readings``, or if a parameter set is wrong."""
-    return {name: ArmDesign.of(arm) for name, arm in expected_readings(profile, plan, expected).items()}
+    return {name: ForecastDesign.of(arm) for name, arm in expected_readings(profile, plan, expected).items()}
 
 
-def planned_accuracy(design: ArmDesign, scatter_m: float) -> PlannedAccuracy:
+def planned_accuracy(design: ForecastDesign, scatter_m: float) -> PlannedAccuracy:
     """Compute standard errors of predicted SMR positions at the stops, and of the determined parameters.
 
     ``scatter_m`` [m] is a scatter of every coordinate beside the tracker's noise.
@@ -287,7 +287,7 @@ def accuracy_of(
     )
 
 
-def planned_effects(design: ArmDesign) -> tuple[PlannedEffect, ...]:
+def planned_effects(design: ForecastDesign) -> tuple[PlannedEffect, ...]:
     """Return for each effect of the library whether the stops can show it, and from which sizes on.
 
     Raises
@@ -308,7 +308,7 @@ def planned_effects(design: ArmDesign) -> tuple[PlannedEffect, ...]:
     )
 
 
-def _absent(design: ArmDesign) -> list[tuple[bool, AbsentEffect]]:
+def _absent(design: ForecastDesign) -> list[tuple[bool, AbsentEffect]]:
     """Return whether each effect could be seen, and its smallest sizes, in the order of the library."""
     data, settings = design.data, design.data.profile.discovery
     too_few = (

@@ -303,7 +303,7 @@ class Hyperparameters:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class ProcessEvidence:
     """Log evidence at prior variances and a noise variance.
 
     Attributes
@@ -330,7 +330,7 @@ class Evidence:
     misfit: float
 
     @classmethod
-    def of(cls, data: ProcessData, variance: Array, noise: float) -> Evidence | None:
+    def of(cls, data: ProcessData, variance: Array, noise: float) -> ProcessEvidence | None:
         """Compute the evidence; None if the matrix is not positive definite, as the noise is nearly zero."""
         active = np.flatnonzero(variance * np.diag(data.gram) > NEGLIGIBLE_COLUMN * noise)
         root = np.sqrt(variance[active])
@@ -380,7 +380,7 @@ def losses(data: ProcessData, variance: Array, noise: float, ends: Sequence[int]
     With x the solution of A x = b for all columns, and C = A^-1, the loss without the group g follows from its blocks:
     ``(ln det C_gg + x_g^T C_gg^-1 x_g) / 2`` (inverse of a partitioned matrix).
     """
-    at = Evidence.of(data, variance, noise)
+    at = ProcessEvidence.of(data, variance, noise)
     if at is None:
         return np.full(len(ends), math.inf)
     solution = at.solution
@@ -450,9 +450,9 @@ def most_evident(components: Sequence[Component], data: ProcessData, start: Hype
     packing = _Packing(tuple(components))
     low, high = np.array(packing.bounds(data.square / data.coordinates)).T
 
-    def evidence(theta: Array) -> Evidence | None:
+    def evidence(theta: Array) -> ProcessEvidence | None:
         values = packing.unpack(theta)
-        return Evidence.of(data, values.variances(components), values.noise)
+        return ProcessEvidence.of(data, values.variances(components), values.noise)
 
     theta = np.clip(packing.pack(start), low, high)
     best = evidence(theta)
@@ -539,7 +539,7 @@ class StructuredProcess:
     def expected(self) -> dict[tuple[str, str], float]:
         """Return the expected value of each column, by effect and name."""
         variances = self.values.variances(self.components)
-        at = Evidence.of(self.gram, variances, self.values.noise)
+        at = ProcessEvidence.of(self.gram, variances, self.values.noise)
         if at is None:
             return {}
         values = np.zeros(len(variances))

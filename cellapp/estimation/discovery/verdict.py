@@ -20,7 +20,7 @@ from cellapp.estimation.discovery.records import (
     StructureTest,
     Unnamed,
 )
-from cellapp.estimation.discovery.search.state import FLOOR_CHANCE, Scatter
+from cellapp.estimation.discovery.search.state import FLOOR_CHANCE, FitScatter
 from cellapp.ground.results import Verdict
 from cellapp.robot.effects import EFFECTS, enumeration, place_in_words
 from cellapp.robot.effects.context import varies
@@ -324,7 +324,7 @@ def verdict(
     floor_mm: float,
     errors: BeforeAfter,
     held_out: int,
-    scatter: Scatter | None,
+    scatter: FitScatter | None,
     structure: RemainingStructure,
     unnamed: Unnamed | None = None,
 ) -> tuple[Verdict, str]:
@@ -366,7 +366,7 @@ def unnamed_words(unnamed: Unnamed) -> str:
 
 
 def _left(
-    floor_mm: float, after_mm: float, scatter: Scatter | None, structure: RemainingStructure, *, closed: bool
+    floor_mm: float, after_mm: float, scatter: FitScatter | None, structure: RemainingStructure, *, closed: bool
 ) -> str:
     """Describe the residual error in words."""
     held_out = f"{after_mm * 1e3:.0f} µm rms held out"
@@ -386,7 +386,7 @@ def _left(
     return f"readings scatter {scatter.ratio:.2f} {stated} {without}: repeatability or noise; {gap}"
 
 
-def _far_off(scatter: Scatter | None) -> bool:
+def _far_off(scatter: FitScatter | None) -> bool:
     """Return whether readings scatter more than an arm's repeatability."""
     return scatter is not None and scatter.ratio > _FAR
 
@@ -399,7 +399,7 @@ def sampling_allowance(held_out: int) -> float:
     return 1.0 + _SAMPLING_ERRORS / math.sqrt(6.0 * max(held_out, 1))
 
 
-def _gap_closed(floor_mm: float, after_mm: float, held_out: int, scatter: Scatter) -> bool:
+def _gap_closed(floor_mm: float, after_mm: float, held_out: int, scatter: FitScatter) -> bool:
     """Return whether the held-out error is at the noise floor, and the residuals, too, may be the stated noise."""
     noise = scatter.p_value > FLOOR_CHANCE
     if not held_out:

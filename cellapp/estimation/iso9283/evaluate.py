@@ -50,7 +50,7 @@ _COVERAGE = 2.0
 
 
 @dataclass(frozen=True)
-class Place:
+class IsoPlace:
     """Key of what is measured at a visit; the positions of one place are evaluated together over all cycles.
 
     ``poses`` are those of ``arms`` in turn. ``approach`` is the direction of a multi-directional test.
@@ -95,20 +95,20 @@ class ArmProgramme:
     q: Mapping[tuple[str, str], Array]
     rotation_M: Mapping[str, Array] = field(default_factory=dict)
 
-    def place(self, test: IsoTest, pose: str, approach: str = "", speed: float = 0.0) -> Place:
+    def place(self, test: IsoTest, pose: str, approach: str = "", speed: float = 0.0) -> IsoPlace:
         """Return the place of a pose of this arm alone."""
-        return Place(test, self.commands, (self.name,), (pose,), approach, speed)
+        return IsoPlace(test, self.commands, (self.name,), (pose,), approach, speed)
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class MeasuredVisit:
     """One measured visit: arm -> SMR position (3,) [m] and its covariance (3, 3) [m^2] as the tracker states it.
 
     ``group`` is the index of the group in a drift test, ``time_s`` is on the cell's clock, ``temperature_c`` is that of
     the air. ``orientations``: arm with a probe -> its quaternion (4,) and standard uncertainty [rad].
     """
 
-    place: Place
+    place: IsoPlace
     cycle: int
     p_M: Mapping[str, Array]
     covariance_M: Mapping[str, Array]
@@ -122,13 +122,13 @@ class Measured:
 class Measurements:
     """All measured visits, in order."""
 
-    visits: list[Measured] = field(default_factory=list)
+    visits: list[MeasuredVisit] = field(default_factory=list)
 
-    def at(self, place: Place, group: int = 0) -> list[Measured]:
+    def at(self, place: IsoPlace, group: int = 0) -> list[MeasuredVisit]:
         """Return the visits of one place, one for each measured cycle."""
         return [one for one in self.visits if one.place == place and one.group == group]
 
-    def groups(self, place: Place) -> list[int]:
+    def groups(self, place: IsoPlace) -> list[int]:
         """Return the indices of the measured groups of a drift test."""
         return sorted({one.group for one in self.visits if one.place == place})
 
@@ -138,7 +138,7 @@ def pose_characteristics(
 ) -> tuple[PoseCharacteristics, ...]:
     """Compute AP and RP at each pose measured twice or more; ``base_M`` (3, 3) is the rotation of the base in M.
 
-    ``speed`` is as in ``Place``.
+    ``speed`` is as in ``IsoPlace``.
     """
     found = []
     for pose in POSES:
@@ -272,7 +272,7 @@ def orientation_characteristics(
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _cycles(arm: ArmProgramme, pose: str, visits: Sequence[Measured]) -> Cycles | None:
+def _cycles(arm: ArmProgramme, pose: str, visits: Sequence[MeasuredVisit]) -> Cycles | None:
     """Collect the cycles of one position; None with fewer than two."""
     own = [one for one in visits if arm.name in one.p_M]
     if len(own) < FEWEST_CYCLES:
@@ -299,7 +299,7 @@ def _pose(pose: str, cycles: Cycles, axes_M: Array, rng: np.random.Generator) ->
 
 
 def _orientation(
-    arm: ArmProgramme, pose: str, visits: Sequence[Measured], base_M: Array
+    arm: ArmProgramme, pose: str, visits: Sequence[MeasuredVisit], base_M: Array
 ) -> OrientationCharacteristics | None:
     orientations = [one.orientations[arm.name] for one in visits if arm.name in one.orientations]
     if pose not in arm.rotation_M or not orientations:
@@ -323,7 +323,7 @@ def _distance(
     )
 
 
-def _group(cycles: Cycles, visits: Sequence[Measured], began_s: float, base_M: Array) -> DriftGroup:
+def _group(cycles: Cycles, visits: Sequence[MeasuredVisit], began_s: float, base_M: Array) -> DriftGroup:
     air = [one.temperature_c for one in visits if one.temperature_c is not None]
     return DriftGroup(
         minutes=(visits[0].time_s - began_s) / _MINUTE_S,
@@ -506,7 +506,7 @@ def _row(
     return (kind, *where, *counted, *_numbers(p_M, 3), *_numbers(direction, 3), *_numbers(quaternion, 4))
 
 
-def _place_cells(place: Place, name: str) -> tuple[str, ...]:
+def _place_cells(place: IsoPlace, name: str) -> tuple[str, ...]:
     return place.test, place.commands, name, "+".join(place.poses), place.approach, _percent(place.speed)
 
 

@@ -56,7 +56,7 @@ repeatability of 0.1 mm by ISO 9283."""
 
 
 @dataclass(frozen=True)
-class Scatter:
+class KnownSd:
     """Standard deviation of a component of the calibration's residuals: ``whole``, and ``arm`` without the tracker's.
 
     A stop that is measured again after the same last motion has an unknown share of the arm's part again: at
@@ -110,7 +110,7 @@ class ArmBelief:
         Geometric parameters, as indices into ``parameter_names``: base, D-H rows and tool.
     covariance : array, shape (p, p)
         Posterior covariance of the geometric parameters, then of the values of all terms.
-    of_points, of_rotations : Scatter
+    of_points, of_rotations : KnownSd
         Scatter of a measured coordinate [m], and of a component of an orientation [rad], about the model.
     day_m : float
         Rms motion of the SMR by effects of the day of the calibration, such as drift, of which today's are unknown [m].
@@ -126,8 +126,8 @@ class ArmBelief:
     model: ArmModel
     columns: tuple[int, ...]
     covariance: Array
-    of_points: Scatter
-    of_rotations: Scatter
+    of_points: KnownSd
+    of_rotations: KnownSd
     day_m: float
     promised_m: float
     measured: Measured
@@ -143,13 +143,13 @@ class ArmBelief:
         """Covariance (n, 3, 3) of the calibration's vectors from a unit variance of every joint [m^2/rad^2]."""
         return _levers(self.model, self.measured)
 
-    def kinds(self, measured: Measured) -> list[tuple[NDArray[np.bool_], Scatter]]:
+    def kinds(self, measured: Measured) -> list[tuple[NDArray[np.bool_], KnownSd]]:
         """Return the masks (n,) of positions and of orientations, where there are some, each with its scatter."""
         found = ((measured.points, self.of_points), (~measured.points, self.of_rotations))
         return [(rows, scatter) for rows, scatter in found if rows.any()]
 
     def unremembered(self, measured: Measured, again: Array) -> Array:
-        """Return ``Scatter.unremembered`` of each vector."""
+        """Return ``KnownSd.unremembered`` of each vector."""
         found = np.ones(len(measured))
         for rows, scatter in self.kinds(measured):
             found[rows] = scatter.unremembered(again[rows])
@@ -281,7 +281,7 @@ def arm_belief(found: Posterior, measured: Measured) -> ArmBelief:
         columns=found.prior.columns,
         covariance=found.covariance,
         of_points=_scatter(found, promised, points, found.scatter_m),
-        of_rotations=Scatter() if measured.angular is None else _scatter(found, promised, ~points, found.scatter_rad),
+        of_rotations=KnownSd() if measured.angular is None else _scatter(found, promised, ~points, found.scatter_rad),
         day_m=_day_m(found.model, measured.positions),
         promised_m=math.sqrt(float(np.mean(np.trace(promised[points], axis1=1, axis2=2)))),
         measured=measured,
@@ -289,7 +289,7 @@ def arm_belief(found: Posterior, measured: Measured) -> ArmBelief:
     )
 
 
-def _scatter(found: Posterior, promised: Array, rows: NDArray[np.bool_], arm: float) -> Scatter:
+def _scatter(found: Posterior, promised: Array, rows: NDArray[np.bool_], arm: float) -> KnownSd:
     """Estimate the scatter of some readings from the errors of their predictions by all others.
 
     Residuals are too small where free functions follow the readings: with R the covariance of a reading and P that
@@ -299,7 +299,7 @@ def _scatter(found: Posterior, promised: Array, rows: NDArray[np.bool_], arm: fl
     R = sigma if sigma.ndim == 3 else sigma[:, None, None] ** 2 * np.eye(3)
     gain = R @ np.linalg.inv((1.0 + _INTERPOLATED) * R - promised[rows])
     excess = excess_variance(np.einsum("nab,nb->na", gain, found.residuals_M[rows]), gain @ R, 3 * len(R))
-    return Scatter(math.sqrt(mean_variance(sigma) + excess), math.sqrt(arm**2 + excess))
+    return KnownSd(math.sqrt(mean_variance(sigma) + excess), math.sqrt(arm**2 + excess))
 
 
 def _day_m(model: ArmModel, measured: Measured) -> float:

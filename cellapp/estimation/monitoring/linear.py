@@ -48,7 +48,7 @@ _TWIST_WORDS = ("along x", "along y", "along z", "about x", "about y", "about z"
 
 
 @dataclass(frozen=True, eq=False)
-class Direction:
+class Changing:
     """One quantity that may change, and the size of the change that has to be detected.
 
     ``places`` are indices of the arm's parameters, or of the six components of the tracker's twist, each of which
@@ -78,13 +78,13 @@ class Alternative:
     members: tuple[int, ...]
 
 
-def directions_of(belief: CheckBelief) -> list[Direction]:
+def directions_of(belief: CheckBelief) -> list[Changing]:
     """List all directions of change of a cell: the tracker's twist, then those of every arm, parameter by parameter.
 
     The tracker rotates about the centre of the calibration's points.
     """
     found = [
-        Direction(
+        Changing(
             TRACKER, "tracker", f"tracker {words}", (k,), LENGTH_M if k < 3 else ROTATION_RAD, "m" if k < 3 else "rad"
         )
         for k, words in enumerate(_TWIST_WORDS)
@@ -95,7 +95,7 @@ def directions_of(belief: CheckBelief) -> list[Direction]:
     return found
 
 
-def alternatives_of(directions: Sequence[Direction]) -> list[Alternative]:
+def alternatives_of(directions: Sequence[Changing]) -> list[Alternative]:
     """List what may have changed, causes that affect most points first: tracker, bases, SMRs, parameters, effects.
 
     Each parameter is an alternative; so are all values of an effect at one place together.
@@ -114,7 +114,7 @@ def centre_of(belief: CheckBelief) -> Array:
     return np.asarray(np.concatenate([arm.positions.readings.p_M for arm in belief.arms.values()]).mean(axis=0))
 
 
-def _of_geometry(name: str, arm: ArmBelief) -> list[Direction]:
+def _of_geometry(name: str, arm: ArmBelief) -> list[Changing]:
     joints = arm.model.geometry.joints
     names, found = all_names(joints), []
     for place, column in enumerate(arm.columns):
@@ -122,11 +122,11 @@ def _of_geometry(name: str, arm: ArmBelief) -> list[Direction]:
         kind: ChangeKind = "parameter" if is_own(column, joints) else ("base" if column < 6 else "smr")
         what = parameter_words(word) if kind == "parameter" else f"{kind} {word}"
         unit = parameter_unit(word)
-        found.append(Direction(name, kind, what, (place,), LENGTH_M if unit == "m" else ROTATION_RAD, unit))
+        found.append(Changing(name, kind, what, (place,), LENGTH_M if unit == "m" else ROTATION_RAD, unit))
     return found
 
 
-def _of_effects(name: str, arm: ArmBelief) -> list[Direction]:
+def _of_effects(name: str, arm: ArmBelief) -> list[Changing]:
     """List values of laws; a step moves the SMR by 0.05 mm rms over the readings of the calibration.
 
     If orientation is measured, motion and rotation count together, with 50 µrad equal to 0.05 mm.
@@ -143,12 +143,12 @@ def _of_effects(name: str, arm: ArmBelief) -> list[Direction]:
             k = place - len(arm.columns)
             if not is_smooth(term) and value < len(term.law_names) and rms[k] * columns[k].upper > LENGTH_M:
                 what = f"{EFFECTS[term.slug].title}, {columns[k].where}"
-                found.append(Direction(name, "effect", what, (place,), LENGTH_M / float(rms[k]), unit))
+                found.append(Changing(name, "effect", what, (place,), LENGTH_M / float(rms[k]), unit))
             place += 1
     return found
 
 
-def _growth(name: str, arm: ArmBelief, rows: Array) -> list[Direction]:
+def _growth(name: str, arm: ArmBelief, rows: Array) -> list[Changing]:
     """Build the direction of proportional growth of all link lengths (temperature) from motions ``rows`` (p, d)."""
     nominal, names = arm.model.nominal.vector(), parameter_names(arm.model.geometry.joints)
     places = [
@@ -160,7 +160,7 @@ def _growth(name: str, arm: ArmBelief, rows: Array) -> list[Direction]:
         return []
     shares = nominal[[arm.columns[place] for place in places]]
     rms = math.sqrt(float(np.sum((shares @ rows[places]) ** 2)) / len(arm.positions))
-    return [Direction(name, "effect", GROWTH, tuple(places), LENGTH_M / rms, "m/m", tuple(shares.tolist()))]
+    return [Changing(name, "effect", GROWTH, tuple(places), LENGTH_M / rms, "m/m", tuple(shares.tolist()))]
 
 
 _SAME_STOP_RAD = 0.01
@@ -229,7 +229,7 @@ def _sided(its: Measured, rows: NDArray[np.bool_]) -> Array:
     return np.hstack([its.readings.q[rows], _SIDE_RAD * its.readings.approach[rows]])
 
 
-def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions: Sequence[Direction]) -> StopRows:
+def stop_rows(belief: CheckBelief, readings: Mapping[str, Readings], directions: Sequence[Changing]) -> StopRows:
     """Build the linear model of stops; rows of several arms with the same ``configuration`` are one stop; these
     numbers are in the order of measurement."""
     conditions = conditions_now(belief, readings)
@@ -352,7 +352,7 @@ def _add_noise(K: Array, first: int, blocks: Array) -> None:
 # -- How far a change moves the SMR at the calibration's readings, of which its visible size follows ------------------
 
 
-def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequence[Direction]) -> Array:
+def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequence[Changing]) -> Array:
     """Compute the motion (C, n, 3) [m, rad] of n measured vectors of an arm by one step of each direction."""
     arm = belief.arms[name]
     X = design(arm.model, measured, arm.columns).reshape(-1, 3, len(measured)).transpose(0, 2, 1)
@@ -361,7 +361,7 @@ def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequ
     return _moved(directions, name, X, station)
 
 
-def _moved(directions: Sequence[Direction], name: str, X: Array, station: Array) -> Array:
+def _moved(directions: Sequence[Changing], name: str, X: Array, station: Array) -> Array:
     """Compute the motion (C, ...) of an arm's coordinates by one step of each direction, from the motions by a unit of
     its parameters, ``X`` (p, ...), and of a twist of the ``station`` (6, ...)."""
     found = np.zeros((len(directions), *X.shape[1:]))
@@ -371,12 +371,12 @@ def _moved(directions: Sequence[Direction], name: str, X: Array, station: Array)
     return found
 
 
-def calibration_motions(belief: CheckBelief, directions: Sequence[Direction]) -> dict[str, Array]:
+def calibration_motions(belief: CheckBelief, directions: Sequence[Changing]) -> dict[str, Array]:
     """Compute ``motions`` of each arm at the readings of the calibration."""
     return {name: motions(belief, name, arm.measured, directions) for name, arm in belief.arms.items()}
 
 
-def visibility(belief: CheckBelief, directions: Sequence[Direction], moved: Mapping[str, Array]) -> tuple[Array, Array]:
+def visibility(belief: CheckBelief, directions: Sequence[Changing], moved: Mapping[str, Array]) -> tuple[Array, Array]:
     """Compute the rms motion (C,) of the SMR by one step of each direction, in [m] and in units of the noise.
 
     Motions are judged by the noise of a position, rotations of a probe by that of an orientation. The best-fitting

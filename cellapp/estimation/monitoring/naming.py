@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.least_squares import LeastSquares
 from cellapp.estimation.calibration.station_location import FEWEST_POINTS, small_motion
 from cellapp.estimation.monitoring.belief import CheckBelief
-from cellapp.estimation.monitoring.linear import Alternative, Direction, Moments, StopRows, centre_of, spanned, twists
+from cellapp.estimation.monitoring.linear import Alternative, Changing, Moments, StopRows, centre_of, spanned, twists
 from cellapp.estimation.prior.update import SURE
 from cellapp.robot.kinematics.transforms import Array, apply, invert, register, rotation_vectors
 
@@ -198,7 +198,7 @@ class Design:
     """
 
     belief: CheckBelief
-    directions: tuple[Direction, ...]
+    directions: tuple[Changing, ...]
     alternatives: tuple[Alternative, ...]
     motions: Mapping[str, Array]
     steps: Array

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.calibrate import (
     ArmCalibration,
-    Calibration,
+    CellCalibration,
     calibrate_readings,
     rms_length_mm,
     with_networks,
@@ -38,7 +38,7 @@ from cellapp.estimation.calibration.quantities import (
 from cellapp.estimation.calibration.records import MotionResult
 from cellapp.estimation.discovery.accepted import accepted_effect
 from cellapp.estimation.discovery.discover import ArmSearch, discover_arm
-from cellapp.estimation.discovery.outcome import Discovery, HeldOut
+from cellapp.estimation.discovery.outcome import ArmFound, HeldOut
 from cellapp.estimation.discovery.records import (
     AcceptedEffect,
     BeforeAfter,
@@ -58,7 +58,7 @@ from cellapp.estimation.motion.identify import (
     identify_from_motion,
     no_gross_errors,
 )
-from cellapp.estimation.motion.laws import JointPath, Law
+from cellapp.estimation.motion.laws import Law, TimedPath
 from cellapp.estimation.motion.observe import Stops
 from cellapp.estimation.motion.steps import MotionEffect
 from cellapp.estimation.motion.streams import Recording
@@ -92,7 +92,7 @@ def calibrate_with_motion(
     recordings: Mapping[str, Sequence[Recording]],
     listener: Listener = ignore,
     cancel: CancelToken | None = None,
-) -> tuple[Calibration, dict[str, Readings]]:
+) -> tuple[CellCalibration, dict[str, Readings]]:
     """Calibrate a cell: arms with ``recordings`` from these and their readings, others from readings with random
     splits. Return also samples (as readings) of the recorded arms.
 
@@ -183,7 +183,7 @@ def calibrate_arm_with_motion(
     )
 
 
-def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[JointPath, Array], Array] | None = None) -> Readings:
+def samples_of(fit: MotionFit, joints: int, at_rest: Callable[[TimedPath, Array], Array] | None = None) -> Readings:
     """Return samples of all recordings, with the joint positions at their times, as readings: of the training points
     and of the held-out blocks. ``at_rest`` maps a path and times (n,) to the joint positions (n, N) at which an arm at
     rest has the points of these times; without it, those of the path are used."""
@@ -222,7 +222,7 @@ def _past_turns(one: RecordingFit, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     return rows[past] if past.any() else rows
 
 
-def _beside(times: Sequence[tuple[JointPath, Array]]) -> Array | None:
+def _beside(times: Sequence[tuple[TimedPath, Array]]) -> Array | None:
     """Return the joint positions (n, K) of the other arm at times of paths; None if no recording has them."""
     found = [path.beside_at(time_s) for path, time_s in times]
     joints = max((q.shape[1] for q in found if q is not None), default=0)
@@ -374,7 +374,7 @@ class SearchWithRecordings:
     recordings: Mapping[str, Sequence[Recording]]
     search_arm: ArmSearch = discover_arm
 
-    def __call__(self, arm: ArmReadings, steps: JobSteps = UNTOLD) -> Discovery:
+    def __call__(self, arm: ArmReadings, steps: JobSteps = UNTOLD) -> ArmFound:
         """Search one arm; its readings are stops and samples of its recordings."""
         profile, name = arm.profile, arm.name
 
@@ -390,7 +390,7 @@ class SearchWithRecordings:
         seconds = time.perf_counter() - started
 
         @cache
-        def searched() -> Discovery:
+        def searched() -> ArmFound:
             return self.search_arm(arm, steps)
 
         if at_rest.stands_beside(lambda: searched().model):
@@ -469,7 +469,7 @@ class MotionAtRest:
             seconds=seconds,
         )
 
-    def discovery(self, profile: Profile, seconds: float, steps: JobSteps) -> Discovery:
+    def discovery(self, profile: Profile, seconds: float, steps: JobSteps) -> ArmFound:
         """Return the effects from recordings, with those that a search finds in the remaining errors of the readings.
 
         ``seconds`` is the time of the search of the recordings. Raise ``Cancelled`` on request.
@@ -481,7 +481,7 @@ class MotionAtRest:
             rest = _without_terms(rest)
         return self._with_rest(rest, seconds)
 
-    def _with_rest(self, rest: Discovery, seconds: float) -> Discovery:
+    def _with_rest(self, rest: ArmFound, seconds: float) -> ArmFound:
         """Return the discovery of the arm; ``rest`` was found at the joint positions corrected by its recordings."""
         result, model = rest.result, _joined_models(rest.model, self.model) if rest.terms else self.model
         before, by_motion = (
@@ -523,7 +523,7 @@ def _surely_better(held_out: HeldOut, model: ArmModel, other: ArmModel) -> bool:
     return bool(np.mean(gain) > _SURE * np.std(gain) / np.sqrt(len(gain)))
 
 
-def _without_terms(rest: Discovery) -> Discovery:
+def _without_terms(rest: ArmFound) -> ArmFound:
     """Return the search with all its terms rejected."""
     if not rest.terms:
         return rest

@@ -25,7 +25,7 @@ import numpy as np
 import scipy
 
 from cellapp.estimation.calibration.least_squares import solve_psd
-from cellapp.estimation.motion.fit import Problem, Solution, Source, allow_for_missing, normal_equations, solve
+from cellapp.estimation.motion.fit import Fittings, Solution, Source, allow_for_missing, normal_equations, solve
 from cellapp.estimation.motion.identify import MotionFit, RecordedArm, held_out_rms_mm, motion_fit, motion_problem
 from cellapp.estimation.motion.laws import Fading, JointLaws, JointTerm, Knee, Law, of_all_joints, state_in_motion
 from cellapp.estimation.motion.observe import residuals, whitening_filter
@@ -113,7 +113,7 @@ def effects_in_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionDisc
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    problem: Problem
+    problem: Fittings
     told: Told
     own: tuple[MotionLaw, ...] = ()
     """Laws of plug-ins that depend on speeds."""
@@ -440,7 +440,7 @@ class _Search:
             state = again
         return state
 
-    def _state(self, problem: Problem, start: Array | None) -> State:
+    def _state(self, problem: Fittings, start: Array | None) -> State:
         laws = list(dict.fromkeys(term.law.value for term in problem.layout.terms))
         beginning = f"with {', '.join(laws)}: " if laws else ""
         solution = solve(problem, start, lambda words: self.told(beginning + words), to_its_end=self.to_its_end)
@@ -579,7 +579,7 @@ _LOG_2 = math.log(2.0)
 """Ratio of median to mean power of noise: powers of cosine and sine together are exponential."""
 
 
-def line_powers(problem: Problem, solution: Solution, joints: Sequence[int]) -> tuple[Array, Array]:
+def line_powers(problem: Fittings, solution: Solution, joints: Sequence[int]) -> tuple[Array, Array]:
     """Return the power (joints, counts + 1) of each cycle count of some joints in the residuals, in units of the noise
     there: by chance it exceeds ``ln(1 / p)`` with probability p. Return also the turns (joints,) in the range of each.
 
@@ -635,14 +635,14 @@ def alternatives(law: Law) -> int:
     return len(_KNEES) ** 2 if law is Law.COMPLIANCE else len(_KINDS) * len(REACHES)
 
 
-def refining_terms(problem: Problem, solution: Solution, law: Law) -> tuple[JointTerm, ...]:
+def refining_terms(problem: Fittings, solution: Solution, law: Law) -> tuple[JointTerm, ...]:
     """Return the parts of one of the laws ``REFINED`` that remove most from the residuals: for lost motion of one kind
     and with one reach, except at joints that a separate reach fits clearly better; for compliance one or two knees a
     joint."""
     return _knees(problem, solution) if law is Law.COMPLIANCE else _fading(problem, solution, law)
 
 
-def _fading(problem: Problem, solution: Solution, law: Law) -> tuple[JointTerm, ...]:
+def _fading(problem: Fittings, solution: Solution, law: Law) -> tuple[JointTerm, ...]:
     joints, reaches = range(problem.layout.parameters.joints), range(len(REACHES))
     fading = [replace(kind, reach=reach) for kind in _KINDS for reach in REACHES]
     parts = [JointTerm(law, joint, fading=one) for one in fading for joint in joints]
@@ -675,7 +675,7 @@ def _top(grid: Sequence[float], place: int, gains: Sequence[float]) -> float:
     return float(grid[place] * (grid[place + 1] / grid[place]) ** top)
 
 
-def _knees(problem: Problem, solution: Solution) -> tuple[JointTerm, ...]:
+def _knees(problem: Fittings, solution: Solution) -> tuple[JointTerm, ...]:
     """Choose the knees of all joints: one of each, two where both clearly gain; then refine their values."""
     largest = _largest_torques(problem)
     options = [_one_or_two(_KNEES, _KNEES)] * len(largest)
@@ -698,7 +698,7 @@ def _one_or_two(first: Sequence[float], second: Sequence[float]) -> list[tuple[f
 
 
 def _best_shares(
-    problem: Problem, solution: Solution, largest: Array, options: Sequence[Sequence[tuple[float, ...]]]
+    problem: Fittings, solution: Solution, largest: Array, options: Sequence[Sequence[tuple[float, ...]]]
 ) -> list[tuple[float, ...]]:
     """Choose one option of each joint, joint by joint the one with the largest gain beside those of the others."""
     keys = [(joint, share) for joint, own in enumerate(options) for share in sorted({s for one in own for s in one})]
@@ -715,7 +715,7 @@ def _best_shares(
     return chosen
 
 
-def _largest_torques(problem: Problem) -> Array:
+def _largest_torques(problem: Fittings) -> Array:
     """Return the largest torque (N,) [Nm] of each joint in all recordings."""
     largest = np.zeros(problem.layout.parameters.joints)
     for track in problem.tracks:
@@ -727,7 +727,7 @@ def _largest_torques(problem: Problem) -> Array:
 
 
 def _gains(
-    problem: Problem, solution: Solution, law: Law, parts: Sequence[JointTerm]
+    problem: Fittings, solution: Solution, law: Law, parts: Sequence[JointTerm]
 ) -> Callable[[Sequence[int]], float]:
     """Return what computes the chi-square that chosen ``parts`` remove from the residuals, beside the parameters of a
     fit."""

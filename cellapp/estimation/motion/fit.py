@@ -96,7 +96,7 @@ _ROUNDS = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Fittings:
     """Fitting problem: tracks, stops, and priors about the start."""
 
     start: Geometry
@@ -111,7 +111,7 @@ class Problem:
     masses: Masses | None = None
     whitening: tuple[Array, ...] | None = None
 
-    def with_terms(self, added: tuple[JointTerm, ...]) -> Problem:
+    def with_terms(self, added: tuple[JointTerm, ...]) -> Fittings:
         """Return the problem with further terms."""
         layout, at = replace(self.layout, terms=self.layout.terms + added), self.layout.arm
         precisions = [1.0 / term.prior_sd**2 for term in added]
@@ -122,7 +122,7 @@ class Problem:
             precision=np.insert(self.precision, at, precisions),
         )
 
-    def with_shapes(self, terms: tuple[JointTerm, ...]) -> Problem:
+    def with_shapes(self, terms: tuple[JointTerm, ...]) -> Fittings:
         """Return the problem with its terms linearised at other shapes."""
         mean, precision = self.mean.copy(), self.precision.copy()
         for place, term in enumerate(terms, start=self.layout.geometric):
@@ -130,7 +130,7 @@ class Problem:
                 mean[place], precision[place] = term.prior_mean, 1.0 / term.prior_sd**2
         return replace(self, layout=replace(self.layout, terms=terms), mean=mean, precision=precision)
 
-    def without_terms(self) -> Problem:
+    def without_terms(self) -> Fittings:
         """Return the problem with geometry and clocks alone."""
         kept = np.delete(np.arange(self.layout.size), np.arange(self.layout.geometric, self.layout.arm))
         return replace(
@@ -196,7 +196,7 @@ def thinned(rows: NDArray[np.intp], count: int) -> NDArray[np.intp]:
 
 
 def solve(
-    problem: Problem, start: Array | None = None, told: Told = ignore_words, *, to_its_end: bool = False
+    problem: Fittings, start: Array | None = None, told: Told = ignore_words, *, to_its_end: bool = False
 ) -> Solution:
     """Fit a subset with robust weights, then all points without gross errors; with ``start``, skip the subset.
 
@@ -214,7 +214,7 @@ def solve(
     raise NotConverged.of(_FIT, f"{_STEPS} steps were not enough; the last moved the points by {steps[-1]:.1e} m")
 
 
-def _first_fit(problem: Problem, told: Told) -> tuple[Array, list[float]]:
+def _first_fit(problem: Fittings, told: Told) -> tuple[Array, list[float]]:
     """Fit a subset robustly; return the values and the sizes of the steps. It is a start: it need not end."""
     share = max(_FIRST_POINTS // max(len(problem.tracks), 1), 200)
     rows = problem.learnt
@@ -230,7 +230,7 @@ def _first_fit(problem: Problem, told: Told) -> tuple[Array, list[float]]:
 
 
 def _stepped(
-    problem: Problem, values: Array, sources: Sequence[Source], robust: Sequence[Array] | None
+    problem: Fittings, values: Array, sources: Sequence[Source], robust: Sequence[Array] | None
 ) -> tuple[Solution, float]:
     """Return the solution after a step from ``values``, and the rms displacement of the points by the step [m]."""
     sums, most = _sums(problem, problem.model(values), sources, robust), _seconds_per_worth(problem, sources)
@@ -243,7 +243,7 @@ def _stepped(
 
 
 def _loss(
-    problem: Problem,
+    problem: Fittings,
     values: Array,
     sources: Sequence[Source],
     precision: Array,
@@ -264,14 +264,14 @@ def _loss(
     return total
 
 
-def normal_equations(problem: Problem, values: Array, sources: Sequence[Source]) -> tuple[Array, Array]:
+def normal_equations(problem: Fittings, values: Array, sources: Sequence[Source]) -> tuple[Array, Array]:
     """Return ``X^T X`` and ``X^T r`` of all sources at ``values``, weighted as in a solution, without the priors."""
     sums = _sums(problem, problem.model(values), sources, None)
     return _normal(problem, sums, [1.0] * len(sums))
 
 
 def _weighed_step(
-    problem: Problem, values: Array, sums: Sequence[Sums], most: Array | None
+    problem: Fittings, values: Array, sums: Sequence[Sums], most: Array | None
 ) -> tuple[Array, NoiseModel, list[float], Array, Array]:
     """Compute a Gauss-Newton step with source weights and estimated prior spreads; return step, noise model, worths,
     information and precision of the priors. ``most`` bounds the worths, see ``_bounded``."""
@@ -290,7 +290,7 @@ def _weighed_step(
     return step, noise, worths, A, precision
 
 
-def _seconds_per_worth(problem: Problem, sources: Sequence[Source]) -> Array | None:
+def _seconds_per_worth(problem: Fittings, sources: Sequence[Source]) -> Array | None:
     """Return the time of each recording over the sum of its weights at worth one (n,) [m^2 s]; None for fewer than
     three recordings, of which none is typical, or if each has its own whitening filter."""
     if len(problem.tracks) < 3 or problem.whitening is not None:
@@ -314,7 +314,7 @@ def _bounded(worths: list[float], seconds_per_worth: Array | None) -> list[float
     return [*bounded.tolist(), *worths[recordings:]]
 
 
-def _normal(problem: Problem, sums: Sequence[Sums], worths: Sequence[float]) -> tuple[Array, Array]:
+def _normal(problem: Fittings, sums: Sequence[Sums], worths: Sequence[float]) -> tuple[Array, Array]:
     """Sum the normal equations of all sources over all parameters."""
     A, b = np.zeros((problem.layout.size,) * 2), np.zeros(problem.layout.size)
     for one, worth in zip(sums, worths, strict=True):
@@ -324,7 +324,7 @@ def _normal(problem: Problem, sums: Sequence[Sums], worths: Sequence[float]) -> 
     return A, b
 
 
-def _with_spreads(problem: Problem, values: Array, A: Array, precision: Array) -> Array:
+def _with_spreads(problem: Fittings, values: Array, A: Array, precision: Array) -> Array:
     """Return the precision of the priors, with unstated standard deviations estimated from the present values."""
     if not problem.spreads:
         return precision
@@ -344,7 +344,7 @@ def _size(step: Array, information: Array, translation: int) -> float:
     return float(np.sqrt(max(step @ information @ step, 0.0) / max(information[translation, translation], 1e-300)))
 
 
-def _sums(problem: Problem, model: Model, sources: Sequence[Source], robust: Sequence[Array] | None) -> list[Sums]:
+def _sums(problem: Fittings, model: Model, sources: Sequence[Source], robust: Sequence[Array] | None) -> list[Sums]:
     """Return the normal equations of every source at worth one."""
     found = []
     for number, (holder, source) in enumerate(zip(problem.holders, sources, strict=True)):
@@ -354,12 +354,12 @@ def _sums(problem: Problem, model: Model, sources: Sequence[Source], robust: Seq
     return found
 
 
-def _residuals(problem: Problem, model: Model, rows: Sequence[NDArray[np.intp]]) -> list[Array]:
+def _residuals(problem: Fittings, model: Model, rows: Sequence[NDArray[np.intp]]) -> list[Array]:
     """Return the residuals (n, 3) [m] of the rows of every source."""
     return [residuals(model, one, n, its) for n, (one, its) in enumerate(zip(problem.holders, rows, strict=True))]
 
 
-def _source(problem: Problem, number: int, rows: NDArray[np.intp], norm: Array) -> Source:
+def _source(problem: Fittings, number: int, rows: NDArray[np.intp], norm: Array) -> Source:
     """Build a source; its variance follows from the median of the residuals' norms (n,) [m]."""
     stated = problem.holders[number].sigma_m
     sigma = max(float(np.median(norm)) / MEDIAN_NORM, _TRACKER_M)
@@ -372,7 +372,7 @@ def _source(problem: Problem, number: int, rows: NDArray[np.intp], norm: Array) 
 
 
 def _with_robust_weights(
-    problem: Problem, model: Model, rows: Sequence[NDArray[np.intp]]
+    problem: Fittings, model: Model, rows: Sequence[NDArray[np.intp]]
 ) -> tuple[list[Source], list[Array]]:
     norms = [np.linalg.norm(one, axis=1) for one in _residuals(problem, model, rows)]
     usual, sources, weights = _usual(norms[: len(problem.tracks)]), [], []
@@ -404,7 +404,7 @@ def _usual(norms: Sequence[Array]) -> float:
     return max(median_low([float(np.median(norm)) for norm in norms]), _TRACKER_M)
 
 
-def _all_points(problem: Problem, model: Model) -> tuple[Source, ...]:
+def _all_points(problem: Fittings, model: Model) -> tuple[Source, ...]:
     """Return all points of every source without gross errors."""
     rows = problem.learnt
     norms = [np.linalg.norm(one, axis=1) for one in _residuals(problem, model, rows)]
@@ -479,7 +479,7 @@ class _Missing:
     precision: Array
 
 
-def allow_for_missing(problem: Problem, solution: Solution, *, with_clocks: bool = True) -> Solution:
+def allow_for_missing(problem: Fittings, solution: Solution, *, with_clocks: bool = True) -> Solution:
     """Return the solution with clocks corrected for the model discrepancy, the matching arm, and a covariance that
     includes the discrepancy; without ``with_clocks`` only the covariance changes."""
     seen, layout = _seen(problem, solution), problem.layout
@@ -512,7 +512,7 @@ def _with_clocks(
     return replace(noise, covariance=covariance, freedom=freedom)
 
 
-def _seen(problem: Problem, solution: Solution) -> _Seen:
+def _seen(problem: Fittings, solution: Solution) -> _Seen:
     layout = problem.layout
     laws = _laws(problem)
     wide = problem.with_terms(laws)
@@ -549,7 +549,7 @@ def _seen(problem: Problem, solution: Solution) -> _Seen:
     )
 
 
-def _laws(problem: Problem) -> tuple[JointTerm, ...]:
+def _laws(problem: Fittings) -> tuple[JointTerm, ...]:
     """Return the laws of joints that an arm may have and the fit lacks."""
     joints = range(problem.layout.parameters.joints)
     own = {replace(term, law=Law.LINE) if term.law is Law.ONE_CYCLE else term for term in problem.layout.terms}

@@ -21,7 +21,7 @@ from cellapp.estimation.calibration.parameters import (
     sigma_by_name,
 )
 from cellapp.estimation.calibration.records import ClockResult, ClockSegmentResult, RecordingResult
-from cellapp.estimation.motion.fit import GROSS, Problem, Solution, allow_for_missing, solve, thinned
+from cellapp.estimation.motion.fit import GROSS, Fittings, Solution, allow_for_missing, solve, thinned
 from cellapp.estimation.motion.laws import JointTerm, Law, Masses
 from cellapp.estimation.motion.observe import Layout, Model, Stops, residuals
 from cellapp.estimation.motion.streams import Recording
@@ -171,7 +171,7 @@ def identify_from_motion(arm: RecordedArm, told: Told = ignore_words) -> MotionF
     return motion_fit(problem, allow_for_missing(problem, solution))
 
 
-def motion_problem(arm: RecordedArm, told: Told) -> Problem:
+def motion_problem(arm: RecordedArm, told: Told) -> Fittings:
     """Set up the problem of ``identify_from_motion`` (raises the same); the start is the nominal chain at the base that
     best fits the points."""
     if not arm.recordings:
@@ -201,7 +201,7 @@ def motion_problem(arm: RecordedArm, told: Told) -> Problem:
     stop_rows = np.arange(0 if arm.stops is None else len(arm.stops.q))
     if arm.held_out_stops is not None:
         stop_rows = np.flatnonzero(~arm.held_out_stops)
-    return Problem(start, layout, tuple(tracks), arm.stops, mean, precision, spreads, stop_rows, masses)
+    return Fittings(start, layout, tuple(tracks), arm.stops, mean, precision, spreads, stop_rows, masses)
 
 
 def _some_points(tracks: Sequence[Track], stops: Stops | None) -> tuple[Array, Array]:
@@ -213,7 +213,7 @@ def _some_points(tracks: Sequence[Track], stops: Stops | None) -> tuple[Array, A
     return np.concatenate([q for q, _ in parts]), np.concatenate([p for _, p in parts])
 
 
-def motion_fit(problem: Problem, solution: Solution) -> MotionFit:
+def motion_fit(problem: Fittings, solution: Solution) -> MotionFit:
     """Build the result of a solution."""
     model, noise, layout = problem.model(solution.values), solution.noise, problem.layout
     found = {
@@ -237,7 +237,7 @@ def motion_fit(problem: Problem, solution: Solution) -> MotionFit:
     )
 
 
-def held_out_rms_mm(problem: Problem, solution: Solution) -> float:
+def held_out_rms_mm(problem: Fittings, solution: Solution) -> float:
     """Return the rms distance of all held-out points from the model, without gross errors [mm]."""
     model, squares, count = problem.model(solution.values), 0.0, 0
     for number, track in enumerate(problem.tracks):
@@ -259,7 +259,7 @@ def no_gross_errors(misses: Array, sigma_m: float) -> NDArray[np.bool_]:
     return np.asarray(misses < GROSS * max(sigma_m, usual))
 
 
-def _recording_fit(problem: Problem, solution: Solution, model: Model, number: int) -> RecordingFit:
+def _recording_fit(problem: Fittings, solution: Solution, model: Model, number: int) -> RecordingFit:
     track, source = problem.tracks[number], solution.sources[number]
     offsets, rate = model.clock(number)
     rows = np.flatnonzero(track.held_out)
@@ -283,7 +283,7 @@ def _recording_fit(problem: Problem, solution: Solution, model: Model, number: i
     return RecordingFit(clock, result, heldout_mm, nominal[good] * 1e3, track, offsets + lag_s, rate)
 
 
-def _with_arm(problem: Problem, values: Array, vector: Array) -> Array:
+def _with_arm(problem: Fittings, values: Array, vector: Array) -> Array:
     """Return the values with the same clocks, the geometry of ``vector`` and no lost motion."""
     values = values.copy()
     values[: problem.layout.geometric] = vector[list(problem.layout.parameters.columns)]
@@ -291,14 +291,14 @@ def _with_arm(problem: Problem, values: Array, vector: Array) -> Array:
     return values
 
 
-def _mean_lag(problem: Problem, solution: Solution) -> float:
+def _mean_lag(problem: Fittings, solution: Solution) -> float:
     """Return the mean lag of the joints [s], which is indistinguishable from an offset of the clocks."""
     of_terms = problem.model(solution.values).of_terms
     lags = [value for term, value in zip(problem.layout.terms, of_terms.tolist(), strict=True) if term.law is Law.LAG]
     return float(np.mean(lags)) if lags else 0.0
 
 
-def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockResult:
+def _clock_fit(problem: Fittings, solution: Solution, number: int) -> ClockResult:
     """Return the clocks of one recording; their offset includes the inseparable mean lag of the joints."""
     track, layout = problem.tracks[number], problem.layout
     width, rate = solution.noise.half_width(), layout.rate(number)
@@ -340,7 +340,7 @@ def _clock_fit(problem: Problem, solution: Solution, number: int) -> ClockResult
     )
 
 
-def _identification(problem: Problem, solution: Solution, model: Model) -> Identification:
+def _identification(problem: Fittings, solution: Solution, model: Model) -> Identification:
     """Return the arm's part of the solution as an identification."""
     layout, noise, stops = problem.layout, solution.noise, problem.stops
     estimated, size, arm = layout.parameters, layout.geometric, layout.arm
@@ -388,7 +388,7 @@ def _of_arm(information: Array, size: int) -> Array:
 
 
 def _undetermined(
-    problem: Problem, identification: Identification, found: Mapping[str, RecordingFit]
+    problem: Fittings, identification: Identification, found: Mapping[str, RecordingFit]
 ) -> tuple[str, ...]:
     """Describe in sentences what the data cannot determine."""
     said = []

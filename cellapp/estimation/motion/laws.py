@@ -88,7 +88,7 @@ class Fading:
 
 
 @dataclass(frozen=True, eq=False)
-class JointPath:
+class TimedPath:
     """Path of N joints between its first and its last sample.
 
     Attributes
@@ -213,7 +213,7 @@ class _Turns:
     plays: Array
 
 
-def joint_path(joints: JointStream) -> JointPath:
+def joint_path(joints: JointStream) -> TimedPath:
     """Build the path through the samples of a recording.
 
     Raises
@@ -231,7 +231,7 @@ def joint_path(joints: JointStream) -> JointPath:
     speed = position.derivative()
     sides = play(q, np.full(q.shape[1], _PLAY))
     beside = None if joints.other_q is None else stamps.averaged(joints.other_q)
-    return JointPath(stamps, (q - sides) / _PLAY, position, speed, beside=beside)
+    return TimedPath(stamps, (q - sides) / _PLAY, position, speed, beside=beside)
 
 
 def play(q: Array, half_gap: Array) -> Array:
@@ -629,7 +629,7 @@ class JointState:
     qd: Array
     direction: Array
     torque: Array
-    course: tuple[JointPath, Array] | None = None
+    course: tuple[TimedPath, Array] | None = None
     step: Array | None = None
 
     def left(self, joint: int, fading: Fading) -> Array:
@@ -692,7 +692,7 @@ class Masses:
         return np.asarray(np.einsum("iknx,jknx,kn->nij", moved, moved, loads.masses) + _OWN_INERTIA * np.eye(joints))
 
 
-def state_in_motion(path: JointPath, time_s: Array, masses: Masses | None, *, torques: bool) -> JointState:
+def state_in_motion(path: TimedPath, time_s: Array, masses: Masses | None, *, torques: bool) -> JointState:
     """Return the state of the joints at times (n,) of the controller [s]."""
     q, qd = path.at(time_s)
     torque = np.zeros_like(q)
@@ -703,7 +703,7 @@ def state_in_motion(path: JointPath, time_s: Array, masses: Masses | None, *, to
     return JointState(q, qd, path.direction_at(time_s), torque, (path, time_s))
 
 
-def _in_chunks(path: JointPath, time_s: Array, masses: Masses) -> Array:
+def _in_chunks(path: TimedPath, time_s: Array, masses: Masses) -> Array:
     """Compute ``torques_in_motion`` at many times, in chunks."""
     parts = np.array_split(time_s, -(-len(time_s) // CHUNK))
     return np.concatenate([torques_in_motion(path, part, masses) for part in parts])
@@ -717,7 +717,7 @@ def state_at_rest(q: Array, direction: Array, masses: Masses | None, step: Array
     return JointState(q, np.zeros_like(q), direction, torque, step=step)
 
 
-def torques_in_motion(path: JointPath, time_s: Array, masses: Masses) -> Array:
+def torques_in_motion(path: TimedPath, time_s: Array, masses: Masses) -> Array:
     """Return the torque of gravity and inertia of all masses about each joint axis (n, N) [Nm], positive along it."""
     now = gravity_loads(frame_poses(masses.geometry, path.at(time_s)[0]), masses.bodies, masses.up_M)
     before, after = (
@@ -742,13 +742,13 @@ class JointLaws:
     moving: tuple[tuple[JointTerm, float], ...]
     masses: Masses | None
 
-    def joints_at_rest(self, path: JointPath, time_s: Array) -> Array:
+    def joints_at_rest(self, path: TimedPath, time_s: Array) -> Array:
         """Return the joint positions (n, N) [rad] at which an arm at rest has the points of these times (n,) [s]:
         without the laws of motion only."""
         state = state_in_motion(path, time_s, None, torques=False)
         return state.q + state.offsets(*_apart(self.moving))
 
-    def joints_with_history(self, path: JointPath, time_s: Array) -> Array:
+    def joints_with_history(self, path: TimedPath, time_s: Array) -> Array:
         """Return ``joints_at_rest`` plus the part of the laws at rest that motion adds: lost motion from earlier
         reversals, and the torque of accelerations. At rest, only the last motion of each joint is known."""
         terms, values = _apart(self.at_rest)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.motion.laws import CHUNK, JointState, JointTerm, Masses, state_at_rest, state_in_motion
 from cellapp.estimation.motion.tracks import Track
-from cellapp.robot.kinematics.chain import Geometry, JointAngles, Workspace, smr_positions
+from cellapp.robot.kinematics.chain import Geometry, JointAngles, ScratchSpace, smr_positions
 from cellapp.robot.kinematics.transforms import Array
 
 # -- Information in correlated residuals: band spectra of the noise, and the covariance of the estimate ---------------
@@ -452,7 +452,7 @@ def _chunks(
     """Yield weighted columns (3, k, n) and residuals (3, n), weights (n,) and joint positions (n, N), in chunks of
     whole averages of ``each`` points."""
     k, arm = len(model.layout.columns_of(number)), model.layout.arm
-    geometry, work = model.geometry, Workspace()
+    geometry, work = model.geometry, ScratchSpace()
     step = max(1, CHUNK // each) * each
     for first in range(0, len(rows), step):
         part, weight = rows[first : first + step], root[first : first + step]
@@ -487,7 +487,7 @@ def _joined(parts: Sequence[tuple[Array, Array, Array]], columns: NDArray[np.int
 
 
 def _arm_columns(
-    model: Model, geometry: Geometry, state: JointState, out: Array, work: Workspace
+    model: Model, geometry: Geometry, state: JointState, out: Array, work: ScratchSpace
 ) -> tuple[Array, Array]:
     """Return computed points (3, n) and derivatives by the joints (3, N, n); write those by parameters to ``out``."""
     size, joints = model.layout.geometric, model.layout.parameters.joints

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.calibration.parameters import ParameterSet
 from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.records import BeforeAfter, Evidence
-from cellapp.estimation.motion.fit import Problem, Solution
+from cellapp.estimation.motion.fit import Fittings, Solution
 from cellapp.estimation.motion.laws import JointState, JointTerm, Law
 from cellapp.estimation.motion.observe import residuals
 from cellapp.estimation.motion.tracks import Track
@@ -119,7 +119,7 @@ class Step:
 class State:
     """Problem with the present terms, its solution, and the held-out error."""
 
-    problem: Problem
+    problem: Fittings
     solution: Solution
     heldout_mm: float
 
@@ -389,7 +389,7 @@ def settled(terms: Sequence[JointTerm], before: Sequence[JointTerm]) -> bool:
 
 
 def strongest_vibration(
-    problem: Problem, solution: Solution, taken: Sequence[int]
+    problem: Fittings, solution: Solution, taken: Sequence[int]
 ) -> tuple[float, tuple[JointTerm, ...]]:
     """Find the vibration that is least likely to be chance, of a joint that is not ``taken``; return half of its
     chi-square, and its terms."""
@@ -402,7 +402,7 @@ def strongest_vibration(
     return float(power[joint, place]), vibration(int(joint), (gain, float(FREQUENCIES[place]), _DAMPING))
 
 
-def _matched(problem: Problem, solution: Solution, free: Sequence[int]) -> tuple[Array, Array]:
+def _matched(problem: Fittings, solution: Solution, free: Sequence[int]) -> tuple[Array, Array]:
     """Return the products of residuals and unit responses by joint and frequency (N, F), and of the responses with
     themselves, in units of the noise; zero for joints that are not ``free``."""
     from scipy.signal import freqz  # it loads scipy.stats: not for commands without recordings
@@ -420,7 +420,7 @@ def _matched(problem: Problem, solution: Solution, free: Sequence[int]) -> tuple
 
 
 def white_residuals(
-    problem: Problem, solution: Solution, *, twice: bool = False
+    problem: Fittings, solution: Solution, *, twice: bool = False
 ) -> Iterator[tuple[Track, Array, Array, float, Array, Array]]:
     """Yield each recording, its whitening filter, times (n,) of its points, the inverse of the variance of its filtered
     residuals, and ``_rotated`` of these; ``twice``: filtered once more, backwards, as if columns passed the filter."""

@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import TooFewReadings, start_from_nominal
-from cellapp.estimation.motion.laws import JointPath, joint_path
+from cellapp.estimation.motion.laws import TimedPath, joint_path
 from cellapp.estimation.motion.streams import Recording, Stamps, read_stamps
 from cellapp.ground.errors import InputError
 from cellapp.robot.kinematics.chain import Geometry, smr_positions
@@ -63,7 +63,7 @@ class ClockStart:
 
 
 def clock_start(
-    nominal: Geometry, path: JointPath, time_s: Array, p_M: Array, *, tool_unknown: bool, where: str
+    nominal: Geometry, path: TimedPath, time_s: Array, p_M: Array, *, tool_unknown: bool, where: str
 ) -> ClockStart:
     """Find the delay at which the points (m, 3) [m] with timestamps ``time_s`` (m,) fit the path of the joints.
 
@@ -105,7 +105,7 @@ def _check_moving(where: str, what: str, speed: Array, seen: NDArray[np.bool_]) 
 
 
 def _joint_speeds(
-    nominal: Geometry, path: JointPath, step: float, tool_unknown: bool
+    nominal: Geometry, path: TimedPath, step: float, tool_unknown: bool
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Return speeds of the SMR of the nominal arm [m/s] on a grid of times, and a mask of the known ones."""
     t = path.stamps.time_s
@@ -171,7 +171,7 @@ def _peaks(correlation: Array, overlap: Array, step: float) -> list[int]:
 
 
 def _tried(
-    nominal: Geometry, path: JointPath, time_s: Array, p_M: Array, offset: float, correlation: float, tool_unknown: bool
+    nominal: Geometry, path: TimedPath, time_s: Array, p_M: Array, offset: float, correlation: float, tool_unknown: bool
 ) -> ClockStart | None:
     """Fit the base of the nominal arm for one delay and refine the delay; None if too few points overlap."""
     for _ in range(_REFINED + 1):
@@ -227,7 +227,7 @@ class Track:
     Attributes
     ----------
     name : str
-    path : JointPath
+    path : TimedPath
     stamps : Stamps
         Of the points.
     time_s : array, shape (m,)
@@ -246,7 +246,7 @@ class Track:
     """
 
     name: str
-    path: JointPath = field(repr=False)
+    path: TimedPath = field(repr=False)
     stamps: Stamps = field(repr=False)
     time_s: Array = field(repr=False)
     p_M: Array = field(repr=False)
@@ -321,7 +321,7 @@ def track_of(recording: Recording, nominal: Geometry, *, tool_unknown: bool, see
 
 
 def _segments(
-    path: JointPath, stamps: Stamps, controller_s: Array, where: str
+    path: TimedPath, stamps: Stamps, controller_s: Array, where: str
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Return the segment of each point between steps of either clock, and a mask of points near controller steps."""
     of_joints = path.stamps.segment[path.samples_at(controller_s)]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cellapp.estimation.calibration.calibrate import ArmCalibration, Calibration, gross_errors_of_model, without
+from cellapp.estimation.calibration.calibrate import ArmCalibration, CellCalibration, gross_errors_of_model, without
 from cellapp.estimation.calibration.identification import Identification
 from cellapp.estimation.calibration.least_squares import readings_noise
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
@@ -20,7 +20,7 @@ from cellapp.estimation.calibration.parameters import ParameterSet, candidate_co
 from cellapp.estimation.calibration.quantities import ArmReadings, evaluate_quantities, measured_orientations
 from cellapp.estimation.calibration.records import ArmPriorResult
 from cellapp.estimation.discovery.discover import discover_arm
-from cellapp.estimation.discovery.outcome import Discovery, HeldOut
+from cellapp.estimation.discovery.outcome import ArmFound, HeldOut
 from cellapp.estimation.prior.belief import (
     Belief,
     Measured,
@@ -104,8 +104,8 @@ _DRAW_SEED = 0x51D2
 
 
 def calibrate_with_prior(
-    profile: Profile, readings: Mapping[str, Readings], calibration: Calibration, earlier: Mapping[str, Earlier]
-) -> Calibration:
+    profile: Profile, readings: Mapping[str, Readings], calibration: CellCalibration, earlier: Mapping[str, Earlier]
+) -> CellCalibration:
     """Calibrate the arms in ``earlier`` again with their prior, and the pair with them."""
     measured = ArmReadings.of_cell(profile, {name: arm.model for name, arm in calibration.arms.items()}, readings)
     arms, notes = dict(calibration.arms), list(calibration.notes)
@@ -248,7 +248,7 @@ class SearchWithPriors:
 
     earlier: Mapping[str, Earlier]
 
-    def __call__(self, arm: ArmReadings, steps: JobSteps = UNTOLD) -> Discovery:
+    def __call__(self, arm: ArmReadings, steps: JobSteps = UNTOLD) -> ArmFound:
         """Search one arm."""
         its, model = self.earlier.get(arm.name), arm.model
         if its is None:
@@ -271,7 +271,7 @@ class SearchWithPriors:
         return _with_final_model(found, final, its, HeldOut.of(arm.readings, arm.conditions))
 
 
-def _with_final_model(found: Discovery, final: ArmModel, earlier: Earlier, held_out: HeldOut) -> Discovery:
+def _with_final_model(found: ArmFound, final: ArmModel, earlier: Earlier, held_out: HeldOut) -> ArmFound:
     """Return the outcome of a search with the model that includes all carried-over parameters."""
     return found.with_model(
         final,
@@ -281,7 +281,7 @@ def _with_final_model(found: Discovery, final: ArmModel, earlier: Earlier, held_
     )
 
 
-def since_words(earlier: Earlier, found: Discovery) -> str:
+def since_words(earlier: Earlier, found: ArmFound) -> str:
     """Return in words what was carried over, and which effects of the arm itself have appeared since."""
     carried = list(dict.fromkeys(EFFECTS[term.slug].title for term in earlier.belief.terms))
     appeared = [

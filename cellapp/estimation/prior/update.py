@@ -89,7 +89,7 @@ class Drifts:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class UpdateFit:
     """Estimated change (r,) of a candidate's parameters, its covariance, and the gain of the log likelihood."""
 
     values: Array
@@ -98,7 +98,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class NewEvidence:
     """Linear model of new readings in the complement of base and tool.
 
     Attributes
@@ -124,7 +124,7 @@ class Evidence:
     drift: Mapping[SignaturePart, Array]
     of_rotations: Array | None = None
 
-    def jumped(self, candidate: Candidate) -> Evidence:
+    def jumped(self, candidate: Candidate) -> NewEvidence:
         """Return the model that allows for a jump of some parameters."""
         rows = self.rows[candidate.places] * candidate.sd[:, None]
         return replace(self, believed=self.believed + rows.T @ rows)
@@ -172,7 +172,7 @@ class Evidence:
         of_parts = dict(zip(parts, sizes[:-kinds], strict=True))
         return Drifts(of_parts, sizes[-kinds], -float(found.fun), sizes[-1] if kinds == 2 else None)
 
-    def estimates(self, drifts: Drifts, candidates: list[Candidate]) -> list[Estimate]:
+    def estimates(self, drifts: Drifts, candidates: list[Candidate]) -> list[UpdateFit]:
         """Return the estimated jump of each candidate, and its gain of the log likelihood."""
         K = self.covariance(drifts.of_parts, drifts.scatters)
         factor = scipy.linalg.cho_factor(K, lower=True, check_finite=False)
@@ -187,7 +187,7 @@ class Evidence:
             values = np.linalg.solve(inner, b)
             gain = 0.5 * float(b @ values) - 0.5 * float(np.linalg.slogdet(inner)[1])
             covariance = np.linalg.inv(inner) * one.sd * one.sd[:, None]
-            found.append(Estimate(values * one.sd, covariance, gain))
+            found.append(UpdateFit(values * one.sd, covariance, gain))
         return found
 
 
@@ -199,7 +199,7 @@ def evidence(
     stated: Array,
     units: Mapping[SignaturePart, Array],
     angular: NDArray[np.bool_] | None = None,
-) -> Evidence:
+) -> NewEvidence:
     """Build the linear model in the complement of the free parameters.
 
     Parameters
@@ -224,7 +224,7 @@ def evidence(
     pivots = np.abs(np.diag(R))
     Z = Q[:, int(np.sum(pivots > _DEPENDENT * pivots[0])) :]
     rows = own @ Z
-    return Evidence(
+    return NewEvidence(
         residuals=Z.T @ residuals,
         rows=rows,
         believed=rows.T @ covariance @ rows,
@@ -271,7 +271,7 @@ def candidates(belief: Belief, columns: Sequence[EffectColumn]) -> list[Candidat
 
 
 def change_of(
-    belief: Belief, one: Candidate, found: Estimate, rows: Array, rivals: Sequence[str], since: str, tested: int
+    belief: Belief, one: Candidate, found: UpdateFit, rows: Array, rivals: Sequence[str], since: str, tested: int
 ) -> SignatureChange:
     """Describe a proven change; ``rows`` (r, d) [m] are the derivatives of the SMR coordinates by its parameters."""
     part = belief.parts[int(one.places[0])]
@@ -307,7 +307,7 @@ def change_of(
     )
 
 
-def alike(all_candidates: Sequence[Candidate], found: Sequence[Estimate], best: int) -> list[str]:
+def alike(all_candidates: Sequence[Candidate], found: Sequence[UpdateFit], best: int) -> list[str]:
     """Return the candidates that explain the readings about as well as the best one."""
     limit = found[best].gain - _ALIKE
     return [
@@ -447,7 +447,7 @@ def _changed(
     return belief.widened(variance), drifts, changes, tested
 
 
-def _evidence(belief: Belief, model: ArmModel, judged: Measured) -> Evidence:
+def _evidence(belief: Belief, model: ArmModel, judged: Measured) -> NewEvidence:
     joints = model.geometry.joints
     free = tuple(column for column in range(len(model.geometry.names)) if not is_own(column, joints))
     rows = design(model, judged, (*free, *belief.columns))

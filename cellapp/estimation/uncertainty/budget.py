@@ -52,7 +52,7 @@ REPEATABILITY, MODEL, STATION, GROWTH = "arm repeatability", "calibrated model",
 
 
 @dataclass(frozen=True)
-class Evidence:
+class BudgetEvidence:
     """Data of a run on the errors of one arm, beside its profile. Only ``calibrated`` may be out of date.
 
     Attributes
@@ -85,13 +85,13 @@ class Evidence:
         return None if self.measured is None or self.measured.distance_m is None else self.measured.distance_m[1]
 
 
-def position_budget(profile: Profile, arm: str, known: Evidence) -> tuple[UncertaintyContribution, ...]:
+def position_budget(profile: Profile, arm: str, known: BudgetEvidence) -> tuple[UncertaintyContribution, ...]:
     """Return the contributions to the uncertainty of a position error of ``arm``; unstated ones have no value."""
     return _position(profile, arm, known, known.farthest_m, _model(known))
 
 
 def target_budget(
-    profile: Profile, arm: str, known: Evidence, distance_m: float, parts: UncertaintyParts | None = None
+    profile: Profile, arm: str, known: BudgetEvidence, distance_m: float, parts: UncertaintyParts | None = None
 ) -> tuple[UncertaintyContribution, ...]:
     """Return the contributions at one place, ``distance_m`` from the tracker; ``parts`` are those of the command."""
     model = _model(known)
@@ -172,7 +172,7 @@ def _air(profile: Profile, farthest_m: float | None) -> UncertaintyContribution:
     return _line(AIR, AIR_PER_KELVIN * kelvin * farthest_m * 1e3, "B", basis)
 
 
-def _repeatability(known: Evidence) -> UncertaintyContribution:
+def _repeatability(known: BudgetEvidence) -> UncertaintyContribution:
     """Return the scatter of readings beyond the tracker's stated one: about the model with effects, else of repeats.
 
     The model with effects takes precedence: repeats of an arm with backlash scatter by the side of approach, which a
@@ -200,7 +200,7 @@ def _repeatability(known: Evidence) -> UncertaintyContribution:
     return _line(REPEATABILITY, math.sqrt(max(scatter**2 - tracker**2, 0.0)), "A", basis)
 
 
-def _model(known: Evidence) -> UncertaintyContribution:
+def _model(known: BudgetEvidence) -> UncertaintyContribution:
     """Return the uncertainty of the target in the tracker frame: the model's posterior at the commands."""
     if known.commands:
         return _line(
@@ -244,7 +244,7 @@ def _growth(
 
 
 def _position(
-    profile: Profile, arm: str, known: Evidence, distance_m: float | None, model: UncertaintyContribution
+    profile: Profile, arm: str, known: BudgetEvidence, distance_m: float | None, model: UncertaintyContribution
 ) -> tuple[UncertaintyContribution, ...]:
     growth = _growth(profile.arms[arm].type, known.discovered, known.measured)
     moved = "the tracker was moved and located by a few points"
@@ -409,7 +409,7 @@ class Judge:
     """
 
     profile: Profile
-    known: Mapping[str, Evidence] = field(default_factory=dict)
+    known: Mapping[str, BudgetEvidence] = field(default_factory=dict)
 
     @property
     def rule(self) -> DecisionRule:
@@ -443,6 +443,6 @@ class Judge:
             line
             for arm, p_M in measured_M.items()
             for line in target_budget(
-                self.profile, arm, self.known.get(arm, Evidence()), float(np.linalg.norm(p_M)), parts.get(arm)
+                self.profile, arm, self.known.get(arm, BudgetEvidence()), float(np.linalg.norm(p_M)), parts.get(arm)
             )
         ]

@@ -43,9 +43,9 @@ class CommonUncertainty(Record):
     @property
     def sentence(self) -> str:
         """What is common, and what would determine it."""
-        shift, angle = (", ".join(f"{value:.3f}" for value in its) for its in (self.flange_mm, self.flange_mrad))
+        shift, mrad = (", ".join(f"{value:.3f}" for value in its) for its in (self.flange_mm, self.flange_mrad))
         return (
-            f"in the flange frame x, y, z {shift} mm and about them {angle} mrad, that a TCP taught with the calibrated"
+            f"in the flange frame x, y, z {shift} mm and about them {mrad} mrad, which a TCP taught with the calibrated"
             f" arm, a probe or three SMRs would determine; in the base frame {self.base_mm:.3f} mm a coordinate and"
             f" {self.base_mrad:.3f} mrad, which a surveyed base would determine"
         )

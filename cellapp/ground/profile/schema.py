@@ -298,7 +298,7 @@ class Priors(Section):
     angle: Annotated[Angle, Field(gt=0.0)] | None = None
 
 
-class Calibration(Section):
+class CalibrationSettings(Section):
     """How the geometry is identified. ``robust`` selects Huber or Tukey weights against outliers.
 
     ``auto`` estimates all parameters with priors, and the results state those that the data determine; ``paper`` is the
@@ -330,7 +330,7 @@ class Pair(Section):
     transform: Literal["distances", "tracker"] = "distances"
 
 
-class Discovery(Section):
+class DiscoverySettings(Section):
     """Search for missing effects: false-alarm rate of the whole scan, and the simulations that set its threshold.
 
     ``network`` says after which verdicts a residual network is trained on what the accepted effects leave: *unknown
@@ -411,11 +411,11 @@ class Profile(GrownSection, defer_build=True):
     obstacles: Obstacles = Field(default_factory=dict)
     plan: Plan = Plan()
     splits: Splits = Splits()
-    calibration: Calibration = Calibration()
+    calibration: CalibrationSettings = CalibrationSettings()
     network: Network = Network()
     pair: Pair = Pair()
     collection: Collection = Collection()
-    discovery: Discovery = Discovery()
+    discovery: DiscoverySettings = DiscoverySettings()
     plant: Plant | None = None
     targets: str | None = None
     """Path of a target list, relative to the profile; used by ``run``."""

@@ -26,7 +26,7 @@ from cellapp.commands.registry import MOVES
 from cellapp.ground.errors import InputError
 from cellapp.ground.removed import removed_command
 from cellapp.interfaces.cli.command_outputs import AllowMotion, Commands, JsonOption
-from cellapp.interfaces.cli.job import Job, require_none
+from cellapp.interfaces.cli.job import CommandJob, require_none
 from cellapp.interfaces.page import draw_certificate, write_page
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ _OF_RUN = ("calibration", "discovery", "verification")
 """What ``show`` shows of a whole run."""
 
 
-def asking(job: Job, profile_name: str, *, allowed: bool) -> Callable[[str], bool] | None:
+def asking(job: CommandJob, profile_name: str, *, allowed: bool) -> Callable[[str], bool] | None:
     """Return a function that shows the first motion and returns whether it is allowed; None if nobody can be asked."""
     if allowed:
 
@@ -59,7 +59,7 @@ def asking(job: Job, profile_name: str, *, allowed: bool) -> Callable[[str], boo
     return ask
 
 
-def typed_line(job: Job, question: str) -> str | None:
+def typed_line(job: CommandJob, question: str) -> str | None:
     """Return the next line of standard input, stripped; None at its end. Ctrl-C also ends the question."""
     job.warn(question)
     answers: queue.Queue[str] = queue.Queue()
@@ -113,7 +113,7 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
 
     def command(*, json_file: str | None = None, allow_motion: bool = False, **values: Any) -> None:
         given = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-        with Job(json_file) as job:
+        with CommandJob(json_file) as job:
             request = verb.asked({**fixed, **{name: value for name, value in given.items() if value is not None}})
             announced: list[Result] = []
 
@@ -142,7 +142,7 @@ def command_of(verb: Verb, fixed: Mapping[str, Any] = MappingProxyType({})) -> C
     return command
 
 
-def _show(job: Job, verb: Verb, shown: View, result: Result) -> None:
+def _show(job: CommandJob, verb: Verb, shown: View, result: Result) -> None:
     """Print the tables and sentences of a view in their order, then write the JSON of its result."""
     if not (shown.is_json and job.writes_json):
         stored = _OF_RUN if verb.name == "run" else [one.part for one in verb.stored]
@@ -151,7 +151,7 @@ def _show(job: Job, verb: Verb, shown: View, result: Result) -> None:
     job.result(result)
 
 
-def _work(job: Job, announce: Callable[[Result], None], *, allowed: bool) -> Work:
+def _work(job: CommandJob, announce: Callable[[Result], None], *, allowed: bool) -> Work:
     return Work(
         job.listen,
         job.control,
@@ -165,7 +165,7 @@ def _work(job: Job, announce: Callable[[Result], None], *, allowed: bool) -> Wor
     )
 
 
-def _choose(job: Job, question: str, answers: tuple[str, ...]) -> str:
+def _choose(job: CommandJob, question: str, answers: tuple[str, ...]) -> str:
     """Ask a person; return an empty answer if nobody sits at a terminal."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return ""

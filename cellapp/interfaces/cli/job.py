@@ -31,7 +31,7 @@ _LAST_WORDS_S = 1.0
 """How long the end of a job waits until its messages are printed."""
 
 
-class Job:
+class CommandJob:
     """One command: progress bars, reaction to signals, tables and sentences, and the JSON.
 
     Ctrl-C and SIGTERM stop: all arms brake at once, and the job ends. The second one aborts: it ends at once. A closed
@@ -58,7 +58,7 @@ class Job:
         self._messages: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._writer = threading.Thread(target=self._print_messages, name="messages", daemon=True)
 
-    def __enter__(self) -> Job:
+    def __enter__(self) -> CommandJob:
         self._writer.start()
         numbers = (*INTERRUPTS, *HANGUP, *_SUSPENDS)
         self._signals.enter_context(watch_signals(numbers, self._react, self._interrupt))

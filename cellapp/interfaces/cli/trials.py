@@ -13,11 +13,11 @@ from cellapp.ground.errors import CheckFailed
 from cellapp.ground.executors import TimeLimit
 from cellapp.ground.outputs import Writes
 from cellapp.interfaces.cli.command_outputs import Commands, Jobs, JsonOption, ProfilePath, Scheduler
-from cellapp.interfaces.cli.job import Job
+from cellapp.interfaces.cli.job import CommandJob
 from cellapp.interfaces.cli.top import TRIALS, InOrder
 
 if TYPE_CHECKING:
-    from cellapp.ground.executors import Work
+    from cellapp.ground.executors import PoolWork
 
 trials_app = Commands(cls=InOrder, help=TRIALS, no_args_is_help=True)
 _NAMED = 10
@@ -61,7 +61,7 @@ def seal(
         kind=kind, noise=noise, laws=laws, stops=stops, ranges=ranges,
         stated=not unstated, plan_method=plan,
     )  # fmt: skip
-    with Job(json_file) as job:
+    with CommandJob(json_file) as job:
         result = seal_trials(load_profile(profile), out, n, setup, seed=seed, listener=job.listen, cancel=job.control)
         job.say(
             f"{counted(result.runs, 'run')} in {out}; their truth is in {out / TRUTH_FILE}: open it with 'trials judge'"
@@ -83,7 +83,7 @@ def judge(
     from cellapp.commands.trials.judge import judge_trials
     from cellapp.commands.trials.scoring import judge_sentences, judge_tables
 
-    with Job(json_file) as job:
+    with CommandJob(json_file) as job:
         result = judge_trials(folder, _work(job, jobs, scheduler), again=again)
         job.show(judge_tables(result))
         job.say(*judge_sentences(result))
@@ -115,7 +115,7 @@ def power(
     """Before measuring: which effects of which size a cell, its plan and its tracker would have named."""
     from cellapp.commands.trials.power import power_at, power_sentence, power_table
 
-    with Job(json_file) as job:
+    with CommandJob(json_file) as job:
         work = _work(job, jobs, scheduler, results)
         result = power_at(where, trials, seed, work, TimeLimit.from_now(minutes))
         job.show([power_table(name, arm) for name, arm in result.arms.items()])
@@ -124,11 +124,11 @@ def power(
         _refuse_failed(result.failed)
 
 
-def _work(job: Job, jobs: int | None, scheduler: str | None, results: Path | None = None) -> Work:
-    from cellapp.ground.executors import Work, kept_results
+def _work(job: CommandJob, jobs: int | None, scheduler: str | None, results: Path | None = None) -> PoolWork:
+    from cellapp.ground.executors import PoolWork, kept_results
 
     kept_results(results)  # one that is none is refused before hours of work
-    return Work(jobs, scheduler, results, job.listen, job.control)
+    return PoolWork(jobs, scheduler, results, job.listen, job.control)
 
 
 def _refuse_failed(failed: Sequence[str]) -> None:

@@ -91,7 +91,7 @@ _TIGHT = _Spacing(edge=1, gap=2)
 
 
 @dataclass(frozen=True)
-class _Measured:
+class _Sized:
     """Widths of a column: that of its longest cell or heading, and the smallest that breaks no word."""
 
     natural: int
@@ -99,7 +99,7 @@ class _Measured:
 
 
 @dataclass(frozen=True)
-class _Part:
+class _Piece:
     """Columns of a table that are drawn side by side, by their indices, with their widths."""
 
     places: tuple[int, ...]
@@ -107,7 +107,7 @@ class _Part:
     spacing: _Spacing
 
 
-def _measured(table: Table) -> list[_Measured]:
+def _measured(table: Table) -> list[_Sized]:
     texts = table.text_rows()
     return [
         _measured_column(column, [row[place] for row in table.rows], [row[place] for row in texts])
@@ -115,7 +115,7 @@ def _measured(table: Table) -> list[_Measured]:
     ]
 
 
-def _measured_column(column: Column, cells: Sequence[Cell], texts: Sequence[str]) -> _Measured:
+def _measured_column(column: Column, cells: Sequence[Cell], texts: Sequence[str]) -> _Sized:
     every = [column.heading, *texts]
     natural = max(map(cell_len, every))
     words = max((cell_len(word) for text in every for word in text.split()), default=0)
@@ -125,10 +125,10 @@ def _measured_column(column: Column, cells: Sequence[Cell], texts: Sequence[str]
     )
     sentences = 0 if column.is_number else min(natural, _NARROWEST)
     heading = math.ceil(cell_len(column.heading) / 2)  # "U (k = 2)" in two lines, not in four
-    return _Measured(natural, max(words, numbers, sentences, heading))
+    return _Sized(natural, max(words, numbers, sentences, heading))
 
 
-def _parts(table: Table, measured: Sequence[_Measured], width: int) -> list[_Part] | None:
+def _parts(table: Table, measured: Sequence[_Sized], width: int) -> list[_Piece] | None:
     """Return the table whole or in parts that each fit; None if not even one column fits beside the row names."""
     every = tuple(range(len(measured)))
     for spacing in (_LOOSE, _TIGHT):
@@ -138,7 +138,7 @@ def _parts(table: Table, measured: Sequence[_Measured], width: int) -> list[_Par
     names = _names(table, measured, width)
     if _fitted(names, measured, width, _TIGHT) is None:
         return None
-    parts: list[_Part] = []
+    parts: list[_Piece] = []
     here = names
     for place in every[len(names) :]:
         if _fitted((*here, place), measured, width, _TIGHT) is None:
@@ -150,13 +150,13 @@ def _parts(table: Table, measured: Sequence[_Measured], width: int) -> list[_Par
     return [*parts, _must_fit(here, measured, width)]
 
 
-def _must_fit(places: tuple[int, ...], measured: Sequence[_Measured], width: int) -> _Part:
+def _must_fit(places: tuple[int, ...], measured: Sequence[_Sized], width: int) -> _Piece:
     part = _fitted(places, measured, width, _TIGHT)
     assert part is not None
     return part
 
 
-def _names(table: Table, measured: Sequence[_Measured], width: int) -> tuple[int, ...]:
+def _names(table: Table, measured: Sequence[_Sized], width: int) -> tuple[int, ...]:
     """Return the first columns that tell all rows apart, if they take at most half of the width; else the first."""
     rows = table.text_rows()
     for count in range(1, len(table.columns)):
@@ -167,7 +167,7 @@ def _names(table: Table, measured: Sequence[_Measured], width: int) -> tuple[int
     return (0,)
 
 
-def _fitted(places: tuple[int, ...], measured: Sequence[_Measured], width: int, spacing: _Spacing) -> _Part | None:
+def _fitted(places: tuple[int, ...], measured: Sequence[_Sized], width: int, spacing: _Spacing) -> _Piece | None:
     """Return the columns with widths that fit, or None. The widest shrink first, the row names last."""
     widths = [measured[place].natural for place in places]
     surplus = spacing.width(widths) - width
@@ -178,10 +178,10 @@ def _fitted(places: tuple[int, ...], measured: Sequence[_Measured], width: int, 
                 break
             widths[max(spare, key=lambda at: widths[at])] -= 1
             surplus -= 1
-    return None if surplus > 0 else _Part(places, tuple(widths), spacing)
+    return None if surplus > 0 else _Piece(places, tuple(widths), spacing)
 
 
-def _drawn(table: Table, part: _Part) -> RichTable:
+def _drawn(table: Table, part: _Piece) -> RichTable:
     loose = part.spacing is _LOOSE
     drawn = RichTable(box=box.SIMPLE_HEAD, show_edge=loose, padding=(0, 1) if loose else (0, 1, 0, 0))
     for place, width in zip(part.places, part.widths, strict=True):

@@ -52,7 +52,7 @@ _TREAT_AS_MOVING = "treat it as moving: emergency stop, then look"
 
 
 @dataclass(frozen=True)
-class Part:
+class JobPart:
     """A part of the live strip, and how old its data are."""
 
     text: str
@@ -90,15 +90,15 @@ def halt_of(arm: ArmLive) -> HaltState | None:
     return "not seen at rest" if unknown else arm.halt.state
 
 
-def strip_of(live: CellLive) -> list[Part]:
+def strip_of(live: CellLive) -> list[JobPart]:
     """Return each arm, the tracker and the job with the age of their data."""
     parts = []
     for name, arm in live.arms.items():
         halt, look = halt_of(arm), look_of(arm.age_s)
         doing = HALT_WORDS[halt] if halt else "no state" if look == "lost" else "moves" if arm.moving else "rests"
-        parts.append(Part(f"{name} {doing} {age_words(arm.age_s)}", "lost" if halt == "not seen at rest" else look))
-    parts.append(Part(f"tracker {age_words(live.tracker_age_s)}", look_of(live.tracker_age_s)))
-    return [*parts, Part(f"job {age_words(live.job_age_s)}", look_of(live.job_age_s))]
+        parts.append(JobPart(f"{name} {doing} {age_words(arm.age_s)}", "lost" if halt == "not seen at rest" else look))
+    parts.append(JobPart(f"tracker {age_words(live.tracker_age_s)}", look_of(live.tracker_age_s)))
+    return [*parts, JobPart(f"job {age_words(live.job_age_s)}", look_of(live.job_age_s))]
 
 
 def banner_of(live: CellLive | None, unseen: Mapping[str, str]) -> Banner | None:

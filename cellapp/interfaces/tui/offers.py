@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from cellapp.commands.record import Request, Verb
 from cellapp.commands.registry import records
 from cellapp.interfaces.tui import work
-from cellapp.interfaces.tui.dialogs.question import Answer, Choice, reading_of
+from cellapp.interfaces.tui.dialogs.question import Choice, ChosenAnswer, reading_of
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -17,9 +17,9 @@ from cellapp.interfaces.tui.workspace import Workspace, new_folder
 if TYPE_CHECKING:
     from cellapp.ground.results import Result, StageName
 
-BEGIN = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
-WRITE = (Answer("write", "Write", "ctrl+s", "success"), Answer("no", "Close", "f10"))
-USE_STALE = (Answer("no", "Not now", "n"), Answer("begin", "Use this model all the same", "u", "warning"))
+BEGIN = (ChosenAnswer("begin", "Begin", "b", "success"), ChosenAnswer("no", "Not now", "n"))
+WRITE = (ChosenAnswer("write", "Write", "ctrl+s", "success"), ChosenAnswer("no", "Close", "f10"))
+USE_STALE = (ChosenAnswer("no", "Not now", "n"), ChosenAnswer("begin", "Use this model all the same", "u", "warning"))
 """Answers if the model is out of date; the first one has the focus."""
 READING_WIDTH = 66
 """Characters per line of a text that fits into the narrowest terminal."""
@@ -42,7 +42,7 @@ def offer_again(
     text = (
         f"The run has a result that holds ({mark.words}). Nothing it rests on has changed since; what is stored stays."
     )
-    answers = (Answer("no", "Not now", "n"), Answer("begin", "Do it again", "b", "warning"))
+    answers = (ChosenAnswer("no", "Not now", "n"), ChosenAnswer("begin", "Do it again", "b", "warning"))
     screen.ask(Choice(title, text, answers), begin)
 
 
@@ -143,13 +143,13 @@ class QuitQuestion(Choice):
 def offer_to_quit(app: Host, leave: Callable[[bool], None]) -> None:
     """Ask whether to quit while a job runs; ``leave`` receives the answer."""
     if app.jobs.watched:
-        stay, quits = "Stay", Answer("leave", "Quit, it goes on", "y", "warning")
+        stay, quits = "Stay", ChosenAnswer("leave", "Quit, it goes on", "y", "warning")
         text = f"'{app.record.name}' runs in another process and goes on; its arms are not stopped."
     else:
-        stay, quits = "Continue", Answer("leave", "Stop and quit", "y", "error")
+        stay, quits = "Continue", ChosenAnswer("leave", "Stop and quit", "y", "error")
         brake = "Brake all arms, end it" if app.jobs.control.has_brakes else "End it"
         text = f"'{app.record.name}' is in progress. {brake} and quit?"
-    question = QuitQuestion("Quit?", text, (Answer("stay", stay, "n"), quits))
+    question = QuitQuestion("Quit?", text, (ChosenAnswer("stay", stay, "n"), quits))
     app.push_screen(question, lambda answer: leave(answer == "leave"))
 
 
@@ -166,6 +166,6 @@ def offer_at_rest(app: Host, arm: str) -> None:
 
             app.start_job(work.verb_job(AT_REST, AtRestRequest(folder=folder, arm=arm)))
 
-    answers = (Answer("no", "No", "n"), Answer("seen", "I see it at rest", "s", "warning"))
+    answers = (ChosenAnswer("no", "No", "n"), ChosenAnswer("seen", "I see it at rest", "s", "warning"))
     text = f"Its stop was not confirmed: {app.workspace.unseen.get(arm, '')}. Say so only if you look at it now."
     app.push_screen(Choice(f"Is arm {arm} at rest?", text, answers), record)

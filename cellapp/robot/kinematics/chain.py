@@ -350,7 +350,7 @@ def flange_poses(geometry: Geometry, q: Array) -> tuple[Array, Array]:
 
 
 def jacobian(
-    geometry: Geometry, angles: JointAngles, columns: tuple[int, ...], workspace: Workspace | None = None
+    geometry: Geometry, angles: JointAngles, columns: tuple[int, ...], workspace: ScratchSpace | None = None
 ) -> tuple[Array, Array]:
     """Compute SMR positions and their derivatives with respect to some of the parameters.
 
@@ -361,7 +361,7 @@ def jacobian(
         n configurations.
     columns : tuple of int, length k
         Indices into ``all_names``. Rotations before translations are fastest: no reordering is needed.
-    workspace : Workspace, optional
+    workspace : ScratchSpace, optional
         Memory for J and intermediate arrays; the next call with it overwrites J. New arrays if None.
 
     Returns
@@ -373,7 +373,7 @@ def jacobian(
     """
     sources = _column_sources(columns, geometry.joints)
     r, n = len(columns) - len(sources.along), angles.count
-    work = workspace or Workspace()
+    work = workspace or ScratchSpace()
     (J,) = work.arrays("J", (len(columns), 3, n))
     shapes = (3, r, n), (3, r, n), (r, n), (r, n), *_frame_shapes(geometry, n)
     axes, lever, first, second, *of_frames = work.arrays("before J", *shapes)
@@ -562,7 +562,7 @@ def _frames(geometry: Geometry, angles: JointAngles, vectors: Array, rotated: Ar
 # arithmetic that fills the Jacobian of some hundred configurations.
 
 
-class Workspace:
+class ScratchSpace:
     """Cache of uninitialised arrays by purpose and shapes. Only one computation at a time may use it."""
 
     def __init__(self) -> None:

@@ -108,7 +108,7 @@ class Arc:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class PathPart:
     """The part of a piece from arc length ``begin`` to ``end`` [m]."""
 
     whole: Piece
@@ -355,7 +355,7 @@ def cartesian_path(
         begin, end = blends[number], segment.length - blends[number + 1]
         at = corners[number]
         if end - begin > 0.0:
-            courses.append(Course(Part(segment, begin, end), number, number, (at + begin, at + end)))
+            courses.append(Course(PathPart(segment, begin, end), number, number, (at + begin, at + end)))
         if blends[number + 1] > 0.0:
             reach, corner = blends[number + 1], corners[number + 1]
             rounded = Blend.between(segment, segments[number + 1], reach)

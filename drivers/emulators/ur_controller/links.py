@@ -32,7 +32,7 @@ _MOST_UNREAD = 64
 """Chunks that are read from a client whose connection ends; a client that keeps sending is reset."""
 
 
-class Session(Protocol):
+class LinkService(Protocol):
     """Protocol handler of one connection."""
 
     def received(self, data: bytes) -> None:
@@ -43,12 +43,12 @@ class Session(Protocol):
 
 
 @dataclass(eq=False)
-class Link:
+class Peer:
     """One connection to a port."""
 
     port: Port
     socket: socket.socket
-    session: Session | None = None
+    session: LinkService | None = None
     queued: bytearray = field(default_factory=bytearray)
     closing: bool = False
     gone: bool = False
@@ -88,14 +88,14 @@ class Port:
     """
 
     def __init__(
-        self, selector: selectors.BaseSelector, host: str, number: int, open_session: Callable[[Link], Session]
+        self, selector: selectors.BaseSelector, host: str, number: int, open_session: Callable[[Peer], LinkService]
     ) -> None:
         self._selector = selector
         self.host = host
         self.number = number
         self._open_session = open_session
         self._listening: socket.socket | None = None
-        self.links: list[Link] = []
+        self.links: list[Peer] = []
         self.fault: Fault = "none"
         self.network = (0.0, 0.0)
         self._random = random.Random(number)
@@ -166,13 +166,13 @@ class Port:
         connection.setblocking(False)
         with suppress(OSError):  # some systems refuse it once the client has gone
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        link = Link(self, connection)
+        link = Peer(self, connection)
         self.links.append(link)
         self._selector.register(connection, selectors.EVENT_READ, link)
         self._update_events(link)
         link.session = self._open_session(link)
 
-    def handle(self, link: Link, events: int) -> None:
+    def handle(self, link: Peer, events: int) -> None:
         """Read and write as the selector reports."""
         if link.gone:
             return
@@ -191,7 +191,7 @@ class Port:
         if events & selectors.EVENT_WRITE and not link.gone:
             self.push(link, b"")
 
-    def pass_on(self, link: Link, data: bytes, *, received: bool) -> None:
+    def pass_on(self, link: Peer, data: bytes, *, received: bool) -> None:
         """Let a message from the client (``received``) or to it arrive after its way through the network."""
         delay_s, loss = self.network
         if not (delay_s or loss or link.travelling):
@@ -201,13 +201,13 @@ class Port:
         latest_s = link.travelling[-1][0] if link.travelling else 0.0
         link.travelling.append((max(arrives_s, latest_s), received, data))
 
-    def _arrive(self, link: Link, data: bytes, *, received: bool) -> None:
+    def _arrive(self, link: Peer, data: bytes, *, received: bool) -> None:
         if not received:
             self.push(link, data)
         elif link.session is not None:
             link.session.received(data)
 
-    def push(self, link: Link, data: bytes) -> None:
+    def push(self, link: Peer, data: bytes) -> None:
         """Queue bytes and send at once what the socket accepts."""
         if link.gone:
             return
@@ -229,7 +229,7 @@ class Port:
         if link.queued or sent < len(data) or flood:
             self._update_events(link)
 
-    def _update_events(self, link: Link) -> None:
+    def _update_events(self, link: Peer) -> None:
         """Register the selector events of a connection; a silent one is not read either, like a cut cable."""
         events = 0 if self.fault == "silent" else selectors.EVENT_READ
         if link.queued or self.fault == "flood":
@@ -242,7 +242,7 @@ class Port:
         elif registered:
             self._selector.unregister(link.socket)
 
-    def drop(self, link: Link, ending: Ending = "fin") -> None:
+    def drop(self, link: Peer, ending: Ending = "fin") -> None:
         """End a connection in an orderly way, or with a reset."""
         if link.gone:
             return

@@ -20,7 +20,7 @@ import numpy as np
 from drivers.emulators.ur_controller import dashboard, primary
 from drivers.emulators.ur_controller.control import Control, ControlSession, Emulated, execute
 from drivers.emulators.ur_controller.controller import Controller
-from drivers.emulators.ur_controller.links import Link, Port, Session
+from drivers.emulators.ur_controller.links import LinkService, Peer, Port
 from drivers.emulators.ur_controller.motion import PacedCell
 from drivers.emulators.ur_controller.personality import ControllerConfig, PortName
 from drivers.emulators.ur_controller.rtde import RtdeServer, RtdeSession
@@ -48,7 +48,7 @@ class Addresses:
 
 
 class _DashboardSession:
-    def __init__(self, arm: Controller, link: Link, received: deque[str]) -> None:
+    def __init__(self, arm: Controller, link: Peer, received: deque[str]) -> None:
         self._arm, self._link, self._log = arm, link, received
         self._received = bytearray()
         self._opened_in_remote = arm.accepts_commands
@@ -74,7 +74,7 @@ class _DashboardSession:
 class _ScriptSession:
     """Receives programs; with ``greet``, for the primary port, also sends the robot state."""
 
-    def __init__(self, arm: Controller, link: Link, *, greet: bool) -> None:
+    def __init__(self, arm: Controller, link: Peer, *, greet: bool) -> None:
         self._arm, self._upload = arm, Upload()
         if greet:
             link.send(primary.version_message(arm) + primary.first_state(arm))
@@ -93,8 +93,8 @@ class _Arm(Emulated):
     def __init__(self, controller: Controller, selector: selectors.BaseSelector) -> None:
         config = controller.config
         received: deque[str] = deque(maxlen=1000)
-        self._streams: dict[Link, RtdeSession] = {}
-        sessions: dict[PortName, Callable[[Link], Session]] = {
+        self._streams: dict[Peer, RtdeSession] = {}
+        sessions: dict[PortName, Callable[[Peer], LinkService]] = {
             "dashboard": lambda link: _DashboardSession(controller, link, received),
             "primary": lambda link: _ScriptSession(controller, link, greet=True),
             "script": lambda link: _ScriptSession(controller, link, greet=False),
@@ -108,7 +108,7 @@ class _Arm(Emulated):
         self.due_s = 0.0
         self._state_due_s = 0.0
 
-    def _open_rtde(self, link: Link) -> RtdeSession:
+    def _open_rtde(self, link: Peer) -> RtdeSession:
         session = RtdeSession(self.rtde, link.send, link.stream, lambda: link.port.drop(link))
         self._streams[link] = session
         return session
@@ -199,7 +199,7 @@ class UrControllerServer:
         self._closing = False
         self.failure: Exception | None = None
 
-    def _open_control(self, link: Link) -> ControlSession:
+    def _open_control(self, link: Peer) -> ControlSession:
         return ControlSession(link.send, lambda line: execute(line, self._arms, self.cell, time.monotonic()))
 
     # -- life --------------------------------------------------------------------------------------------------------
@@ -304,7 +304,7 @@ class UrControllerServer:
                 self._selector.unregister(stop_when_readable.fileno())
 
     def _handle(self, key: selectors.SelectorKey, events: int) -> None:
-        if isinstance(key.data, Link):
+        if isinstance(key.data, Peer):
             key.data.port.handle(key.data, events)
         elif isinstance(key.data, Port):
             key.data.accept()

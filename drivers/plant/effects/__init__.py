@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from drivers.plant.effect import Effect, Parameters
+from drivers.plant.effect import Parameters, PlantEffect
 from drivers.plant.effects.backlash import backlash
 from drivers.plant.effects.drift import base_drift, base_step, target_slip, tracker_drift
 from drivers.plant.effects.drive_lag import drive_lag
@@ -36,7 +36,7 @@ from drivers.plant.effects.uncatalogued import (
 )
 from drivers.plant.effects.unsettled_measurement import unsettled_measurement
 
-FACTORIES: Mapping[str, Callable[[Parameters], Effect]] = {
+FACTORIES: Mapping[str, Callable[[Parameters], PlantEffect]] = {
     "backlash": backlash,
     "base_drift": base_drift,
     "base_step": base_step,
@@ -74,7 +74,7 @@ FACTORIES: Mapping[str, Callable[[Parameters], Effect]] = {
 }
 
 
-def build(arm: str, joints: int, configured: Mapping[str, Mapping[str, Any]]) -> tuple[Effect, ...]:
+def build(arm: str, joints: int, configured: Mapping[str, Mapping[str, Any]]) -> tuple[PlantEffect, ...]:
     """Build the effects of one arm. Raises ``ValueError`` with the arm, the effect, the parameter and what is valid."""
     effects = []
     for name, values in configured.items():

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import NUMBER, POSITIVES, Effect, Parameters, Situation, by_law, made
+from drivers.plant.effect import NUMBER, POSITIVES, Parameters, PlantEffect, Situation, by_law, made
 from drivers.plant.mechanism import Deflection
 
 _ELEMENTS = 16
@@ -21,7 +21,7 @@ _REFERENCE_C = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Backlash(Effect):
+class TrueBacklash(PlantEffect):
     """Play operator. The memory is the position of each joint; a motion without reversal is one clipping."""
 
     half: Array
@@ -47,7 +47,7 @@ class Backlash(Effect):
 
 
 @dataclass(frozen=True, eq=False)
-class GradualPlay(Effect):
+class GradualPlay(PlantEffect):
     """Lost motion against the last step that grows with its length and saturates at ``half``.
 
     The memory is the drive's angle and the used share of the play, with the sign of the step.
@@ -109,7 +109,7 @@ class WarmPlay(GradualPlay):
 
 
 @dataclass(frozen=True, eq=False)
-class ManyPlays(Effect):
+class ManyPlays(PlantEffect):
     """Preisach-like hysteresis: many plays in parallel, of widths up to ``reach``, each with a memory of its own.
 
     Prandtl-Ishlinskii model with equal weights: the lost motion is the mean over the elements, each between -half and
@@ -154,14 +154,14 @@ def _half(parameters: Parameters, key: str) -> Array:
     return parameters.numbers(key, least=0.0) / 2.0
 
 
-def _sharp_or_gradual(parameters: Parameters) -> Effect:
+def _sharp_or_gradual(parameters: Parameters) -> PlantEffect:
     parameters.require("play", optional=("reach",))
     half = _half(parameters, "play")
     gradual = parameters.all_or_none("reach")
-    return SlippingElements(half, parameters.numbers("reach", above=0.0)) if gradual else Backlash(half)
+    return SlippingElements(half, parameters.numbers("reach", above=0.0)) if gradual else TrueBacklash(half)
 
 
-def _warm(play: Array, reach: Array, per_kelvin: float) -> Effect:
+def _warm(play: Array, reach: Array, per_kelvin: float) -> PlantEffect:
     return WarmPlay(play, reach, per_kelvin)
 
 

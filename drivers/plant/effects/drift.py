@@ -13,10 +13,10 @@ from drivers.plant.effect import (
     NUMBER,
     POSITIVE,
     VECTOR,
-    Effect,
     Factory,
     Offset,
     Parameters,
+    PlantEffect,
     Read,
     Situation,
     by_law,
@@ -30,7 +30,7 @@ _LAWS = ("linear", "exponential", "creep", "sinusoidal", "wandering")
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class DriftCourse:
     """Course of a drift over time: linear (1 at ``time``), exponential (towards 1), logarithmic creep, and others.
 
     Creep is ``log(1 + t / time)``, as of a bolted joint that settles under a constant load. A sinusoidal drift, as with
@@ -77,20 +77,20 @@ class Slip:
         return shares
 
 
-def _base_moves(situation: Situation, twist: Array, course: Course | Slip) -> Deflection:
+def _base_moves(situation: Situation, twist: Array, course: DriftCourse | Slip) -> Deflection:
     """Return the deviation of a base that drifts or slips from its pose. Sizes: 10 to 50 um in a run (an estimate)."""
     return Deflection(base=_scaled(course.share(situation.time_s), twist))
 
 
 @dataclass(frozen=True, eq=False)
-class TrackerDrift(Effect):
+class TrackerDrift(PlantEffect):
     """The tracker drifts in its own frame as it warms up, so that points at rest appear to move the opposite way.
 
     A published warm-up error is tenths of a millimetre within two hours; 10 to 40 um remain afterwards (an estimate).
     """
 
     twist: Array
-    course: Course
+    course: DriftCourse
 
     def apparent_position(self, p_M: Array, normal_M: Array, situation: Situation) -> Array:
         return transform_points(self._motion(situation), p_M)
@@ -108,17 +108,17 @@ def _seat_slips(situation: Situation, shift: Array, slip: Slip) -> Deflection:
     return Deflection(tool=np.concatenate([slipped, np.zeros_like(slipped)], axis=1))
 
 
-def _course(parameters: Parameters) -> tuple[Array, Course]:
+def _course(parameters: Parameters) -> tuple[Array, DriftCourse]:
     law = parameters.choice("law", *_LAWS)
     extra = {"sinusoidal": ("phase",), "wandering": ("seed",)}.get(law, ())
     parameters.require("shift", "turn", "law", "time", *extra)
     twist, time = np.append(parameters.numbers("shift", 3), parameters.numbers("turn", 3)), POSITIVE(parameters, "time")
     if law == "wandering":
-        return twist, Course(law, time, paths=RandomPaths.drawn(parameters.integer("seed", least=0), 6, time))
-    return twist, Course(law, time, parameters.number("phase", default=0.0))
+        return twist, DriftCourse(law, time, paths=RandomPaths.drawn(parameters.integer("seed", least=0), 6, time))
+    return twist, DriftCourse(law, time, parameters.number("phase", default=0.0))
 
 
-def base_drift(parameters: Parameters) -> Effect:
+def base_drift(parameters: Parameters) -> PlantEffect:
     """Build base drift: ``shift`` (3) [m], ``turn`` (3) [rad] in B; ``law`` and its ``time`` [s].
 
     ``law`` is linear, exponential, creep, sinusoidal (with ``phase`` [rad]) or wandering (with ``seed``).
@@ -126,12 +126,12 @@ def base_drift(parameters: Parameters) -> Effect:
     return Offset(_base_moves, dict(zip(("twist", "course"), _course(parameters), strict=True)))
 
 
-def tracker_drift(parameters: Parameters) -> Effect:
+def tracker_drift(parameters: Parameters) -> PlantEffect:
     """Build tracker drift; parameters as of ``base_drift``, in M."""
     return TrackerDrift(*_course(parameters))
 
 
-def _slips(effect: Callable[..., Effect], **sizes: Read) -> Factory:
+def _slips(effect: Callable[..., PlantEffect], **sizes: Read) -> Factory:
     """Return the factory of a slip. With ``law`` creeping, the share ``creeping`` follows with ``time_constant``."""
     creeping = made(effect, **sizes, time=NUMBER, creeping=NOT_NEGATIVE, time_constant=POSITIVE)
     return by_law(sudden=made(effect, **sizes, time=NUMBER), creeping=creeping)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import Effect, Parameters, lagging
+from drivers.plant.effect import Parameters, PlantEffect, lagging
 from drivers.plant.mechanism import Mechanism
 
 _FASTER = 8.0
@@ -15,7 +15,7 @@ _FASTER = 8.0
 
 
 @dataclass(frozen=True, eq=False)
-class DriveLag(Effect):
+class DriveLag(PlantEffect):
     """A viscous coupling with little inertia behind it: per joint (N,) a pure ``delay`` [s], then two time constants,
     the first of them ``time_constant`` [s]."""
 
@@ -30,7 +30,7 @@ class DriveLag(Effect):
         return np.asarray(late - q)
 
 
-def drive_lag(parameters: Parameters) -> Effect:
+def drive_lag(parameters: Parameters) -> PlantEffect:
     """Build drive lag. Per joint: ``time_constant`` [s]; optional ``delay`` [s]."""
     parameters.require("time_constant", optional=("delay",))
     delay = np.zeros(parameters.joints)

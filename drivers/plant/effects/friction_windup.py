@@ -8,12 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import NOT_NEGATIVES, NUMBER, POSITIVE, STIFFNESSES, Effect, Read, Situation, by_law, made
+from drivers.plant.effect import (
+    NOT_NEGATIVES,
+    NUMBER,
+    POSITIVE,
+    STIFFNESSES,
+    PlantEffect,
+    Read,
+    Situation,
+    by_law,
+    made,
+)
 from drivers.plant.mechanism import Deflection, Posture
 
 
 @dataclass(frozen=True, eq=False)
-class FrictionWindup(Effect):
+class TrueWindup(PlantEffect):
     """At rest the spring holds the friction torque ``friction + load_friction * |load|`` of the last motion.
 
     The friction acts at the joint, the encoder is at the motor. The load is gravity in the deflected posture. The
@@ -36,7 +46,7 @@ class FrictionWindup(Effect):
 
 
 @dataclass(frozen=True, eq=False)
-class StribeckWindup(FrictionWindup):
+class StribeckWindup(TrueWindup):
     """Friction that rises as the motion slows down (Stribeck): short steps, which are slow, leave more of it.
 
     The friction torque is ``1 + rise exp(-(step / short)^2)`` times that of long steps, ``short`` in rad.
@@ -53,7 +63,7 @@ class StribeckWindup(FrictionWindup):
 
 
 @dataclass(frozen=True, eq=False)
-class RootLoadWindup(FrictionWindup):
+class RootLoadWindup(TrueWindup):
     """Friction that grows with the square root of the load, as of lubricated teeth: less than proportionally.
 
     ``friction + load_friction * sqrt(|load| * typical_load)``, ``typical_load`` [Nm] per joint.
@@ -69,7 +79,7 @@ class RootLoadWindup(FrictionWindup):
 _PLAIN: Mapping[str, Read] = {**dict.fromkeys(("friction", "load_friction"), NOT_NEGATIVES), "stiffness": STIFFNESSES}
 
 friction_windup = by_law(
-    proportional=made(FrictionWindup, **_PLAIN),
+    proportional=made(TrueWindup, **_PLAIN),
     stribeck=made(StribeckWindup, **_PLAIN, rise=NUMBER, short=POSITIVE),
     root_load=made(RootLoadWindup, **_PLAIN, typical_load=NOT_NEGATIVES),
 )

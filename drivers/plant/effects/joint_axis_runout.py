@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import JOINTS, NOT_NEGATIVES, Effect, Offset
+from drivers.plant.effect import JOINTS, NOT_NEGATIVES, Offset, PlantEffect
 from drivers.plant.effects.joint_axis_wobble import waving, with_waves
 from drivers.plant.random_functions import RandomWaves
 
 
-def _runout(joints: np.ndarray, radial: Array, axial: Array, waves: tuple[RandomWaves, ...]) -> Effect:
+def _runout(joints: np.ndarray, radial: Array, axial: Array, waves: tuple[RandomWaves, ...]) -> PlantEffect:
     """Make an axis that shifts with harmonics of its own angle, across itself by ``radial`` and along itself by
     ``axial`` [m].
 

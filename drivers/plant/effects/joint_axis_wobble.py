@@ -14,10 +14,10 @@ from drivers.plant.effect import (
     NUMBERS,
     POSITIVES,
     SEED,
-    Effect,
     Factory,
     Offset,
     Parameters,
+    PlantEffect,
     Read,
     Situation,
     before_joints,
@@ -74,7 +74,7 @@ def waving(
     return before_joints(situation, joints, twists)
 
 
-def _harmonic(joints: np.ndarray, tilt: Array, waves: tuple[RandomWaves, ...]) -> Effect:
+def _harmonic(joints: np.ndarray, tilt: Array, waves: tuple[RandomWaves, ...]) -> PlantEffect:
     """Make an axis that tilts with any harmonics of its own angle, with different phases about x and y.
 
     About each of the two perpendicular axes the tilt is ``tilt`` [rad] times a sum of harmonics with random phases. One
@@ -91,11 +91,11 @@ def _shares(parameters: Parameters, key: str) -> Array:
     return parameters.numbers(key, parameters.length("harmonics"))
 
 
-def with_waves(effect: Callable[..., Effect], directions: int, **reads: Read) -> Factory:
+def with_waves(effect: Callable[..., PlantEffect], directions: int, **reads: Read) -> Factory:
     """Return the factory of an effect with ``waves`` of each joint: sums of ``harmonics`` with ``shares``, their phases
     drawn by ``seed`` in ``directions`` directions."""
 
-    def build(harmonics: Array, shares: Array, seed: int, **values: Any) -> Effect:
+    def build(harmonics: Array, shares: Array, seed: int, **values: Any) -> PlantEffect:
         rng = np.random.default_rng(seed)
         waves = [RandomWaves.drawn(rng, directions, harmonics, shares) for _ in values["joints"]]
         return effect(**values, waves=tuple(waves))

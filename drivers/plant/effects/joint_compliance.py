@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import NOT_NEGATIVES, POSITIVES, Effect, Parameters, Read, Situation, by, by_law, made
+from drivers.plant.effect import NOT_NEGATIVES, POSITIVES, Parameters, PlantEffect, Read, Situation, by, by_law, made
 from drivers.plant.mechanism import Deflection, Posture
 
 
 @dataclass(frozen=True, eq=False)
-class Springs(Effect):
+class Springs(PlantEffect):
     """Springs in equilibrium with gravity: ``angle(torque(deflected posture))``, by the ``law`` of a drive."""
 
     law: Callable[..., Array]
@@ -66,7 +66,7 @@ def _hardening(torque: Array, stiffness: Array, cubic: Array) -> Array:
     return np.asarray(2.0 * size * np.sinh(turned / 3.0))
 
 
-def _linear_or_with_knee(parameters: Parameters) -> Effect:
+def _linear_or_with_knee(parameters: Parameters) -> PlantEffect:
     parameters.require("stiffness", optional=("soft_stiffness", "knee"))
     stiffness = parameters.stiffnesses("stiffness")
     if not parameters.all_or_none("soft_stiffness", "knee"):

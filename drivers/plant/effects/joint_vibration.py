@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 
 from drivers.plant.config import Array
-from drivers.plant.effect import POSITIVES, Effect, Parameters, made
-from drivers.plant.mechanism import Bodies, Mechanism, inertia_torques
+from drivers.plant.effect import POSITIVES, Parameters, PlantEffect, made
+from drivers.plant.mechanism import Mechanism, TrueBodies, inertia_torques
 
 _BLOCK_S = 0.2
 _STIFF = 0.5
@@ -24,7 +24,7 @@ _STIFF = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class JointVibration(Effect):
+class JointVibration(PlantEffect):
     """Springs of ``stiffness`` (N,) [Nm/rad]; every mode is damped by ``damping`` of the critical one."""
 
     stiffness: Array
@@ -34,7 +34,7 @@ class JointVibration(Effect):
         step_s = float(time_s[1] - time_s[0])
         ends = np.concatenate([q[:1], q, q[-1:]])
         torque, block = inertia_torques(mechanism, ends[:-2], q, ends[2:], step_s), max(round(_BLOCK_S / step_s), 2)
-        bodies = Bodies.at(mechanism, q[block // 2 :: block])
+        bodies = TrueBodies.at(mechanism, q[block // 2 :: block])
         twist, speed, found = np.zeros(q.shape[1]), np.zeros(q.shape[1]), np.empty_like(q)
         for number, first in enumerate(range(0, len(q), block)):
             rows = slice(first, first + block)

@@ -10,9 +10,9 @@ from drivers.plant.effect import (
     POSITIVE,
     STIFFNESS,
     Bend,
-    Effect,
     Offset,
     Parameters,
+    PlantEffect,
     Situation,
     by,
     by_law,
@@ -78,7 +78,7 @@ def _frame_turns(posture: Posture, pivot: Array, compliance: Array) -> Deflectio
     return Deflection(base=np.concatenate([np.cross(turn, -pivot), turn], axis=1))
 
 
-def _frame(parameters: Parameters) -> Effect:
+def _frame(parameters: Parameters) -> PlantEffect:
     parameters.require("pivot", "direct", "cross")
     xy, xz, yz = parameters.numbers("cross", 3)
     compliance = np.diag(parameters.numbers("direct", 3, least=0.0))

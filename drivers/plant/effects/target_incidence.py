@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import NOT_NEGATIVE, NUMBER, POSITIVE, Effect, Situation, by_law, made
+from drivers.plant.effect import NOT_NEGATIVE, NUMBER, POSITIVE, PlantEffect, Situation, by_law, made
 
 
 @dataclass(frozen=True, eq=False)
-class TargetIncidence(Effect):
+class TrueIncidence(PlantEffect):
     """An error along the beam that depends on the angle of incidence, and dihedral angle errors ``dihedral``.
 
     A dihedral error deflects the returned beam, in proportion to the distance and the sine of the incidence.
@@ -35,7 +35,7 @@ class TargetIncidence(Effect):
 
 
 @dataclass(frozen=True, eq=False)
-class CoverGlass(TargetIncidence):
+class CoverGlass(TrueIncidence):
     """A glass plate of thickness d and index n before the corner cube.
 
     At incidence angle t the optical path through the plate, minus that through the same air, is
@@ -52,7 +52,7 @@ class CoverGlass(TargetIncidence):
 
 
 @dataclass(frozen=True, eq=False)
-class IncidencePower(TargetIncidence):
+class IncidencePower(TrueIncidence):
     """An error along the beam that grows with a power of the incidence t: ``size (2 sin t)^power``, size at 30 deg.
 
     A worn or tilted coating: the phase of the returned beam changes faster than a glass plate's path.

@@ -17,9 +17,9 @@ from drivers.plant.effect import (
     POSITIVE,
     POSITIVES,
     SEED,
-    Effect,
     Offset,
     Parameters,
+    PlantEffect,
     Read,
     Situation,
     by,
@@ -35,7 +35,7 @@ _REFERENCE_C = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class ThermalGrowth(Effect):
+class TrueGrowth(PlantEffect):
     """Each link is a tube heated by the joints at its ends, with a first-order lag; each housing grows with its motor.
 
     The tube's steady temperature is that of the air plus a share of the mean rise of the two joints. Aluminium:
@@ -97,7 +97,7 @@ class ThermalGrowth(Effect):
 
 
 @dataclass(frozen=True, eq=False)
-class SaturatingGrowth(ThermalGrowth):
+class SaturatingGrowth(TrueGrowth):
     """Growth that is restrained as it becomes large, as of a tube clamped in one of lower expansion.
 
     The strain is ``expansion limit tanh((T - reference) / limit)``, ``limit`` in K.
@@ -111,11 +111,11 @@ class SaturatingGrowth(ThermalGrowth):
 
 
 @dataclass(frozen=True, eq=False)
-class TwoLagGrowth(Effect):
+class TwoLagGrowth(PlantEffect):
     """Links of a thin shell and a heavy core: one part of the growth follows quickly, the rest slowly."""
 
-    quick: ThermalGrowth
-    slow: ThermalGrowth
+    quick: TrueGrowth
+    slow: TrueGrowth
 
     def initial_memory(self, q: Array) -> Array | None:
         return np.full((2, *q.shape), np.nan)
@@ -138,8 +138,8 @@ def _stacked(memories: Sequence[Array | None]) -> Array:
     return np.stack([memory for memory in memories if memory is not None])
 
 
-def _two_lags(slow_lag: float, slow_share: float, **plain: Any) -> Effect:
-    growth = ThermalGrowth(**plain)
+def _two_lags(slow_lag: float, slow_share: float, **plain: Any) -> PlantEffect:
+    growth = TrueGrowth(**plain)
     slow = replace(growth, expansion=slow_share * growth.expansion, lag=slow_lag, motor=0.0)
     return TwoLagGrowth(replace(growth, expansion=(1.0 - slow_share) * growth.expansion), slow)
 
@@ -156,7 +156,7 @@ _MORE: Mapping[str, Read] = {"motor": partial(NUMBER, default=0.0), **_REFERENCE
 _GROWTH: Mapping[str, Read] = {"expansion": NOT_NEGATIVE, "share": _share, "lag": POSITIVE}
 
 thermal_growth = by_law(
-    lag=made(ThermalGrowth, _MORE, **_GROWTH),
+    lag=made(TrueGrowth, _MORE, **_GROWTH),
     two_lags=made(_two_lags, _MORE, **_GROWTH, slow_lag=POSITIVE, slow_share=NOT_NEGATIVE),
     saturating=made(SaturatingGrowth, _MORE, **_GROWTH, limit=POSITIVE),
 )
@@ -187,13 +187,13 @@ def _wandering_zeros(situation: Situation, drift: Array, paths: RandomPaths) -> 
     return Deflection(joints=drift * paths.at(np.maximum(situation.time_s, 0.0)))
 
 
-def _warm_up_or_bracket(parameters: Parameters) -> Effect:
+def _warm_up_or_bracket(parameters: Parameters) -> PlantEffect:
     if parameters.all_or_none("per_kelvin"):
         return made(by(Offset, _bracket), _REFERENCE, per_kelvin=NUMBERS)(parameters)
     return made(by(Offset, _warm_up), drift=NUMBERS, time_constant=POSITIVES)(parameters)
 
 
-def _wandering(drift: Array, time: float, seed: int) -> Effect:
+def _wandering(drift: Array, time: float, seed: int) -> PlantEffect:
     return Offset(_wandering_zeros, {"drift": drift, "paths": RandomPaths.drawn(seed, len(drift), time)})
 
 

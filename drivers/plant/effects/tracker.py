@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import NUMBER, POSITIVE, Apparent, Effect, Parameters, Read, Situation, by, by_law, made
+from drivers.plant.effect import NUMBER, POSITIVE, Apparent, Parameters, PlantEffect, Read, Situation, by, by_law, made
 from drivers.plant.effects.transmission_error import cardan
 
 _REFERENCE_C = 20.0
@@ -56,7 +56,7 @@ class Circle:
 
 
 @dataclass(frozen=True, eq=False)
-class TrackerAngleError(Effect):
+class TrueAngleError(PlantEffect):
     """Eccentric and inclined circles, and a transit axis that is not perpendicular to the standing axis.
 
     With the transit axis inclined by t, the beam at elevation e of its circle points to
@@ -89,7 +89,7 @@ With ``law`` air also ``per_kelvin`` [ppm/K], by which it changes with the air t
 """
 
 
-def _offset(offset: float, length: float = 0.0) -> Effect:
+def _offset(offset: float, length: float = 0.0) -> PlantEffect:
     return Apparent(_farther, {"offset_m": offset, "length": length})
 
 
@@ -124,9 +124,9 @@ def _harmonics(parameters: Parameters, key: str) -> tuple[tuple[float, float, fl
 _CIRCLES: Mapping[str, Read] = {"azimuth": _circle, "elevation": _circle, "transit": _transit}
 
 tracker_angle_error = by_law(
-    two=made(TrackerAngleError, **_CIRCLES),
+    two=made(TrueAngleError, **_CIRCLES),
     higher=made(
-        lambda azimuth, elevation, transit, azimuth_higher, elevation_higher: TrackerAngleError(
+        lambda azimuth, elevation, transit, azimuth_higher, elevation_higher: TrueAngleError(
             replace(azimuth, higher=azimuth_higher), replace(elevation, higher=elevation_higher), transit
         ),
         **_CIRCLES,

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import JOINTS, NUMBERS, Effect, Factory, Offset, Parameters, Situation, made, on_joints
+from drivers.plant.effect import JOINTS, NUMBERS, Factory, Offset, Parameters, PlantEffect, Situation, made, on_joints
 from drivers.plant.mechanism import Deflection
 
 
@@ -23,7 +23,7 @@ def cardan(angle: Array, slant: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class StrainWaveGear(Effect):
+class StrainWaveGear(PlantEffect):
     """Motor, coupling, wave generator, gear of ratio N and output flange, each with a periodic error.
 
     The motor is at N times the reported angle. The coupling to the wave generator is eccentric by a fraction of its
@@ -72,7 +72,7 @@ def _error_curve(situation: Situation, joints: np.ndarray, curves: Array) -> Def
 
 
 @dataclass(frozen=True, eq=False)
-class MeshingGears(Effect):
+class MeshingGears(PlantEffect):
     """Lines of two gear stages; the output's run-out modulates the amplitude of the first.
 
     The generator's line of ``ratio`` cycles per revolution has the amplitude ``line (1 + depth cos(q + depth_phase))``,
@@ -119,7 +119,7 @@ def _below_one(parameters: Parameters, key: str) -> Array:
     return values
 
 
-def _curve(parameters: Parameters) -> Effect:
+def _curve(parameters: Parameters) -> PlantEffect:
     parameters.require("joints", "rms", "seed", "lowest", "highest")
     joints = parameters.joint_numbers("joints")
     lowest, highest = parameters.integer("lowest", least=2), parameters.integer("highest", least=2)
@@ -144,7 +144,7 @@ _MODES: Mapping[str, Factory] = {
 }
 
 
-def transmission_error(parameters: Parameters) -> Effect:
+def transmission_error(parameters: Parameters) -> PlantEffect:
     """Build transmission error. ``mode`` lines, curve or meshing, ``joints``: numbers from 1.
 
     lines: for each joint ``ratio``; ``eccentric`` [m/m] and ``coupling_slant`` [rad] of the wave generator's coupling,

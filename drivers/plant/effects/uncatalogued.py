@@ -14,9 +14,9 @@ from drivers.plant.effect import (
     SEED,
     VECTOR,
     Apparent,
-    Effect,
     Offset,
     Parameters,
+    PlantEffect,
     Situation,
     by,
     made,
@@ -87,7 +87,7 @@ def _coupled(
     return on_joints(situation, joint, amplitude * np.sin(angles).prod(axis=1))
 
 
-def _dress_pack(torque: float, stiffness: float, **values: float) -> Effect:
+def _dress_pack(torque: float, stiffness: float, **values: float) -> PlantEffect:
     return Offset(_hose, {"joint": 0, "angle": torque / stiffness, **values})
 
 
@@ -100,7 +100,7 @@ dress_pack = of_arms(
 ``width``."""
 
 
-def _elbow_hose(angle: float, share: float, centre: float, width: float) -> Effect:
+def _elbow_hose(angle: float, share: float, centre: float, width: float) -> PlantEffect:
     own = {"joint": 2, "angle": angle, "first": 1.0, "second": share}
     return Offset(_hose, {**own, "centre": centre, "width": width})
 
@@ -132,7 +132,7 @@ warm_floor = made(by(Offset, _warm_floor), per_kelvin=VECTOR)
 """``per_kelvin`` (3) [m/K] in B."""
 
 
-def _workspace_field(rms: float, length: float, seed: int) -> Effect:
+def _workspace_field(rms: float, length: float, seed: int) -> PlantEffect:
     return Apparent(_shifted, {"rms": rms, "field": RandomField.drawn(seed, length)})
 
 
@@ -140,7 +140,7 @@ workspace_field = made(_workspace_field, rms=NOT_NEGATIVE, length=POSITIVE, seed
 """``rms`` [m] of the shift, its correlation ``length`` [m] and ``seed``."""
 
 
-def joint_coupling(parameters: Parameters) -> Effect:
+def joint_coupling(parameters: Parameters) -> PlantEffect:
     """Build a coupling: ``joint``, ``first``, ``second`` (from 1), ``amplitude`` [rad], ``phases``, ``orders``."""
     parameters.require("joint", "first", "second", "amplitude", "phases", "orders")
     joint, first, second = (int(parameters.number(key)) for key in ("joint", "first", "second"))

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.plant.config import Array
-from drivers.plant.effect import NOT_NEGATIVE, NUMBERS, POSITIVE, POSITIVES, Effect, Read, Situation, by_law, made
+from drivers.plant.effect import NOT_NEGATIVE, NUMBERS, POSITIVE, POSITIVES, PlantEffect, Read, Situation, by_law, made
 from drivers.plant.mechanism import Deflection
 
 
 @dataclass(frozen=True, eq=False)
-class UnsettledMeasurement(Effect):
+class TrueSettling(PlantEffect):
     """A spring and a damper in parallel behind the drive (Kelvin-Voigt).
 
     At the end of a step the joint lags by ``fraction`` of it; the lag decays while the arm rests. During motion the
@@ -32,7 +32,7 @@ class UnsettledMeasurement(Effect):
 
 
 @dataclass(frozen=True, eq=False)
-class TwoRateSettling(UnsettledMeasurement):
+class TwoRateSettling(TrueSettling):
     """Two Kelvin-Voigt elements in series, a quick and a slow one; ``slow_share`` of the lag decays slowly."""
 
     slow_time_constant: Array
@@ -44,7 +44,7 @@ class TwoRateSettling(UnsettledMeasurement):
 
 
 @dataclass(frozen=True, eq=False)
-class PowerSettling(UnsettledMeasurement):
+class PowerSettling(TrueSettling):
     """Creep of lubricant or polymer: the lag decays with a power of time, ``(1 + t / time_constant)^-power``."""
 
     power: float
@@ -56,7 +56,7 @@ class PowerSettling(UnsettledMeasurement):
 _PLAIN: Mapping[str, Read] = {"fraction": NUMBERS, "time_constant": POSITIVES}
 
 unsettled_measurement = by_law(
-    exponential=made(UnsettledMeasurement, **_PLAIN),
+    exponential=made(TrueSettling, **_PLAIN),
     two_rates=made(TwoRateSettling, **_PLAIN, slow_time_constant=POSITIVES, slow_share=NOT_NEGATIVE),
     power=made(PowerSettling, **_PLAIN, power=POSITIVE),
 )

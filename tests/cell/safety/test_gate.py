@@ -31,7 +31,7 @@ from cellapp.cell.safety.gate import (
     visible,
     visible_stops,
 )
-from cellapp.cell.safety.shapes import Cylinder, Obstacle, RoundedBox, Shape
+from cellapp.cell.safety.shapes import Cylinder, ObstacleBody, RoundedBox, Shape
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, CapsuleObstacle, CylinderObstacle, Placement, SphereObstacle
@@ -343,8 +343,8 @@ def changed(arm: ArmBodies, **changes: Any) -> CellBodies:
     return dataclasses.replace(cell, arms={**cell.arms, "a": dataclasses.replace(arm, **changes)})
 
 
-def box(position: list[float], size: float) -> Obstacle:
-    return Obstacle("pillar", RoundedBox(np.full(3, 0.5 * size)), transform(np.eye(3), position))
+def box(position: list[float], size: float) -> ObstacleBody:
+    return ObstacleBody("pillar", RoundedBox(np.full(3, 0.5 * size)), transform(np.eye(3), position))
 
 
 def moved(**changes: Any) -> CellBodies:
@@ -391,7 +391,7 @@ def test_the_other_arm_in_the_beam_is_named() -> None:
 
 
 def test_a_mounted_obstacle_is_named() -> None:
-    cap = Obstacle("cap", RoundedBox(np.full(3, 0.02)), transform(np.eye(3), [0.1, 0.0, 0.0]))
+    cap = ObstacleBody("cap", RoundedBox(np.full(3, 0.02)), transform(np.eye(3), [0.1, 0.0, 0.0]))
     assert "mounted beside the SMR" in hidden_words(changed(turnstile(0.0), mounted=(cap,)), SEEN)
 
 
@@ -452,7 +452,7 @@ def test_distances_are_those_of_the_library(name: str) -> None:
     coal = pytest.importorskip("coal")
     rng = np.random.default_rng(len(name))
     solid = coal_shape(name)
-    obstacle = Obstacle(name, SHAPES[name], random_pose(rng))
+    obstacle = ObstacleBody(name, SHAPES[name], random_pose(rng))
     start, end = random_segments(rng, 400)
     start, end = apply(obstacle.pose, start), apply(obstacle.pose, end)
     radius = rng.uniform(0.01, 0.1, len(start))
@@ -505,7 +505,7 @@ def surface(shape: Shape, rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("name", SHAPES)
 def test_covers_contain_the_solid_and_reach_out_no_farther_than_they_say(name: str) -> None:
     rng = np.random.default_rng(4)
-    obstacle = Obstacle(name, SHAPES[name], random_pose(rng))
+    obstacle = ObstacleBody(name, SHAPES[name], random_pose(rng))
     found = cover(obstacle)
     points = apply(obstacle.pose, surface(SHAPES[name], rng))[:, None]
     assert len(points) > 500
@@ -525,12 +525,12 @@ def test_covers_contain_the_solid_and_reach_out_no_farther_than_they_say(name: s
 # -- the gate ---------------------------------------------------------------------------------------------------------
 
 
-def post(x: float, y: float, radius: float = 0.05) -> Obstacle:
+def post(x: float, y: float, radius: float = 0.05) -> ObstacleBody:
     """A post through the plane in which the bars turn."""
-    return Obstacle("post", Cylinder(radius, 1.0), transform(np.eye(3), [x, y, 0.0]))
+    return ObstacleBody("post", Cylinder(radius, 1.0), transform(np.eye(3), [x, y, 0.0]))
 
 
-def turning(*obstacles: Obstacle, clearance: float = 0.1) -> CellBodies:
+def turning(*obstacles: ObstacleBody, clearance: float = 0.1) -> CellBodies:
     """A bar of 1 m that turns about the origin among obstacles."""
     return CellBodies({"a": turnstile(0.0)}, None, clearance, -1.0, math.inf, obstacles)
 
@@ -549,7 +549,7 @@ def test_a_refusal_names_the_obstacle_and_says_by_how_much() -> None:
 
 def test_a_larger_clearance_never_admits_more() -> None:
     rng = np.random.default_rng(5)
-    obstacles = [Obstacle(name, shape, random_pose(rng)) for name, shape in SHAPES.items()]
+    obstacles = [ObstacleBody(name, shape, random_pose(rng)) for name, shape in SHAPES.items()]
     ways = rng.uniform(-math.pi, math.pi, (40, 2))
     admitted = [
         [
@@ -664,7 +664,7 @@ def test_an_obstacle_in_the_beam_hides_the_smr() -> None:
     smr = place(bare.arms["left"], q).smr
     wall = RoundedBox(np.array([0.01, 0.4, 0.4]))
     middle = 0.5 * (head + smr.mean(axis=0))
-    cell = dataclasses.replace(bare, obstacles=(Obstacle("screen", wall, transform(np.eye(3), middle)),))
+    cell = dataclasses.replace(bare, obstacles=(ObstacleBody("screen", wall, transform(np.eye(3), middle)),))
     seen = visible(cell, "left", q)
     share = (middle[0] - head[0]) / (smr[:, 0] - head[0])
     crossing = head + share[:, None] * (smr - head)

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from cellapp.robot.kinematics.chain import parameter_names, smr_positions
-from drivers.plant import ArmConfig, CapsuleConfig, GeometryErrors, Plant
+from drivers.plant import ArmConfig, CapsuleConfig, Plant, TrueErrors
 from drivers.plant.clearance import segment_distances
 from drivers.plant.mechanism import nominal, with_errors
 from drivers.plant.transforms import across, inverse, quaternion, rigid, transform_points
@@ -47,7 +47,7 @@ def test_a_perfect_cell_is_its_dh_chain(make_arm, make_config, make_plant, dh_sm
 
 def test_each_axis_is_displaced_and_tilted_by_the_configured_sizes(make_arm):
     drawn = nominal(make_arm())
-    errors = GeometryErrors(length=3e-4, angle=1e-3, smr=2e-3)
+    errors = TrueErrors(length=3e-4, angle=1e-3, smr=2e-3)
     cells = [with_errors(drawn, errors, np.random.default_rng(seed)) for seed in range(400)]
     shift = np.array([cell.points for cell in cells]) - drawn.points
     assert np.abs((shift * drawn.directions).sum(axis=-1)).max() < 1e-18
@@ -62,7 +62,7 @@ def test_each_axis_is_displaced_and_tilted_by_the_configured_sizes(make_arm):
 
 
 def test_base_errors_have_the_configured_sizes(make_arm, make_plant):
-    errors = GeometryErrors(base_length=5e-3, base_angle=4e-3)
+    errors = TrueErrors(base_length=5e-3, base_angle=4e-3)
     arm = make_arm()
     off = [inverse(arm.T_C_B) @ make_plant(arm, seed=s, errors=errors).true_T_C_B("left") for s in range(300)]
     assert np.std([pose[:3, 3] for pose in off]) == pytest.approx(5e-3, rel=0.12)
@@ -71,7 +71,7 @@ def test_base_errors_have_the_configured_sizes(make_arm, make_plant):
 
 
 def test_the_seed_alone_decides_the_cell(make_arm, make_plant):
-    errors = GeometryErrors(3e-4, 1e-3, 5e-3, 5e-3, 1e-3)
+    errors = TrueErrors(3e-4, 1e-3, 5e-3, 5e-3, 1e-3)
     q = np.random.default_rng(0).uniform(-3, 3, (10, 6))
     first = make_plant(seed=5, errors=errors).smr_positions("left", q)
     assert np.array_equal(first, make_plant(seed=5, errors=errors).smr_positions("left", q))
@@ -81,11 +81,11 @@ def test_the_seed_alone_decides_the_cell(make_arm, make_plant):
 def test_a_second_arm_or_another_size_changes_no_other_draw(make_arm, make_plant):
     left, right = make_arm(), make_arm("ur5", "right", 1.2)
     q = np.random.default_rng(0).uniform(-3, 3, (10, 6))
-    errors = GeometryErrors(length=3e-4, angle=1e-3)
+    errors = TrueErrors(length=3e-4, angle=1e-3)
     alone = make_plant(left, errors=errors).smr_positions("left", q)
     assert np.array_equal(alone, make_plant(left, right, errors=errors).smr_positions("left", q))
-    offset = make_plant(left, errors=GeometryErrors(smr=1e-3)).true_mechanism("left").smr
-    both = make_plant(left, errors=GeometryErrors(length=1e-2, smr=1e-3)).true_mechanism("left").smr
+    offset = make_plant(left, errors=TrueErrors(smr=1e-3)).true_mechanism("left").smr
+    both = make_plant(left, errors=TrueErrors(length=1e-2, smr=1e-3)).true_mechanism("left").smr
     assert np.array_equal(offset, both)
 
 

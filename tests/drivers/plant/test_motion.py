@@ -11,8 +11,8 @@ from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.profile import load_profile
 from drivers.arms.simulated import SimulatedArm
 from drivers.plant import Plant
-from drivers.plant.mechanism import Bodies, inertia_torques
-from drivers.plant.motion import Motion, travel
+from drivers.plant.mechanism import TrueBodies, inertia_torques
+from drivers.plant.motion import PlantMotion, travel
 from drivers.plant.servo import LOOKAHEAD_S
 from drivers.plant.sweep import Recorder, SweepRecord, record_sweep, recorder_of
 from drivers.plant.transforms import rigid, transform_points
@@ -23,17 +23,17 @@ from tests.twin import PROFILES, small_twin
 START, END = np.array([0.0, 1.0]), np.array([2.0, 0.0])
 
 
-def motion() -> Motion:
+def motion() -> PlantMotion:
     made = travel(10.0, START, END, np.full(2, 1.0), np.full(2, 2.0))
     assert made is not None
     return made
 
 
-def at(moved: Motion, time_s: float) -> np.ndarray:
+def at(moved: PlantMotion, time_s: float) -> np.ndarray:
     return moved.position(np.array([time_s]))[0]
 
 
-def speed(moved: Motion, time_s: float) -> np.ndarray:
+def speed(moved: PlantMotion, time_s: float) -> np.ndarray:
     return moved.velocity(np.array([time_s]))[0]
 
 
@@ -230,15 +230,15 @@ def test_inertia_is_that_of_virtual_work():
     mechanism, rng, h = plant_with({}).true_mechanism("left"), np.random.default_rng(1), 1e-3
     q, qd, qdd = rng.uniform(-1.0, 1.0, (3, 5, 6))
     before, after = (q + sign * h * qd + 0.5 * h * h * qdd for sign in (-1.0, 1.0))
-    centers = [Bodies.at(mechanism, at).centers for at in (before, q, after)]
+    centers = [TrueBodies.at(mechanism, at).centers for at in (before, q, after)]
     acceleration = (centers[0] - 2.0 * centers[1] + centers[2]) / h**2
     found = inertia_torques(mechanism, before, q, after, h)
-    masses = Bodies.at(mechanism, q).masses
+    masses = TrueBodies.at(mechanism, q).masses
     for joint in range(6):
         by = 1e-5 * np.eye(6)[joint]
-        moved = (Bodies.at(mechanism, q + by).centers - Bodies.at(mechanism, q - by).centers) / 2e-5
+        moved = (TrueBodies.at(mechanism, q + by).centers - TrueBodies.at(mechanism, q - by).centers) / 2e-5
         work = -np.einsum("k,knx,knx->n", masses, acceleration, moved)
-        own = Bodies.at(mechanism, q).own[joint] * qdd[:, joint]
+        own = TrueBodies.at(mechanism, q).own[joint] * qdd[:, joint]
         np.testing.assert_allclose(found[:, joint], work - own, atol=1e-4)
 
 
@@ -253,7 +253,7 @@ def struck(plant: Plant) -> SweepRecord:
 def test_a_struck_arm_swings_at_its_natural_frequency_and_comes_to_rest():
     stiffness = [9e4, 6e4, 3.5e4, 1.2e4, 1.2e4, 1.2e4]
     plant = plant_with({"joint_vibration": {"stiffness": stiffness, "damping": 0.04}})
-    mass = Bodies.at(plant.true_mechanism("left"), plant.q("left")[None]).mass_matrix(0)
+    mass = TrueBodies.at(plant.true_mechanism("left"), plant.q("left")[None]).mass_matrix(0)
     first_hz = np.sqrt(eigh(np.diag(stiffness), mass, eigvals_only=True)[0]) / (2.0 * np.pi)
     record = struck(plant)
     still = record.joint_time_s[-1] - 3.0  # the command ended half a second before

@@ -19,7 +19,7 @@ from drivers.emulators.tracker_bridge import FAULTS, TrackerBridgeEmulator
 from drivers.trackers.bridge import BridgeTracker
 from drivers.trackers.bridge_links import Link
 from drivers.trackers.bridge_server import Reply, TrackerService
-from drivers.trackers.bridge_wire import Line
+from drivers.trackers.bridge_wire import WireLine
 from drivers.trackers.imperfections import Imperfections
 from drivers.trackers.lmf import LmfTracker
 from drivers.trackers.lmf_settings import LmfSettings
@@ -492,7 +492,7 @@ class Service(TrackerService):
         else:
             spoil(self, link, sequence)
 
-    def _dispatch(self, link: Link, line: Line) -> None:
+    def _dispatch(self, link: Link, line: WireLine) -> None:
         if self.old and line.word == "confirm":
             self._error(link, line.sequence, "unknown-command", "unknown command 'confirm'")
         else:

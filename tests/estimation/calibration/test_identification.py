@@ -38,7 +38,7 @@ from cellapp.robot.kinematics.chain import (
 from cellapp.robot.kinematics.transforms import Array, rotation_from_vector, transform
 from cellapp.robot.model import CellModel
 from cellapp.robot.model.nominal import nominal_arm
-from drivers.plant import GeometryErrors
+from drivers.plant import TrueErrors
 from tests.arms import HALF_TURN, OFF_AXIS, ON_AXIS, SEVEN, UR5, UR10, at_station, dh, plant_of, true_geometry
 from tests.series import series
 from tests.twin import PROFILES, with_arm
@@ -171,7 +171,7 @@ def test_too_few_readings_are_refused_with_the_number_needed():
 def test_the_noise_free_plant_is_fitted_to_below_a_nanometre():
     # the truth is lines in space displaced and tilted, not a table: the model must be complete
     for seed in range(3):
-        plant = plant_of(UR5, OFF_AXIS, errors=GeometryErrors(0.3e-3, 1e-3, 5e-3, 5e-3, 1e-3), seed=seed)
+        plant = plant_of(UR5, OFF_AXIS, errors=TrueErrors(0.3e-3, 1e-3, 5e-3, 5e-3, 1e-3), seed=seed)
         q = np.random.default_rng(seed).uniform(-3, 3, (120, 6))
         p_M = plant.smr_positions("arm", q)
         start = start_from_nominal(nominal_geometry(UR5, OFF_AXIS), q, p_M, tool_unknown=False)

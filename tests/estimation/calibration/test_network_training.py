@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from cellapp.estimation.calibration import learning
-from cellapp.estimation.calibration.learning import Shape, candidate_shapes, learn, require_learner, train_network
+from cellapp.estimation.calibration.learning import NetForm, candidate_shapes, learn, require_learner, train_network
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
 from cellapp.ground.progress import Cancelled, CancelToken, JobSteps
 from cellapp.robot.model.model import network_from_json, network_to_json, rotate_about_z
 
 QUICK = Network(iterations=80)
-SMALL = (Shape("sincos", 6), Shape("sincos", 6, rotates_with_joint_1=True))
+SMALL = (NetForm("sincos", 6), NetForm("sincos", 6, rotates_with_joint_1=True))
 
 
 def bend(q):

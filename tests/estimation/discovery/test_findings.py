@@ -23,7 +23,7 @@ from cellapp.estimation.discovery.records import (
     Place,
     RunnerUp,
 )
-from cellapp.estimation.discovery.search.state import Scatter
+from cellapp.estimation.discovery.search.state import FitScatter
 from cellapp.estimation.discovery.verdict import CHANCE, remaining_structure, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm, Wave, joint_column
@@ -34,8 +34,8 @@ from tests.arms import STATION
 from tests.estimation.discovery.problems import arm_of
 from tests.twin import PROFILES
 
-NOISE = Scatter(1.0, 0.5)
-FAR_ABOVE = Scatter(3.0, 0.0)
+NOISE = FitScatter(1.0, 0.5)
+FAR_ABOVE = FitScatter(3.0, 0.0)
 NONE = remaining_structure({"joints": 0.4, "time": 0.2}, CHANCE)
 STRUCTURE = remaining_structure({"joints": 0.4, "time": 1e-6}, CHANCE)
 UNTESTED = remaining_structure({}, CHANCE)
@@ -61,16 +61,16 @@ def errors(after_mm: float) -> BeforeAfter:
     ("effects", "after_mm", "scatter", "structure", "word"),
     [
         ([], 0.1, NOISE, NONE, "nothing missing"),
-        ([], 0.12, Scatter(1.2, 0.0), NONE, "nothing missing"),
-        ([], 0.12, Scatter(1.2, 0.0), STRUCTURE, "unknown effect"),
+        ([], 0.12, FitScatter(1.2, 0.0), NONE, "nothing missing"),
+        ([], 0.12, FitScatter(1.2, 0.0), STRUCTURE, "unknown effect"),
         ([], 0.3, FAR_ABOVE, NONE, "nothing missing"),
         ([], 0.3, FAR_ABOVE, UNTESTED, "nothing missing"),
-        ([], 0.6, Scatter(6.0, 0.0), NONE, "unknown effect"),
+        ([], 0.6, FitScatter(6.0, 0.0), NONE, "unknown effect"),
         ([], 0.3, None, NONE, "nothing missing"),
         ([], 0.3, None, STRUCTURE, "unknown effect"),
         ([accepted()], 0.1, NOISE, NONE, "explained"),
-        ([accepted()], 0.12, Scatter(1.2, 0.5), STRUCTURE, "explained"),
-        ([accepted()], 0.12, Scatter(1.02, 0.0), STRUCTURE, "explained"),
+        ([accepted()], 0.12, FitScatter(1.2, 0.5), STRUCTURE, "explained"),
+        ([accepted()], 0.12, FitScatter(1.02, 0.0), STRUCTURE, "explained"),
         ([accepted()], 0.16, NOISE, NONE, "unknown effect"),
         ([accepted()], 1.0, None, NONE, "unknown effect"),
         ([accepted()], 0.1, NOISE, STRUCTURE, "explained"),
@@ -92,12 +92,12 @@ def test_the_verdict_follows_from_effects_rivals_and_what_is_left(effects, after
 
 
 def test_a_scatter_is_not_compared_with_a_stated_uncertainty_that_it_contradicts() -> None:
-    _, sentence = verdict([], 0.1, errors(0.3), 100, Scatter(1.9, 0.0, "estimated"), NONE)
+    _, sentence = verdict([], 0.1, errors(0.3), 100, FitScatter(1.9, 0.0, "estimated"), NONE)
     assert "readings scatter 1.90 times as estimated but without structure" in sentence
 
 
 def test_readings_that_are_too_few_for_a_search_do_not_say_that_nothing_is_missing() -> None:
-    found, sentence = verdict([], 0.1, errors(1.3), 10, Scatter(50.0, 0.0), UNTESTED)
+    found, sentence = verdict([], 0.1, errors(1.3), 10, FitScatter(50.0, 0.0), UNTESTED)
     assert found == "unknown effect"
     assert "scatter 50 times as stated and are too few to look for effects" in sentence
 

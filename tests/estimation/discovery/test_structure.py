@@ -28,13 +28,13 @@ from cellapp.estimation.discovery.joint_fit import (
     cross_validated_gain,
     fit_terms,
 )
-from cellapp.estimation.discovery.plan_forecast import ArmDesign, PlannedReadings, arm_designs, planned_effects
+from cellapp.estimation.discovery.plan_forecast import ForecastDesign, PlannedReadings, arm_designs, planned_effects
 from cellapp.estimation.discovery.process import (
     CURVE_LENGTHS,
     Component,
-    Evidence,
     Hyperparameters,
     ProcessData,
+    ProcessEvidence,
     first_guess,
     fit_process,
     most_evident,
@@ -182,14 +182,14 @@ STOPS = 60
 
 
 @pytest.fixture(scope="module")
-def design() -> ArmDesign:
+def design() -> ForecastDesign:
     profile = small_twin(STOPS)
     expected = PlannedReadings(np.linspace(0.0, 8.0 * STOPS, STOPS), np.full(STOPS, 0.2))
     return arm_designs(profile, plan_stops(profile), expected)["left"]
 
 
 @pytest.mark.parametrize("slug", ["backlash", "encoder_eccentricity", "joint_compliance"])
-def test_an_effect_of_twice_the_promised_size_scores_and_of_a_fifth_does_not(slug: str, design: ArmDesign) -> None:
+def test_an_effect_of_twice_the_promised_size_scores_and_of_a_fifth_does_not(slug: str, design: ForecastDesign) -> None:
     promised = next(one for one in planned_effects(design) if one.effect == slug)
     name, size = next(iter(promised.smallest_seen.items()))
     fit = fit_terms(design.data, ())
@@ -378,7 +378,7 @@ def test_it_is_the_marginal_likelihood_of_the_readings():
     dense = multivariate_normal(np.zeros(N), (X * variance) @ X.T + TRUE.noise * np.eye(N))
     wanted = dense.logpdf(y) + 0.5 * N * math.log(2.0 * math.pi)
     # columns whose prior is below a thousandth of the noise are left out
-    found = Evidence.of(gathered(parts, y), variance, TRUE.noise)
+    found = ProcessEvidence.of(gathered(parts, y), variance, TRUE.noise)
     assert found is not None
     assert found.value == pytest.approx(wanted, abs=0.02)
 

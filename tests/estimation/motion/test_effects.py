@@ -20,7 +20,7 @@ from cellapp.estimation.motion.laws import JointTerm, Law, joint_path, of_all_jo
 from cellapp.estimation.motion.steps import State, Step, effects_of
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.estimation.readings import Readings
-from cellapp.ground.profile import Discovery
+from cellapp.ground.profile import DiscoverySettings
 from cellapp.ground.threads import one_blas_thread
 from cellapp.robot.effects import EFFECTS, EffectContext, Linear, MeasurementConditions, motion_laws, own_law
 from cellapp.robot.effects.effect import displacement
@@ -213,7 +213,7 @@ def test_an_arm_that_rests_after_a_gap_shows_no_side_until_it_moves():
 
 PROFILE = load_profile(Path(__file__).parents[3] / "profiles" / "ur10-real.yaml")
 QUICK = PROFILE.model_copy(
-    update={"discovery": Discovery(null_simulations=20, folds=2, false_alarm=0.05, network="never")}
+    update={"discovery": DiscoverySettings(null_simulations=20, folds=2, false_alarm=0.05, network="never")}
 )
 """With a short search of the samples: what recordings show is searched as ever."""
 

@@ -17,7 +17,7 @@ from cellapp.estimation.uncertainty.budget import (
     REPEATABILITY,
     STATION,
     TRACKER,
-    Evidence,
+    BudgetEvidence,
     MeasuredConditions,
     angle_budget,
     combined_mm,
@@ -86,7 +86,7 @@ def test_half_of_the_permissible_error_is_a_choice_and_is_stated() -> None:
 
 def test_what_nobody_gave_has_no_value_and_says_which_key_gives_it() -> None:
     profile = profile_with({}, {"smr_centering": None, "air_temperature_uncertainty": None})
-    budget = position_budget(profile, "left", Evidence())
+    budget = position_budget(profile, "left", BudgetEvidence())
     by_name = {one.source: one for one in budget}
     assert set(not_given(budget)) == {TRACKER, CENTERING, AIR, REPEATABILITY, MODEL}
     assert "traceability.smr_centering" in by_name[CENTERING].basis

@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 from cellapp.ground.control import Request
-from cellapp.interfaces.cli.job import Job
+from cellapp.interfaces.cli.job import CommandJob
 from cellapp.interfaces.cli.program import run_program
 
 
@@ -24,14 +24,14 @@ def say(line: str) -> None:
     sys.stdout.flush()
 
 
-def spin(job: Job) -> None:
+def spin(job: CommandJob) -> None:
     """Pure Python: the main thread gives the interpreter lock away only when asked."""
     for number in itertools.count():
         if number % 1000 == 0:
             job.control.check()
 
 
-def multiply(job: Job) -> None:
+def multiply(job: CommandJob) -> None:
     """Long calls of numpy."""
     matrix = np.ones((1200, 1200))
     while True:
@@ -40,7 +40,7 @@ def multiply(job: Job) -> None:
             matrix @ matrix
 
 
-def query(job: Job) -> None:
+def query(job: CommandJob) -> None:
     """Long calls of SQLite."""
     connection = sqlite3.connect(":memory:")
     endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n LIMIT 5000000) SELECT max(i) FROM n"
@@ -49,7 +49,7 @@ def query(job: Job) -> None:
         connection.execute(endless).fetchone()
 
 
-def receive(job: Job) -> None:
+def receive(job: CommandJob) -> None:
     """A socket that nobody writes to."""
     silent, _other = socket.socketpair()
     silent.settimeout(2.0)
@@ -61,13 +61,13 @@ def receive(job: Job) -> None:
             continue
 
 
-def persist(job: Job) -> None:
+def persist(job: CommandJob) -> None:
     """A job that a stop alone does not end: it waits for an abort."""
     job.control.wait_while("none", "stop")
     job.control.check()
 
 
-def hold(job: Job) -> None:
+def hold(job: CommandJob) -> None:
     """Rest, and say when a pause begins and ends."""
     request: Request = "none"
     while True:
@@ -83,7 +83,7 @@ def main() -> None:
     def brake(verb: str) -> None:
         say(f"brake {verb} {time.monotonic()}")
 
-    with Job(None) as job, job.control.brakes(brake):
+    with CommandJob(None) as job, job.control.brakes(brake):
         say("ready")
         {load.__name__: load for load in (spin, multiply, query, receive, persist, hold)}[sys.argv[1]](job)
 

@@ -22,7 +22,7 @@ from cellapp.ground.asking import VERBS, Verb
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Halt, Progress
-from cellapp.interfaces.cli.job import Job
+from cellapp.interfaces.cli.job import CommandJob
 from cellapp.interfaces.cli.requests import JobRequest, plain_request
 from tests.cell.run.small_runs import planned_run
 from tests.interfaces.cli.conftest import one_sentence
@@ -115,11 +115,11 @@ def test_a_person_says_that_an_arm_rests(tmp_path: Path) -> None:
 def test_lines_on_standard_error_where_that_is_no_terminal(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    with Job(None) as job:
+    with CommandJob(None) as job:
         job.listen(Progress("iso9283", 3, 10, "pose of left"))
     assert capfd.readouterr() == ("", ""), "a short job says nothing"
     monkeypatch.setattr(progress, "_SILENCE_S", 0.0)
-    with Job(None) as job:
+    with CommandJob(None) as job:
         job.listen(Progress("iso9283", 3, 10, "pose of left"))
     assert capfd.readouterr() == ("", "cellapp: iso9283: 3 of 10, pose of left\n")
 

@@ -10,7 +10,7 @@ from cellapp.commands.stages import append_stage, basis_of, read_stages
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.estimation.readings import Readings
-from cellapp.ground.profile import Discovery, Profile, Splits
+from cellapp.ground.profile import DiscoverySettings, Profile, Splits
 from cellapp.ground.results import CALIBRATE, DISCOVER
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.model.nominal import nominal_arm
@@ -43,7 +43,7 @@ def twin_of(left: str, right: str, name: str) -> Profile:
             "plan": twin.plan.model_copy(update={"stops": 60, "method": "random"}),
             "splits": Splits(identify=30, train=10, validate=20, pair_identify=30, pair_validate=20),
             "network": twin.network.model_copy(update={"iterations": 30}),
-            "discovery": Discovery(null_simulations=20, folds=2, false_alarm=0.05),
+            "discovery": DiscoverySettings(null_simulations=20, folds=2, false_alarm=0.05),
             "plant": twin.plant.model_copy(update={"effects": effects}),
         }
     )
@@ -61,7 +61,7 @@ def without_devices(*arms: str) -> Profile:
             "tracker": twin.tracker.model_copy(update={"driver": none}),
             "splits": Splits(identify=40, train=0, validate=20, pair_identify=40, pair_validate=20),
             "network": twin.network.model_copy(update={"kind": "none"}),
-            "discovery": Discovery(null_simulations=20, folds=2, false_alarm=0.05),
+            "discovery": DiscoverySettings(null_simulations=20, folds=2, false_alarm=0.05),
             "plant": None,
             "targets": None,
         }

@@ -61,7 +61,7 @@ from cellapp.estimation.monitoring.records import (
 )
 from cellapp.estimation.uncertainty.records import UncertaintyParts
 from cellapp.ground.errors import InputError
-from cellapp.ground.profile import Discovery
+from cellapp.ground.profile import DiscoverySettings
 from cellapp.ground.results import CHECK, Estimate
 from cellapp.interfaces.page.drawn import drawn_sections
 from cellapp.interfaces.page.page import template
@@ -90,7 +90,7 @@ def discoveries() -> Parts:
     return [
         *DISCOVER_VERB.view(result).parts,
         "--- page",
-        discovery_section(result, Discovery(), {name: () for name in result.arms}),
+        discovery_section(result, DiscoverySettings(), {name: () for name in result.arms}),
         "--- others",
         *DISCOVER_VERB.view(DiscoverResult(arms=others)).parts,
         "--- probabilities",

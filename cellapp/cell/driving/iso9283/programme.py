@@ -56,7 +56,7 @@ from cellapp.estimation.iso9283.characteristics import (
     plane_name,
     pose_positions,
 )
-from cellapp.estimation.iso9283.evaluate import ArmProgramme, Place
+from cellapp.estimation.iso9283.evaluate import ArmProgramme, IsoPlace
 from cellapp.estimation.iso9283.norm import IsoCommands
 from cellapp.estimation.iso9283.records import IsoCube, IsoPose
 from cellapp.ground.counting import counted
@@ -607,7 +607,7 @@ class Visit:
     """One motion: arm -> joint positions (N,) [rad]. ``place`` is None if nothing is measured."""
 
     targets: Mapping[str, Array]
-    place: Place | None
+    place: IsoPlace | None
     cycle: int
 
 
@@ -620,7 +620,7 @@ def legs() -> list[tuple[str, str]]:
 
 
 def pose_visits(arm: ArmProgramme, cycles: int, speed: float = 0.0) -> Iterator[Visit]:
-    """Yield the pose test: to P1, then cycles P5, P4, P3, P2, P1; ``speed`` as in ``Place``."""
+    """Yield the pose test: to P1, then cycles P5, P4, P3, P2, P1; ``speed`` as in ``IsoPlace``."""
     yield _passing(arm, "P1", "P2")
     for cycle in range(cycles):
         for position in CYCLE:
@@ -664,7 +664,7 @@ def paired_visits(
     """Yield the cooperative test: both arms to each pair of poses together, always in the same order."""
     for cycle in range(cycles):
         for a, b in pairs:
-            place = Place("cooperative", first.commands, (first.name, second.name), (a, b))
+            place = IsoPlace("cooperative", first.commands, (first.name, second.name), (a, b))
             targets = {first.name: first.q[a, _before(a)], second.name: second.q[b, _before(b)]}
             yield Visit(targets, place, cycle)
 
@@ -692,7 +692,7 @@ def pose_pairs(
 # -- inside -----------------------------------------------------------------------------------------------------------
 
 
-def _exercise(arm: ArmProgramme, cycle: int, at_end: Place | None) -> Iterator[Visit]:
+def _exercise(arm: ArmProgramme, cycle: int, at_end: IsoPlace | None) -> Iterator[Visit]:
     for position in CYCLE:
         place = at_end if position == CYCLE[-1] else None
         yield Visit({arm.name: arm.q[position, _before(position)]}, place, cycle)

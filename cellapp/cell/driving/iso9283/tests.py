@@ -47,11 +47,11 @@ from cellapp.estimation.discovery.plan_forecast import tracker_covariance
 from cellapp.estimation.iso9283.characteristics import LARGE_CIRCLE, POSES, SMALL_CIRCLE, circle_positions
 from cellapp.estimation.iso9283.evaluate import (
     ArmProgramme,
-    Measured,
+    IsoPlace,
+    MeasuredVisit,
     Measurements,
     PathRuns,
     PathTrack,
-    Place,
     cooperative_characteristics,
     directional_characteristics,
     distance_characteristics,
@@ -95,8 +95,8 @@ class IsoFindings:
     programmes: dict[tuple[str, IsoCommands], ArmProgramme] = field(default_factory=dict)
     pairs: dict[tuple[str, str], list[tuple[str, str]]] = field(default_factory=dict)
     refused: dict[str, dict[str, str]] = field(default_factory=dict)
-    wanted: dict[Place, int] = field(default_factory=dict)
-    missed: dict[Place, str] = field(default_factory=dict)
+    wanted: dict[IsoPlace, int] = field(default_factory=dict)
+    missed: dict[IsoPlace, str] = field(default_factory=dict)
     paths: list[PathRuns] = field(default_factory=list)
     also_speeds: tuple[float, ...] = ()
     notes: list[str] = field(default_factory=list)
@@ -706,7 +706,7 @@ class _Session:
         assert visit.place is not None
         first, share = points[visit.place.arms[0]], self.task.profile.tolerances.covariance_factor
         self.findings.measured.visits.append(
-            Measured(
+            MeasuredVisit(
                 place=visit.place,
                 cycle=visit.cycle,
                 p_M={name: point.p_M for name, point in points.items()},

@@ -225,7 +225,7 @@ FLOOR_CHANCE = 0.001
 
 
 @dataclass(frozen=True)
-class Scatter:
+class FitScatter:
     """Scatter of residuals relative to the stated uncertainty, or to the scatter found where that contradicts it.
 
     ``ratio`` is the root of chi-square per degree of freedom, ``p_value`` the probability of one at least as large.
@@ -236,7 +236,7 @@ class Scatter:
     against: str = "stated"
 
 
-def scatter(data: ArmData, fit: JointFit) -> Scatter | None:
+def scatter(data: ArmData, fit: JointFit) -> FitScatter | None:
     """Compute the scatter that a model leaves; None if the readings state no uncertainty."""
     if data.stated is None:
         return None
@@ -249,7 +249,7 @@ def scatter(data: ArmData, fit: JointFit) -> Scatter | None:
     if total <= 0.0:
         return None
     freedom = max(freedom, 1.0)
-    return Scatter(math.sqrt(total / freedom), float(scipy.special.chdtrc(freedom, total)))
+    return FitScatter(math.sqrt(total / freedom), float(scipy.special.chdtrc(freedom, total)))
 
 
 def floor_reached(state: SearchState) -> bool:

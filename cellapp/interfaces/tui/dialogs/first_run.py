@@ -15,7 +15,7 @@ from cellapp.commands.record import Request
 from cellapp.ground.errors import InputError
 from cellapp.ground.starters import TWIN
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
-from cellapp.interfaces.tui.dialogs.question import Answer, Choice
+from cellapp.interfaces.tui.dialogs.question import Choice, ChosenAnswer
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.host import Host
 
@@ -38,10 +38,10 @@ def offer_first_run(app: Host) -> bool:
         " they stand. The simulated twin needs no hardware: from it, F5 leads to a finished report in a few minutes."
     )
     answers = (
-        Answer("twin", "Try the simulated twin", "t", "success"),
-        Answer("write", "Write a profile for my cell", "w"),
-        Answer("readings", "Calibrate readings of my own", "r"),
-        Answer("open", "Open a profile elsewhere", "o"),
+        ChosenAnswer("twin", "Try the simulated twin", "t", "success"),
+        ChosenAnswer("write", "Write a profile for my cell", "w"),
+        ChosenAnswer("readings", "Calibrate readings of my own", "r"),
+        ChosenAnswer("open", "Open a profile elsewhere", "o"),
     )
     app.push_screen(Welcome("Welcome to cellapp", text, answers), lambda answer: begin_with(app, answer))
     return True
@@ -92,7 +92,7 @@ def take_own_readings(app: Host) -> None:
         "A text file with a row of names, joint positions and points. Separators, decimal commas and units are found"
         " out. A profile and a run, named after the file, are written; nothing moves."
     )
-    answers = (Answer("begin", "Begin", "b", "success"), Answer("no", "Not now", "n"))
+    answers = (ChosenAnswer("begin", "Begin", "b", "success"), ChosenAnswer("no", "Not now", "n"))
     app.push_screen(VerbQuestion(INIT, text, answers, {"folder": app.profiles.parent}), begin)
 
 

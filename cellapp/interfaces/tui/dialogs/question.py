@@ -48,7 +48,7 @@ class Question(ModalScreen[A]):
 
 
 @dataclass(frozen=True)
-class Answer:
+class ChosenAnswer:
     """One answer of a choice: its return value, the button's label, its key, its style."""
 
     value: str
@@ -66,7 +66,7 @@ class AnswerQuestion(Question[A]):
     ----------
     title, text : str
         The question, and what a person must know to answer it.
-    answers : sequence of Answer
+    answers : sequence of ChosenAnswer
     """
 
     AUTO_FOCUS = ".answers Button"
@@ -75,7 +75,7 @@ class AnswerQuestion(Question[A]):
         Binding("right,down", "app.focus_next", show=False),
     ]
 
-    def __init__(self, title: str, text: str, answers: Sequence[Answer]) -> None:
+    def __init__(self, title: str, text: str, answers: Sequence[ChosenAnswer]) -> None:
         super().__init__()
         self._title, self._text, self._answers = title, text, tuple(answers)
 

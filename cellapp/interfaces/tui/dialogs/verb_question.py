@@ -17,7 +17,7 @@ from textual.widgets import Input, Static
 from cellapp.commands.record import Asked, Request, Verb
 from cellapp.ground.errors import InputError
 from cellapp.interfaces.tui.dialogs.file_picker import PathField
-from cellapp.interfaces.tui.dialogs.question import Answer, AnswerQuestion
+from cellapp.interfaces.tui.dialogs.question import AnswerQuestion, ChosenAnswer
 from cellapp.interfaces.tui.widgets.controls import Box, Labelled, text_field
 
 _COLUMN = 30
@@ -36,7 +36,7 @@ class VerbQuestion(AnswerQuestion[Request]):
     verb : Verb
     text : str
         What a person must know to answer.
-    answers : sequence of Answer
+    answers : sequence of ChosenAnswer
         "no" closes; any other begins. The first one has the focus.
     given : mapping
         Values of fields that are not asked for, as the folder of the run.
@@ -52,7 +52,7 @@ class VerbQuestion(AnswerQuestion[Request]):
         self,
         verb: Verb,
         text: str,
-        answers: Sequence[Answer],
+        answers: Sequence[ChosenAnswer],
         given: Mapping[str, Any],
         *,
         proposed: Mapping[str, Any] | None = None,

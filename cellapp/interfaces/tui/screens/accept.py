@@ -26,7 +26,7 @@ from cellapp.commands.run_results import RunResults
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
 from cellapp.ground.results import CERTIFICATE, CHECK, ISO9283, StageName
 from cellapp.interfaces.tui import work
-from cellapp.interfaces.tui.dialogs.question import Answer
+from cellapp.interfaces.tui.dialogs.question import ChosenAnswer
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.offers import BEGIN, USE_STALE, arms_words, ask_of_calibrated
@@ -145,7 +145,7 @@ class AcceptScreen(DayScreen):
         if (folder := self.open_folder()) is not None:
             self.show_tab(CERTIFICATE)
             text = f"{_certificate_words(self.workspace)} Nothing moves."
-            write = Answer("send", "Write", "w", "success"), Answer("no", "Not now", "n")
+            write = ChosenAnswer("send", "Write", "w", "success"), ChosenAnswer("no", "Not now", "n")
             self.ask_verb(VerbQuestion(CERTIFICATE_VERB, text, write, {"folder": folder}))
 
     def action_report(self) -> None:

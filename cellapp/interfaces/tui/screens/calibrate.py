@@ -31,7 +31,7 @@ from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.ground.results import CALIBRATE, Result
 from cellapp.interfaces.tui import work
-from cellapp.interfaces.tui.dialogs.question import Answer, reading_of
+from cellapp.interfaces.tui.dialogs.question import ChosenAnswer, reading_of
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.offers import BEGIN, WRITE, offer_again
@@ -49,10 +49,10 @@ class ExportArms(VerbQuestion):
     folder : Path
         Folder of the run, where files are proposed.
     arms : sequence of str
-    answers : sequence of Answer
+    answers : sequence of ChosenAnswer
     """
 
-    def __init__(self, folder: Path, arms: Sequence[str], answers: Sequence[Answer]) -> None:
+    def __init__(self, folder: Path, arms: Sequence[str], answers: Sequence[ChosenAnswer]) -> None:
         choices = {"arm": arms, "stage": STAGES}
         super().__init__(
             VERB, "Several arms get a file each.", answers, {"folder": folder, "plan": None}, choices=choices

@@ -24,10 +24,10 @@ from cellapp.interfaces.tui.job_record import (
     Activity,
     ArmRecord,
     Banner,
+    JobPart,
     JobRecord,
     LogRow,
     Look,
-    Part,
     TrackerRecord,
     banner_of,
     strip_of,
@@ -219,7 +219,7 @@ class LiveStrip(Vertical):
 
     def __init__(self) -> None:
         super().__init__()
-        self._drawn: tuple[Banner | None, tuple[Part, ...]] = (None, ())
+        self._drawn: tuple[Banner | None, tuple[JobPart, ...]] = (None, ())
 
     def compose(self) -> ComposeResult:
         yield Static("", classes="banner", markup=False)
