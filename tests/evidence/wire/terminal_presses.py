@@ -54,7 +54,7 @@ class Place:
 PLACES: Mapping[str, Place] = {
     "Collect": Place("", "", ""),
     "another screen": Place("1", "asks the doctor", "3"),
-    "the palette, a text field": Place(_CTRL_P, "Search for commands", _BESIDE),
+    "the palette": Place(_CTRL_P, "Search for commands", _BESIDE),
     "the quit question": Place("q", "Quit?", _F10),
     "the handbook": Place("h", "Up and down choose", _F10),
 }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import functools
 import json
 import os
 import re
@@ -531,9 +530,9 @@ def check_resumes(run: Path, collect: Callable[..., Ended]) -> None:
             assert np.all(np.diff(seen.readings(name).time_s) > 0.0)
 
 
-def test_killed_in_the_middle_it_is_resumed(long_run: Path) -> None:
+def test_killed_in_the_middle_it_is_resumed(long_run: Path, call: Any) -> None:
     assert interrupted(long_run, signal.SIGKILL)[0] == -signal.SIGKILL
-    check_resumes(long_run, functools.partial(shell, cwd=long_run.parent))
+    check_resumes(long_run, call)
 
 
 def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path, call: Any) -> None:
@@ -565,7 +564,7 @@ def test_requests_from_another_process_reach_the_job_and_its_log(long_run: Path,
     [
         (signal.SIGINT, "a person stopped the arms"),
         (signal.SIGTERM, "the program was asked to end (SIGTERM)"),
-        (signal.SIGHUP, "the terminal was closed"),
+        pytest.param(signal.SIGHUP, "the terminal was closed", marks=pytest.mark.slow),
     ],
     ids=["Ctrl-C", "SIGTERM", "closed terminal"],
 )

@@ -104,7 +104,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Held]:
     """An application whose job runs; each test leaves it so, on the screen Collect."""
     with held(tmp_path_factory.mktemp("held")) as app:
         app.terminal.send("3")
-        app.says("STOP", "Next tab")
+        app.says("STOP", "Log of this session")
         yield app
 
 
