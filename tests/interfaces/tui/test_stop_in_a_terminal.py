@@ -199,7 +199,7 @@ def test_stop_answers_the_question_before_the_first_motion(tmp_path: Path, key: 
 def test_ctrl_c_without_a_job_says_how_to_quit_and_ctrl_q_quits_over_a_dialog(tmp_path: Path) -> None:
     with held(tmp_path, "--no-job") as app:
         app.terminal.send(b"\x03")
-        app.says("Ctrl-C stops a job; none runs. q, or Ctrl-Q in a text field, quits.")
+        app.says("Ctrl-C stops a job; none runs. q, or Ctrl-Q in a dialog, quits.")
         assert "Do you want to quit?" not in app.terminal.text()
         app.terminal.send("\x10")
         app.says(PALETTE)
