@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arms.protocol import ArmError, HostStalled, JointLimits
+from drivers.arms.protocol import ArmError, HostStalled, JointLimits, LinkLost
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_checks import UrExpectation
 from drivers.arms.ur_settings import UrSettings
@@ -106,7 +106,10 @@ def of_each_arm(
         for episode in its_own.get(arm.name, its_own[arm.name.removesuffix("2")]):
 
             def act(attempt: int, episode: Episode = episode) -> None:
-                make_ready(emulator, arm)
+                try:
+                    make_ready(emulator, arm)
+                except LinkLost as error:  # no fault was set: this computer kept the emulator from its answer
+                    raise HostStalled(str(error)) from error
                 episode(emulator, arm)
 
             patiently(act, ArmError, is_stall)

@@ -129,7 +129,7 @@ def test_every_verb_answers_bad_usage_with_an_object(call: Any) -> None:
 
 def test_a_result_that_was_written_stays_the_only_object(call: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     failed = DoctorResult(findings=(Finding(subject="arm", status="failed", text="not reached"),))
-    monkeypatch.setattr("cellapp.commands.doctor.run.examine_run", lambda profile, nests: failed)
+    monkeypatch.setattr("cellapp.commands.doctor.run.examine_run", lambda profile: failed)
     ended = call("doctor", write_profile(Path("profiles")), "--json", "-")
     assert (ended.code, ended.json["schema"]) == (1, "cellapp-doctor")
 
