@@ -251,7 +251,8 @@ def test_a_task_that_always_ends_its_process_is_named(tmp_path: Path) -> None:
 
 def test_processes_end_with_their_client_even_if_it_is_killed(tmp_path: Path) -> None:
     source = (
-        "from functools import partial; from pathlib import Path; from cellapp.ground.executors import PoolWork, gather;"
+        "from functools import partial; from pathlib import Path;"
+        "from cellapp.ground.executors import PoolWork, gather;"
         "from tests.ground.test_control import Square, offset, square;"
         f"gather(square, partial(offset, 0.0, Path({str(tmp_path)!r})), {{'a': 60_000, 'b': 60_001}}, Square, 'x',"
         " PoolWork(jobs=2))"

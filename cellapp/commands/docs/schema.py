@@ -71,7 +71,9 @@ def schemas_text(name: str | None) -> str:
     if name is None:
         return json.dumps({name: json_schema(result) for name, result in results.items()}, indent=1)
     if name not in results:
-        near = difflib.get_close_matches(f"cellapp-{name}", results, n=1, cutoff=0.75)
-        meant = f"did you mean '{near[0]}'? Results" if near else "results"
+        near = difflib.get_close_matches(
+            name.removeprefix("cellapp-"), [one.removeprefix("cellapp-") for one in results], 1
+        )
+        meant = f"did you mean 'cellapp-{near[0]}'? Results" if near else "results"
         raise InputError(f"docs: --schema: '{name}' is not a result; {meant} are {', '.join(results)}")
     return json.dumps(json_schema(results[name]), indent=1)
