@@ -474,7 +474,8 @@ class Supervisor:
         watchdog = f"the controller's watchdog ({1.0 / self._watchdog_hz:.2f} s)"
         if gap_s is not None and self._control.waited_s > _WAITED * gap_s:
             waited = (
-                f"its controller took {self._control.waited_s:.2f} s for an answer (it hangs, or the network is late)"
+                f"its controller took {self._control.waited_s:.2f} s for an answer (it hangs, the network is late, or"
+                " this computer stood still meanwhile)"
             )
             return self._record_fault(Refusal("link", f"{waited}, so {watchdog} stopped its program"))
         if gap_s is not None:

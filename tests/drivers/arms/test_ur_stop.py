@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import random
 import re
@@ -318,6 +319,8 @@ def test_a_stall_of_this_computer_is_named(emulator: EmulatorProcess, drivers: d
             took["frozen"] = freeze_until_stopped(emulator, arm)
             with pytest.raises((HostStalled, LinkLost)) as raised:
                 arm.wait_settled(PATIENT_S)
+            if "or this computer stood still meanwhile" in str(raised.value):
+                took["frozen"] = math.inf  # it was frozen while it waited for an answer: either may have been late
         text = r"arm right: this computer was silent for 0.* nothing is wrong at the arm"
         assert re.match(text, str(raised.value))
         assert type(raised.value) is type(heard.first()[1]) is HostStalled
