@@ -380,8 +380,7 @@ def _left(
     stated = f"times as {scatter.against}"
     if _far_off(scatter):
         why = "but show no structure" if structure.tests else "and are too few to look for effects"
-        more = "measure more stops, over the whole range of every joint"
-        return f"readings scatter {scatter.ratio:.0f} {stated} {why}: {more}; {gap}"
+        return f"readings scatter {scatter.ratio:.0f} {stated} {why}; {gap}"
     without = "but without structure" if structure.tests else "and are too few to test for structure"
     return f"readings scatter {scatter.ratio:.2f} {stated} {without}: repeatability or noise; {gap}"
 
