@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from drivers.arms.protocol import ArmError, HostStalled, JointLimits, LinkLost
+from drivers.arms.protocol import ArmError, HostStalled, JointLimits
 from drivers.arms.ur import UrArm
 from drivers.arms.ur_checks import UrExpectation
 from drivers.arms.ur_settings import UrSettings
@@ -106,15 +107,26 @@ def of_each_arm(
         for episode in its_own.get(arm.name, its_own[arm.name.removesuffix("2")]):
 
             def act(attempt: int, episode: Episode = episode) -> None:
-                try:
+                with no_fault_set():
                     make_ready(emulator, arm)
-                except LinkLost as error:  # no fault was set: this computer kept the emulator from its answer
-                    raise HostStalled(str(error)) from error
                 episode(emulator, arm)
 
-            patiently(act, ArmError, is_stall)
+            try:
+                patiently(act, ArmError, is_stall)
+            except BaseException as error:
+                error.add_note(f"the emulated arm: {emulator.control(arm.name, 'journal', time.monotonic() - 3.0)}")
+                raise
 
     in_parallel(one_after_the_other, [(arm,) for arm in arms.values()])
+
+
+@contextmanager
+def no_fault_set() -> Iterator[None]:
+    """What an arm without a fault reports is a stall of this computer: its driver or its emulator got no turn."""
+    try:
+        yield
+    except ArmError as error:
+        raise HostStalled(f"no fault was set: {error}") from error
 
 
 def is_stall(error: ArmError) -> bool:

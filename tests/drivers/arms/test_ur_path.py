@@ -35,6 +35,7 @@ from tests.drivers.arms.emulated_ur_cell import (
     Episode,
     assert_stays_at_rest,
     expectation,
+    is_stall,
     of_each_arm,
     repair,
 )
@@ -134,6 +135,8 @@ def fault_in_mid_path(emulator: EmulatorProcess, arm: UrArm, *, fault: str) -> N
     emulator.control(arm.name, *command)
     with pytest.raises(error):
         arm.wait_settled(PATIENT_S)
+    if is_stall(heard[0]):
+        raise heard[0]
     assert isinstance(heard[0], error)
     assert_stays_at_rest(emulator, arm.name)
     with pytest.raises(ArmError):  # nothing moves until a person connects again
