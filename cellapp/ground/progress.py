@@ -311,7 +311,7 @@ class Progress:
     job : str
         What is being done, in a word or two; the same text for all events of one job.
     done, total : int
-        JobSteps finished and steps in all; ``done == total`` is the job's last event.
+        Steps finished, and steps in all; ``done == total`` is the job's last event.
     note : str
         What a person would like to know of this step; may be empty.
     eta_s : float or None
