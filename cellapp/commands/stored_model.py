@@ -13,7 +13,7 @@ from cellapp.commands.stages import CALIBRATION_FILE, Basis, RunStages, StoredSt
 from cellapp.estimation.calibration.records import CalibrateResult, largest_correlations, tied_estimates
 from cellapp.estimation.calibration.station_location import factory_doubt
 from cellapp.estimation.discovery.records import DiscoverResult, with_effects
-from cellapp.estimation.monitoring.moved import CalibratedArm, combinations
+from cellapp.estimation.monitoring.parameter_changes import CalibratedArm, combinations
 from cellapp.ground.errors import InputError
 from cellapp.ground.results import CALIBRATE, DISCOVER, LOCATE, StageName
 from cellapp.ground.shell import shell_word

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Literal
 
-from cellapp.ground.asking import Verb
+from cellapp.ground.job_client import Verb
 from cellapp.ground.progress import Cancelled, CancelToken, CellLive, Halt
 
 Request = Literal["none", "pause", "stop", "abort"]

@@ -24,7 +24,7 @@ from cellapp.commands.next_step import arm_states, next_step
 from cellapp.commands.show.overview import run_overview
 from cellapp.commands.stages import read_stages
 from cellapp.commands.view.table import Table
-from cellapp.estimation.calibration import learning
+from cellapp.estimation.calibration import network_training
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
@@ -195,7 +195,7 @@ def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_a_recording_teaches_and_the_comparison_is_said(moved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
-    monkeypatch.setattr(learning, "_FEWEST_STEPS", 60)
+    monkeypatch.setattr(network_training, "_FEWEST_STEPS", 60)
     with RunFile.open(moved, write=True) as run:
         assert run.profile.network.kind == "none"
         result = calibrate_run(run, network="batches")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import tracker_driver
-from cellapp.cell.driving.examination import examine
+from cellapp.cell.driving.diagnosis import examine
 from cellapp.cell.profile import load_profile
 from cellapp.commands.emulate import EmulatedTracker, EmulateResult, emulate
 from cellapp.commands.tracker_bridge import TrackerBridgeRequest, TrackerBridgeResult, serve_tracker, view

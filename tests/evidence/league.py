@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from cellapp.estimation.calibration.calibrate import calibrate_arm
-from cellapp.estimation.calibration.learning import learn
 from cellapp.estimation.calibration.least_squares import NORMAL_95
+from cellapp.estimation.calibration.network_training import learn
 from cellapp.estimation.calibration.quantities import ArmReadings, measured_quantities, measurement_conditions
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.readings import Readings

@@ -18,7 +18,7 @@ import numpy as np
 
 from cellapp.cell.driving.cell import Cell, open_cell, start_tracker
 from cellapp.cell.driving.cell_checks import Hung, change_load, check_controllers, other_loads, require_load
-from cellapp.cell.driving.examination import require_links
+from cellapp.cell.driving.diagnosis import require_links
 from cellapp.cell.driving.live_model import AirTemperature, LiveModel
 from cellapp.cell.driving.measuring import References, SmrMeasurement
 from cellapp.cell.driving.motion import (
@@ -33,9 +33,9 @@ from cellapp.cell.driving.motion import (
 )
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, cause_of
 from cellapp.cell.driving.records import CollectResult, End
+from cellapp.cell.driving.stops_to_collect import StopQueue, Travel, Work, forbidden_stops, remaining_work, work_again
 from cellapp.cell.driving.supervision import CellSupervisor, Opened, opening, reacting
 from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, sweeps_left
-from cellapp.cell.driving.work import StopQueue, Travel, Work, forbidden_stops, remaining_work, work_again
 from cellapp.cell.planning.planned_stops import planned_time, time_notice
 from cellapp.cell.run import Outcome, RunFile, SessionEnd
 from cellapp.cell.run.measured_again import (

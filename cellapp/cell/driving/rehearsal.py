@@ -13,9 +13,9 @@ from cellapp.cell.driving.cell_checks import check_controllers
 from cellapp.cell.driving.motion import Confirm, MotionRefused, Mover
 from cellapp.cell.driving.reaction import StopReaction
 from cellapp.cell.driving.records import RehearsedMotion
-from cellapp.cell.driving.rungs import RUNGS, Rung, RungName
+from cellapp.cell.driving.rehearsal_rungs import RUNGS, Rung, RungName
+from cellapp.cell.driving.stops_to_collect import Travel, Work, forbidden_stops, remaining_work
 from cellapp.cell.driving.supervision import hold_while_paused, reacting
-from cellapp.cell.driving.work import Travel, Work, forbidden_stops, remaining_work
 from cellapp.cell.run import RunFile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.ground.control import JobControl

@@ -2,7 +2,7 @@
 
 Receive a person's requests to the job in a run's folder from other processes of this computer: the job's side.
 
-The job listens on a loopback port, which ``ground.asking`` publishes.
+The job listens on a loopback port, which ``ground.job_client`` publishes.
 
 Run a job in a run's folder: other processes can reach it, and the run records how each arm's halt ended.
 """
@@ -24,7 +24,9 @@ from typing import IO, NamedTuple
 
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.run_arms import note_halt
-from cellapp.ground.asking import (
+from cellapp.ground.control import JobControl
+from cellapp.ground.errors import InputError
+from cellapp.ground.job_client import (
     DONE,
     JOB_FILE,
     LONGEST_LINE,
@@ -39,8 +41,6 @@ from cellapp.ground.asking import (
     taken,
     this_computer,
 )
-from cellapp.ground.control import JobControl
-from cellapp.ground.errors import InputError
 from cellapp.ground.progress import Listener, Progress, StateChange, ignore
 from cellapp.ground.shell import shell_word
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from cellapp.cell.planning.balance import correlations, travel_time
 from cellapp.cell.planning.candidates import random_configurations
-from cellapp.cell.planning.designed import DesignedStops, arm_design, design_stops, of_each_arm
+from cellapp.cell.planning.designed_plan import DesignedStops, arm_design, design_stops, of_each_arm
 from cellapp.cell.planning.information import even_conditions, information_model
 from cellapp.cell.planning.planned_stops import PlannedStops, joined_after, straight_stops, write_planned_stops
 from cellapp.cell.planning.records import ArmDesign, PlanDesignResult

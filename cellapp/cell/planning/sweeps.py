@@ -30,7 +30,7 @@ from cellapp.estimation.motion.laws import (
     state_in_motion,
     torques_in_motion,
 )
-from cellapp.estimation.motion.steps import foreseen_terms, motion_information
+from cellapp.estimation.motion.search_state import foreseen_terms, motion_information
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile

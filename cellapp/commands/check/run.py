@@ -28,7 +28,7 @@ from cellapp.commands.stages import RunStages, StoredStage, append_stage, basis_
 from cellapp.commands.stored_model import arms_stage, model_of, stage_in_force
 from cellapp.estimation.calibration.station_location import predicted_points
 from cellapp.estimation.monitoring.belief import CheckBelief, check_belief
-from cellapp.estimation.monitoring.naming import Design
+from cellapp.estimation.monitoring.causes import Design
 from cellapp.estimation.monitoring.records import CHANGES_OF_ARMS, CheckedPoint, CheckedStop, CheckResult, CheckVerdict
 from cellapp.estimation.monitoring.sequential import SequentialTest, choose_stops, design_of
 from cellapp.estimation.readings import Readings

@@ -20,7 +20,7 @@ from cellapp.cell.targets.path import PathPlan, PathResult, PathSpec, holds_path
 from cellapp.cell.targets.ranges import ConditionRanges
 from cellapp.cell.targets.records import CompensateResult
 from cellapp.cell.targets.targets import Target, load_targets
-from cellapp.commands.compensate.earlier import refuse_corrected_targets
+from cellapp.commands.compensate.earlier_commands import refuse_corrected_targets
 from cellapp.commands.compensate.program import correct
 from cellapp.commands.compensate.request import CompensateRequest
 from cellapp.commands.record import Work

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from cellapp.cell.driving.motion import Confirm
 from cellapp.cell.driving.rehearsal import Rehearsal, rehearse
+from cellapp.cell.driving.rehearsal_rungs import RUNGS, RungName
 from cellapp.cell.driving.requests import running_job
-from cellapp.cell.driving.rungs import RUNGS, RungName
 from cellapp.cell.profile import load_profile
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.file import note_profile

@@ -55,7 +55,7 @@ from cellapp.commands.report.data import ReportData, warnings
 from cellapp.commands.report.summary import best_method
 from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
 from cellapp.commands.stored_model import values_in_force
-from cellapp.commands.trials.power import power_parts, stored_power
+from cellapp.commands.trials.detectability import power_parts, stored_power
 from cellapp.commands.view.charts import Axis, Chart, enumerated, evenly_spread, levelling_rotation, series
 from cellapp.commands.view.parts import Facts, Section, section_of
 from cellapp.commands.view.table import Cell, Table, columns_of

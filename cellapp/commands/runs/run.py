@@ -36,9 +36,9 @@ from cellapp.commands.runs.result import (
 from cellapp.commands.stages import RunStages, counted_basis, read_stages
 from cellapp.commands.stored_model import comparable_arms
 from cellapp.estimation.discovery.records import BeforeAfter
-from cellapp.estimation.monitoring.moved import CalibratedArm, Difference, differences
-from cellapp.ground.asking import who_uses
+from cellapp.estimation.monitoring.parameter_changes import CalibratedArm, Difference, differences
 from cellapp.ground.errors import CellappError, InputError
+from cellapp.ground.job_client import who_uses
 from cellapp.ground.results import CALIBRATE, DISCOVER, STAGES, VERIFY, Stage, StageName
 
 T = TypeVar("T")

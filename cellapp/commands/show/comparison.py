@@ -17,7 +17,7 @@ from cellapp.commands.view.table import Table, table_of, with_rows
 from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS, display_unit, geometry_unit, place_words
 from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import AcceptedEffect
-from cellapp.estimation.monitoring.moved import Difference, differences
+from cellapp.estimation.monitoring.parameter_changes import Difference, differences
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped

@@ -20,8 +20,8 @@ from cellapp.commands.show.result import RecordingsResult, Shown
 from cellapp.commands.show.view import profile_text
 from cellapp.commands.stages import complaints_of, read_stages
 from cellapp.commands.stored_model import model_of, values_in_force
-from cellapp.ground.asking import look_at_job, who_uses
 from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.job_client import look_at_job, who_uses
 from cellapp.ground.results import Result
 from cellapp.ground.shell import filled, shell_word
 

@@ -22,7 +22,8 @@ from cellapp.estimation.calibration.identification import (
     robust_loss,
     start_from_nominal,
 )
-from cellapp.estimation.calibration.learning import (
+from cellapp.estimation.calibration.least_squares import MEDIAN_NORM, NORMAL_95
+from cellapp.estimation.calibration.network_training import (
     Training,
     learn,
     learning_steps,
@@ -30,7 +31,6 @@ from cellapp.estimation.calibration.learning import (
     train_network,
     training_steps,
 )
-from cellapp.estimation.calibration.least_squares import MEDIAN_NORM, NORMAL_95
 from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair, common_stops
 from cellapp.estimation.calibration.parameters import unknown_offset
 from cellapp.estimation.calibration.quantities import (

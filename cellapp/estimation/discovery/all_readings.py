@@ -37,7 +37,7 @@ from cellapp.estimation.discovery.process import (
     process_terms,
 )
 from cellapp.estimation.discovery.search.state import Review, SearchResult
-from cellapp.estimation.discovery.search.unnamed import without_name
+from cellapp.estimation.discovery.search.unnamed_term import without_name
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.effects import EffectColumn, displacement_by
 from cellapp.robot.effects.effect import is_unnamed, lent_effect

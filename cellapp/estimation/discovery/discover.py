@@ -20,8 +20,8 @@ from cellapp.estimation.calibration.calibrate import (
     rotation_network,
     without,
 )
-from cellapp.estimation.calibration.learning import learning_steps
 from cellapp.estimation.calibration.least_squares import mean_variance
+from cellapp.estimation.calibration.network_training import learning_steps
 from cellapp.estimation.calibration.pair_calibration import calibrate_pair
 from cellapp.estimation.calibration.quantities import ArmReadings, states_nothing
 from cellapp.estimation.discovery.accepted import accepted_effects, contradictions, pictures
@@ -34,7 +34,7 @@ from cellapp.estimation.discovery.posterior import posteriors_of, remaining_scan
 from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter, GapStep, HeldOutBeforeAfter, Noise
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult, scatter
 from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, search
-from cellapp.estimation.discovery.search.unnamed import unnamed_record
+from cellapp.estimation.discovery.search.unnamed_term import unnamed_record
 from cellapp.estimation.discovery.verdict import structure_left, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import one_a_stop

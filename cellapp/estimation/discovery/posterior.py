@@ -68,7 +68,7 @@ from numpy.typing import NDArray
 from cellapp.estimation.design.information import SMALLEST, NuisanceProjector, visible_squares
 from cellapp.estimation.discovery.arm_data import UNKNOWN, ArmData, ModelTerm
 from cellapp.estimation.discovery.joint_fit import MOST_SHARE, JointFit, ProjectedResidual, cross_validated_gain
-from cellapp.estimation.discovery.search.free_part import (
+from cellapp.estimation.discovery.search.discrepancy_term import (
     CAUTIOUS_SHARE,
     LEAST_EVIDENCE,
     SHARES,

@@ -19,6 +19,15 @@ from cellapp.estimation.monitoring.belief import (
     SequentialState,
     measured_vectors,
 )
+from cellapp.estimation.monitoring.causes import (
+    NOT_EXPLAINED,
+    Cause,
+    Design,
+    Explanation,
+    MinPValueTest,
+    explain,
+    log_valid,
+)
 from cellapp.estimation.monitoring.linear import (
     Moments,
     StopRows,
@@ -29,15 +38,6 @@ from cellapp.estimation.monitoring.linear import (
     motions,
     stop_rows,
     visibility,
-)
-from cellapp.estimation.monitoring.naming import (
-    NOT_EXPLAINED,
-    Cause,
-    Design,
-    Explanation,
-    MinPValueTest,
-    explain,
-    log_valid,
 )
 from cellapp.estimation.monitoring.records import CheckedArm, CheckResult, CheckVerdict, FoundChange, WeakChange
 from cellapp.estimation.readings import Readings, joined

@@ -27,7 +27,7 @@ from cellapp.estimation.calibration.calibrate import (
     without,
 )
 from cellapp.estimation.calibration.identification import start_from_nominal
-from cellapp.estimation.calibration.learning import require_learner
+from cellapp.estimation.calibration.network_training import require_learner
 from cellapp.estimation.calibration.quantities import (
     ArmReadings,
     conditions_of_arms,
@@ -59,8 +59,8 @@ from cellapp.estimation.motion.identify import (
     no_gross_errors,
 )
 from cellapp.estimation.motion.laws import Law, TimedPath
-from cellapp.estimation.motion.observe import Stops
-from cellapp.estimation.motion.steps import MotionEffect
+from cellapp.estimation.motion.residuals import Stops
+from cellapp.estimation.motion.search_state import MotionEffect
 from cellapp.estimation.motion.streams import Recording
 from cellapp.estimation.readings import SPLITS, Readings, coordinate_uncertainty, stated_uncertainty
 from cellapp.estimation.readings.readings import joined

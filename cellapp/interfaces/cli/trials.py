@@ -113,7 +113,7 @@ def power(
     json_file: JsonOption = None,
 ) -> None:
     """Before measuring: which effects of which size a cell, its plan and its tracker would have named."""
-    from cellapp.commands.trials.power import power_at, power_sentence, power_table
+    from cellapp.commands.trials.detectability import power_at, power_sentence, power_table
 
     with CommandJob(json_file) as job:
         work = _work(job, jobs, scheduler, results)

@@ -9,9 +9,9 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from cellapp.ground.asking import JOB_FILE, JobAddress, JobSeen, Verb, address_of_job, ask_running_job, look_at_job
 from cellapp.ground.control import Aborted, JobControl, Request, Stopped
 from cellapp.ground.errors import CellappError, HardwareError, InputError
+from cellapp.ground.job_client import JOB_FILE, JobAddress, JobSeen, Verb, address_of_job, ask_running_job, look_at_job
 from cellapp.ground.progress import Listener, Progress, StateChange
 from cellapp.interfaces.tui.host import Host
 from cellapp.interfaces.tui.jobs import Ask, Job

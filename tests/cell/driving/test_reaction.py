@@ -21,9 +21,9 @@ import pytest
 from cellapp.cell.driving.cell import in_threads, one_by_one
 from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction
 from cellapp.cell.driving.requests import taking_requests
-from cellapp.ground.asking import JOB_FILE, Verb, ask_running_job, look_at_job, who_uses
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import HardwareError, InputError
+from cellapp.ground.job_client import JOB_FILE, Verb, ask_running_job, look_at_job, who_uses
 from cellapp.ground.progress import Halt
 from drivers.arms.protocol import Arm, ArmError, ArmState, DoubtListener, HostStalled, LinkLost, ProtectiveStop
 from drivers.trackers.protocol import TrackerLinkLost
@@ -346,7 +346,7 @@ AS_ANOTHER = """
 import os, sys
 from pathlib import Path
 from cellapp.cell.driving.requests import taking_requests
-from cellapp.ground.asking import ask_running_job, who_uses
+from cellapp.ground.job_client import ask_running_job, who_uses
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CellappError
 os.setuid(65534)
@@ -409,7 +409,7 @@ def test_hostile_requests_change_nothing_and_delay_no_stop(folder: Path, job: Jo
 
 
 def test_a_job_that_listens_and_is_silent_is_a_fault(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cellapp.ground.asking.PATIENCE_S", 0.05)
+    monkeypatch.setattr("cellapp.ground.job_client.PATIENCE_S", 0.05)
     with taking_requests(folder, JobControl()), socket.create_server(("127.0.0.1", 0)) as mute:
         address = json.loads((folder / JOB_FILE).read_text())
         (folder / JOB_FILE).write_text(json.dumps({**address, "port": mute.getsockname()[1]}))
@@ -418,6 +418,6 @@ def test_a_job_that_listens_and_is_silent_is_a_fault(folder: Path, monkeypatch: 
 
 
 def test_a_job_of_another_version_is_named(folder: Path, job: JobControl, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cellapp.ground.asking.exchange", lambda *_: "done a job runs here")
+    monkeypatch.setattr("cellapp.ground.job_client.exchange", lambda *_: "done a job runs here")
     with pytest.raises(InputError, match="of another version of cellapp"):
         look_at_job(folder)

@@ -13,7 +13,7 @@ import pytest
 
 from cellapp.cell.driving.collect import collect_run
 from cellapp.cell.planning.candidates import CandidatePool, draw_pool
-from cellapp.cell.planning.designed import select_stops
+from cellapp.cell.planning.designed_plan import select_stops
 from cellapp.cell.planning.information import InformationModel, drawn_conditions, information_model
 from cellapp.cell.planning.planned_stops import planned_time, read_planned_stops
 from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult

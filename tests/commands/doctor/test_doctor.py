@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.cell import build_plant
-from cellapp.cell.driving.examination import LONGEST_PROBE_S, examine
+from cellapp.cell.driving.diagnosis import LONGEST_PROBE_S, examine
 from cellapp.cell.profile import load_profile
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import refuse_stop
@@ -247,7 +247,7 @@ def test_dead_hosts_are_asked_at_the_same_time_and_not_for_long(real: Profile) -
 
 def test_looking_at_a_twin_loads_neither_torch_nor_a_device_library() -> None:
     code = (
-        "import sys; from pathlib import Path; from cellapp.cell.driving.examination import examine;"
+        "import sys; from pathlib import Path; from cellapp.cell.driving.diagnosis import examine;"
         f" from cellapp.cell.profile import load_profile; examine(load_profile(Path({str(PROFILES / 'twin.yaml')!r})));"
         " sys.exit(','.join({'torch', 'rtde_control', 'serial', 'clr'} & set(sys.modules)) or None)"
     )

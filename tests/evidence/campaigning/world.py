@@ -15,9 +15,9 @@ from cellapp.cell.driving.cell import Cell, build_plant, one_by_one, start_track
 from cellapp.cell.driving.requests import answer_to
 from cellapp.cell.driving.tracker_watch import Died, unwatched
 from cellapp.cell.safety.gate import Gate, refuse_motion
-from cellapp.ground.asking import Verb
 from cellapp.ground.control import JobControl, Request
 from cellapp.ground.errors import HardwareError
+from cellapp.ground.job_client import Verb
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import Progress, StateChange
 from drivers.arms.protocol import ArmError

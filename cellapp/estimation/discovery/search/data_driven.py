@@ -26,7 +26,7 @@ from cellapp.estimation.discovery.posterior import (
     fitted_parameters,
     is_free_function,
 )
-from cellapp.estimation.discovery.search.free_part import explains_beside_free_parts
+from cellapp.estimation.discovery.search.discrepancy_term import explains_beside_free_parts
 from cellapp.estimation.discovery.search.review import MOSTLY, share_of
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import (

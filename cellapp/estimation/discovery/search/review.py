@@ -14,7 +14,7 @@ from cellapp.estimation.design.information import SMALLEST, NuisanceProjector
 from cellapp.estimation.discovery.arm_data import UNKNOWN, CandidateLaw, LawScore, ModelTerm, without_term
 from cellapp.estimation.discovery.joint_fit import JointFit, ProjectedResidual, cross_validated_gain, fit_terms
 from cellapp.estimation.discovery.records import RunnerUp
-from cellapp.estimation.discovery.search.free_part import BesideField, explains_beside_free_parts
+from cellapp.estimation.discovery.search.discrepancy_term import BesideField, explains_beside_free_parts
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price
 from cellapp.estimation.discovery.search.state import (
     NEARLY,

@@ -46,7 +46,7 @@ from cellapp.estimation.discovery.search.data_driven import (
     with_data_driven_terms,
     without_imitations,
 )
-from cellapp.estimation.discovery.search.free_part import (
+from cellapp.estimation.discovery.search.discrepancy_term import (
     are_confounded,
     explains_beside_free_parts,
     may_stand_for_confounded,
@@ -69,7 +69,7 @@ from cellapp.estimation.discovery.search.state import (
     scatter,
     within_bounds,
 )
-from cellapp.estimation.discovery.search.unnamed import smooth_numbers, with_unnamed, without_names
+from cellapp.estimation.discovery.search.unnamed_term import smooth_numbers, with_unnamed, without_names
 from cellapp.ground.counting import counted
 from cellapp.ground.progress import JobSteps
 from cellapp.robot.effects import EFFECTS, ActsOn, InputVariable

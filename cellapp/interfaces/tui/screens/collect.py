@@ -38,12 +38,12 @@ from cellapp.ground.control import Request
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError
 from cellapp.ground.progress import JobState
-from cellapp.interfaces.tui import work as jobs
+from cellapp.interfaces.tui import verb_jobs as jobs
+from cellapp.interfaces.tui.confirmations import BEGIN, arms_words
 from cellapp.interfaces.tui.dialogs.question import Choice
 from cellapp.interfaces.tui.job_record import LEVELS, ArmRecord, JobRecord, LogRow, level_of
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.keys import bind
-from cellapp.interfaces.tui.offers import BEGIN, arms_words
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState, holds_for_drift
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import since_words

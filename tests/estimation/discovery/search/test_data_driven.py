@@ -18,7 +18,11 @@ from cellapp.estimation.discovery.search.data_driven import (
     with_data_driven_terms,
     without_imitations,
 )
-from cellapp.estimation.discovery.search.free_part import BesideField, explains_beside_free_parts, with_free_parts
+from cellapp.estimation.discovery.search.discrepancy_term import (
+    BesideField,
+    explains_beside_free_parts,
+    with_free_parts,
+)
 from cellapp.estimation.discovery.search.review import review
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchResult, SearchState

@@ -16,7 +16,7 @@ from cellapp.estimation.discovery.arm_data import CandidateLaw, ModelTerm
 from cellapp.estimation.discovery.joint_fit import refit
 from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search import stepwise
-from cellapp.estimation.discovery.search.free_part import with_free_parts
+from cellapp.estimation.discovery.search.discrepancy_term import with_free_parts
 from cellapp.estimation.discovery.search.review import review
 from cellapp.estimation.discovery.search.scan import (
     corrected_p_value,

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.stats import binom, chi2, kstest
 
 from cellapp.estimation.monitoring.belief import CheckBelief, arm_belief, check_belief
+from cellapp.estimation.monitoring.causes import Design, MinPValueTest, after, log_valid
 from cellapp.estimation.monitoring.linear import Moments, StopRows, directions_of, stop_rows
-from cellapp.estimation.monitoring.naming import Design, MinPValueTest, after, log_valid
 from cellapp.estimation.monitoring.records import CheckResult
 from cellapp.estimation.monitoring.sequential import SequentialTest
 from cellapp.estimation.prior.belief import Measured, Prior, posterior
@@ -210,7 +210,7 @@ def test_motions_that_do_not_converge_are_an_error_and_no_verdict(
     pair: SimulatedCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changed = moved_base(pair.true["right"], [0.3, -0.2, 0.1], [1.0, -0.5, 0.5])
-    monkeypatch.setattr("cellapp.estimation.monitoring.naming._STEPS", 0)
+    monkeypatch.setattr("cellapp.estimation.monitoring.causes._STEPS", 0)
     with pytest.raises(NotConverged, match="fit of a motion to the stops did not converge: 0 steps were not enough"):
         checked(pair, {"right": changed})
 

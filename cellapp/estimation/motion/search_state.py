@@ -16,7 +16,7 @@ from cellapp.estimation.discovery.arm_data import whitening
 from cellapp.estimation.discovery.records import BeforeAfter, Evidence
 from cellapp.estimation.motion.fit import Fittings, Solution
 from cellapp.estimation.motion.laws import JointState, JointTerm, Law
-from cellapp.estimation.motion.observe import residuals
+from cellapp.estimation.motion.residuals import residuals
 from cellapp.estimation.motion.tracks import Track
 from cellapp.robot.effects import EFFECTS, EffectTerm, MotionLaw
 from cellapp.robot.effects.backlash import BELL, LOAD_BELL, LOAD_REACH, REACH

@@ -38,7 +38,7 @@ from cellapp.estimation.calibration.quantities import ArmReadings, conditions_of
 from cellapp.estimation.discovery.arm_data import UNKNOWN
 from cellapp.estimation.discovery.discover import discover_arm
 from cellapp.estimation.readings import Readings
-from cellapp.estimation.uncertainty.naming_curve import NamingCurve
+from cellapp.estimation.uncertainty.detection_curve import NamingCurve
 from cellapp.ground.counting import counted
 from cellapp.ground.executors import PoolWork, TimeLimit, gather, local_cores
 from cellapp.ground.profile import Profile
