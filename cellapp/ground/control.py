@@ -56,7 +56,7 @@ class JobControl(CancelToken):
         self._holding = 0  # brakes after which the job can hold
         self._looks: list[Callable[[], CellLive]] = []
         self._record: Callable[[str, Halt], None] = lambda arm, halt: None
-        self._left = ""
+        self._departure = ""
 
     @property
     def request(self) -> Request:
@@ -64,9 +64,9 @@ class JobControl(CancelToken):
         return self._request
 
     @property
-    def left(self) -> str:
+    def departure(self) -> str:
         """How the person who attended the job went away, in words; empty while nobody did."""
-        return self._left
+        return self._departure
 
     def ask(self, verb: Verb) -> None:
         """Do what a verb says."""
@@ -101,9 +101,9 @@ class JobControl(CancelToken):
         ``how`` is recorded as the cause, in place of a person's STOP: "the terminal was closed". The first one counts;
         nothing resumes after it.
         """
-        if self._left:
+        if self._departure:
             return
-        self._left = how  # before the brakes, which ask for it
+        self._departure = how  # before the brakes, which ask for it
         self.holds = False
         self.stop()
 
@@ -124,7 +124,7 @@ class JobControl(CancelToken):
         if self._request == "abort":
             raise Aborted("aborted on request")
         if self._request == "stop" and self.cancelled:
-            raise Stopped(self._left or "stopped on request")
+            raise Stopped(self._departure or "stopped on request")
 
     def wait_while(self, *requests: Request, timeout_s: float | None = None) -> Request:
         """Wait while one of ``requests`` stands; return the request that stands then.

@@ -372,13 +372,13 @@ class TimeLimit:
         return cls(minutes, time.monotonic())
 
     @property
-    def left_s(self) -> float:
+    def remaining_s(self) -> float:
         """Time that is left [s]; infinite without a limit, negative beyond it."""
         return math.inf if self.minutes is None else 60.0 * self.minutes - (self.now() - self.began_s)
 
     def allowed(self, each_s: float, most: int) -> int:
         """How many further trials of a duration [s] fit, at most ``most``."""
-        return int(max(min(self.left_s / max(each_s, 1e-6), most), 0.0))
+        return int(max(min(self.remaining_s / max(each_s, 1e-6), most), 0.0))
 
     def words(self) -> str:
         """How long it takes, before it begins."""

@@ -257,17 +257,17 @@ class SimulatedArm:
         Raises ``ArmTimeout``, or what stopped it: a fault, or ``MotionStopped``.
         """
         self._link()
-        left = max(timeout_s, 0.0)
+        remaining = max(timeout_s, 0.0)
         while (needed := self._rest_due_s() + SETTLE_S - self._plant.clock_s) > 0.0:
-            step = min(needed, left, self._plant.undisturbed_s)
+            step = min(needed, remaining, self._plant.undisturbed_s)
             self._plant.advance(step)
             self._link()
             self._no_fault()
             if self._cut_short or step == needed:
                 break
-            if step == left:
+            if step == remaining:
                 raise ArmTimeout(f"arm {self._name} needs {needed:.2f} s to come to rest, {timeout_s:g} s were allowed")
-            left -= step
+            remaining -= step
         self._no_fault()
         if self._cut_short:
             raise MotionStopped(f"arm {self._name}: its motion was stopped before the goal")

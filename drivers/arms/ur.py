@@ -353,7 +353,7 @@ class UrArm(SupervisedLink):
         """Return who holds the controller, by the name of the program; it may be about to start."""
         patience = Patience(_KNOWN_WITHIN_S)
         while not patience.over:
-            if running := running_program(self._host, patience.left_s):
+            if running := running_program(self._host, patience.remaining_s):
                 return held_by(running)
             time.sleep(_ASK_AGAIN_S)
         return ""

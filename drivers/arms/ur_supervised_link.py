@@ -97,7 +97,7 @@ class SupervisedLink:
         except LinkLost as error:
             raise self._dashboard_lost(cause(error)) from error
         try:
-            fault = worker.call("confirm", patience.left_s)["fault"]
+            fault = worker.call("confirm", patience.remaining_s)["fault"]
         except WorkerGone as error:
             raise self._doubted(error.kind, str(error)) from error
         except Refusal as error:
@@ -436,7 +436,7 @@ class OwnProgram:
                         self.bring_to_rest()
                         self.awaited = False
             except LinkLost as error:
-                if patience.left_s < 2.0 * _LOOK_AGAIN_S:
+                if patience.remaining_s < 2.0 * _LOOK_AGAIN_S:
                     raise LinkLost(
                         f"the program that was uploaded to it was not seen to start and end within {within_s:g} s"
                         f" ({cause(error)}); look at the pendant: end it if it runs"
@@ -679,7 +679,7 @@ class StopLine:
             line.pump(Patience(SLICE_S))
             if question is not None and not question.empty():
                 question, until_next, answers = None, Patience(_ASK_EVERY_S), answers + (not line.ended)
-            elif question is None and until_next.left_s < SLICE_S:
+            elif question is None and until_next.remaining_s < SLICE_S:
                 question, silence = line.send(_QUESTION), Patience(_SILENT_S)
             elif question is not None and silence.over:
                 line.end()

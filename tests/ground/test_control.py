@@ -97,21 +97,21 @@ def test_waiting_ends_with_the_request() -> None:
 
 def test_who_leaves_is_named_once_and_nothing_resumes() -> None:
     control, braked = JobControl(holds=True), list[tuple[str, str]]()
-    with control.brakes(lambda verb: braked.append((verb, control.left))):
+    with control.brakes(lambda verb: braked.append((verb, control.departure))):
         control.leave("the terminal was closed")
         control.leave("the application ended")
         control.resume()
         with pytest.raises(Stopped, match="the terminal was closed"):
             control.check()
     assert braked == [("stop", "the terminal was closed")]
-    assert (control.request, control.left) == ("stop", "the terminal was closed")
+    assert (control.request, control.departure) == ("stop", "the terminal was closed")
 
 
 # -- Numbers with the noun that they count, one function for all sentences ---------------------------------------------
 
 _NOUNS = ("targets", "stops", "readings", "cycles", "checks", "positions")
 _NUMBER = re.compile(
-    r"len\(.*\)|count|left|rows|wanted|total|done|asked|n|.*\.(n|stops|cycles|readings|stops_left|targets)"
+    r"len\(.*\)|count|remaining|todo|rows|wanted|total|done|asked|n|.*\.(n|stops|cycles|readings|stops_left|targets)"
 )
 _AT_LEAST_TWO = {"one.targets"}
 """Of sentences that are said of two or more only."""

@@ -35,7 +35,7 @@ from cellapp.cell.driving.reaction import CellStopped, StopCause, StopReaction, 
 from cellapp.cell.driving.records import CollectResult, End
 from cellapp.cell.driving.stops_to_collect import StopQueue, Travel, Work, forbidden_stops, remaining_work, work_again
 from cellapp.cell.driving.supervision import CellSupervisor, Opened, opening, reacting
-from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, sweeps_left
+from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, due_sweeps
 from cellapp.cell.planning.planned_stops import planned_time, time_notice
 from cellapp.cell.run import Outcome, RunFile, SessionEnd
 from cellapp.cell.run.measured_again import (
@@ -307,10 +307,10 @@ class CollectSession:
         stops = self._allowed_stops()
         while self.cell.clock.now_s() < self._warm_until_s and stops:
             for stop in stops:
-                left_s = self._warm_until_s - self.cell.clock.now_s()
-                if left_s <= 0.0:
+                remaining_s = self._warm_until_s - self.cell.clock.now_s()
+                if remaining_s <= 0.0:
                     break
-                self._emit(note=f"warming up, {left_s / 60.0:.0f} min left")
+                self._emit(note=f"warming up, {remaining_s / 60.0:.0f} min left")
                 self._supervisor.checkpoint()
                 with suppress(MotionRefused):  # the next stop may be reachable
                     self._travel.to_stop(stop)
@@ -515,11 +515,11 @@ def collect_run(
     """
     control = control or JobControl()
     work = work_again(run, again) if again is not None else remaining_work(run, resume=resume)
-    if not work.stops and not (again is None and sweeps_left(run)):
+    if not work.stops and not (again is None and due_sweeps(run)):
         return _collected(run, "complete", [f"all {counted(work.total, 'stop was', 'stops were')} stored already"])
     _require_space(run, work)
     require_links(run.profile, control.check)
-    sweeps_s = 0.0 if work.again else sum(one.period_s for one in chain(*sweeps_left(run).values()))
+    sweeps_s = 0.0 if work.again else sum(one.period_s for one in chain(*due_sweeps(run).values()))
     planned_s = planned_time(run.profile, work.route.take(work.stops)).total_s if work.stops else 0.0
     listener(time_notice("collect", run.profile, planned_s + sweeps_s, work.stored, work.total))
     before = replaced_counts(run)
@@ -527,8 +527,8 @@ def collect_run(
     for load in work.loads or (0,):
         profile = change_load(run, load, payload, hung)
         payload = None  # it describes the first load only
-        left = work if work.again or run.profile.loads == 1 else remaining_work(run, resume=True)
-        outcome = sessions.collect(profile, left.with_load(load))
+        work_here = work if work.again or run.profile.loads == 1 else remaining_work(run, resume=True)
+        outcome = sessions.collect(profile, work_here.with_load(load))
     result = _collected(run, outcome, sessions.notes, sessions.standard_error_mm)
     if not work.again:
         return result
@@ -538,7 +538,7 @@ def collect_run(
 
 def _require_space(run: RunFile, work: Work) -> None:
     """Raise ``InputError`` unless all that remains to be collected can be written; nothing has moved."""
-    stops, sweeps = len(work.stops) + len(work.reserves), [] if work.again else [*chain(*sweeps_left(run).values())]
+    stops, sweeps = (len(work.stops) + len(work.reserves), [] if work.again else [*chain(*due_sweeps(run).values())])
     readings = stops * len(work.plan)
     needed = min(stops * _STOP_BYTES, _LOG_BYTES) + readings * _READING_BYTES
     needed += round(sum(sweep.period_s for sweep in sweeps) * _SWEEP_BYTES_S)

@@ -182,8 +182,8 @@ def locate_station(
         stops = LocatingStops(profile, model, moving.bodies, task.candidates)
         search = SmrSearch(profile, model, mover, task.rough_T, task.excess_m, _REPEATS, moving.hold)
         measuring = _Measuring(task, mover, stops, search, moving.hold, listener)
-        count, left = divmod(task.points, len(task.candidates))  # the first arms take the remainder
-        measuring.measure({name: count + (k < left) for k, name in enumerate(task.candidates)})
+        count, remainder = divmod(task.points, len(task.candidates))  # the first arms take the remainder
+        measuring.measure({name: count + (k < remainder) for k, name in enumerate(task.candidates)})
         fit = measuring.fit()
         mover.go_home()
     listener(Progress("locate", len(measuring.found), len(measuring.found), "done"))

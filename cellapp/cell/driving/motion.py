@@ -452,9 +452,9 @@ class Mover:
         """
         for name in names:
             self._rest_since_s.pop(name, None)
-        left_s, standing_s, late = timeout_s, 0.0, ""
+        remaining_s, standing_s, late = timeout_s, 0.0, ""
         round_s = _ROUND_S if look is None else round_s
-        while left_s > 0.0 and standing_s < _STANDSTILL_S:
+        while remaining_s > 0.0 and standing_s < _STANDSTILL_S:
             states, fraction = {}, 1.0
             if look is not None:
                 look()
@@ -477,7 +477,7 @@ class Mover:
             if fraction < _LEAST_FRACTION:
                 standing_s += round_s
             else:
-                left_s -= round_s * fraction
+                remaining_s -= round_s * fraction
         text = f"arm {late}: did not come to rest within {timeout_s:.0f} s"
         if standing_s >= _STANDSTILL_S:
             text = f"arm {late}: its speed slider is at 0 %, so that it does not move; raise it on the pendant"
@@ -518,10 +518,10 @@ class Mover:
 
     def rest(self, name: str, dwell_s: float, cancel: CancelToken) -> None:
         """Wait until an arm has been at rest for ``dwell_s`` [s]. Raise as soon as the cell is stopped."""
-        left_s = dwell_s - (self.rested_s(name) or 0.0)
-        if left_s > 0.0:
+        remaining_s = dwell_s - (self.rested_s(name) or 0.0)
+        if remaining_s > 0.0:
             with self._cell.pulse.waiting():
-                self._cell.clock.wait(left_s, cancel.wait)
+                self._cell.clock.wait(remaining_s, cancel.wait)
         self._reaction.check()
         cancel.check()
 

@@ -102,10 +102,10 @@ def _refuse_second(folder: Path) -> None:
         )
     if address is not None and exchange(folder, address, LOOK, PATIENCE_S) is not None:
         raise _another(folder)
-    with contextlib.suppress(FileNotFoundError), path.open("rb") as left:
-        if not _locked(left):
+    with contextlib.suppress(FileNotFoundError), path.open("rb") as file:
+        if not _locked(file):
             raise _another(folder)
-        _remove(path, left)
+        _remove(path, file)
 
 
 def _another(folder: Path) -> InputError:

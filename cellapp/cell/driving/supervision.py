@@ -124,7 +124,7 @@ def _personal(verb: str, control: JobControl) -> StopCause:
     """Return the stop cause of a person, who makes a request or leaves."""
     if verb == "abort":
         return StopCause("abort", _BY_PERSON[verb])
-    return StopCause("stop", control.left or _BY_PERSON["stop"])
+    return StopCause("stop", control.departure or _BY_PERSON["stop"])
 
 
 def _watch_out(unseen: dict[str, str]) -> list[str]:

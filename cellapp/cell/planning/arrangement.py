@@ -94,8 +94,8 @@ class StopSet:
         looked_at = seconds < self.usual_step_s  # an order hardly has longer ones
         free = np.ones(len(way), dtype=bool)
         for part in _PARTS_OF_WAY:
-            left = np.flatnonzero(free & looked_at)
-            free[left] = clear_alone(cell, place(cell.arms[name], q[i[left]] + part * way[left]))
+            remaining = np.flatnonzero(free & looked_at)
+            free[remaining] = clear_alone(cell, place(cell.arms[name], q[i[remaining]] + part * way[remaining]))
         times: Array = np.zeros((m, m))
         times[i, k] = times[k, i] = seconds + np.where(free, 0.0, self.usual_step_s)
         return times

@@ -21,8 +21,8 @@ from typing import TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.candidates import CandidatePool, draw_pool, random_configurations, workspace_configurations
-from cellapp.cell.planning.information import InformationModel, drawn_conditions, even_conditions, information_model
+from cellapp.cell.planning.candidates import CandidatePool, random_configurations, sample_pool, workspace_configurations
+from cellapp.cell.planning.information import InformationModel, even_conditions, information_model, sampled_conditions
 from cellapp.cell.planning.planned_stops import PlannedStops, joined_after
 from cellapp.cell.planning.records import ArmDesign, ErrorName, ObservabilityIndices, PlanQuality
 from cellapp.cell.planning.sequence import nearest_turns, sequenced
@@ -169,7 +169,7 @@ def _pool(
     """Draw candidates of an arm and keep those within reach: the most informative ones lie at the ends of the joints'
     ranges, some of them in pockets (folded, behind an obstacle, the wrong way round). All are kept if these are too few
     for ``count`` stops; only the first ones are checked if hardly any of them is hard to reach."""
-    pool = draw_pool(cell, profile, name, max(profile.plan.pool_size, count), rng, cancel)
+    pool = sample_pool(cell, profile, name, max(profile.plan.pool_size, count), rng, cancel)
     q = nearest_turns(profile, cell, name, pool.q)
     reached = np.ones(len(q), dtype=np.bool_)
     reached[:_SAMPLE] = roadmap.reaches(q[:_SAMPLE])
@@ -178,7 +178,7 @@ def _pool(
     if int(reached.sum()) < _LEAST_CHOICE * count:
         return replace(pool, q=q)
     rejected = {**pool.rejected, "hard to reach": int(np.sum(~reached))}
-    return CandidatePool(q[reached], pool.incidence[reached], pool.drawn, rejected)
+    return CandidatePool(q[reached], pool.incidence[reached], pool.sampled, rejected)
 
 
 # -- Work done for each arm separately, in worker threads; the random numbers do not depend on the threads ------------
@@ -289,7 +289,7 @@ _LARGER = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
 """Sizes of the random plans, relative to the judged plan; the equivalent size is interpolated among them."""
 _MOST_RANDOM = 12_000
 """Upper limit of the configurations in all random plans: bounds time and memory for plans of thousands of stops."""
-_DRAWS = 6
+_SAMPLES = 6
 """Number of random plans of each size that are averaged: the worst point differs by 10 % from plan to plan."""
 _PARTS = (25, 50, 100, 200, 400, 800, 1600, 3200)
 """Numbers of stops after which the expected errors are stated."""
@@ -346,12 +346,12 @@ class DesignJudge:
             cancel.check()
             drawn.append(q)
         q = np.array(drawn)
-        conditions = drawn_conditions(profile, name, q, others, rng)
+        conditions = sampled_conditions(profile, name, q, others, rng)
         model = information_model(profile, name, q, conditions, potential=False)
         targets = workspace_configurations(profile, cell, name, _QUALITY_POINTS, rng)
         return cls(
             model,
-            model.prediction_rows(targets, drawn_conditions(profile, name, targets, others, rng)),
+            model.prediction_rows(targets, sampled_conditions(profile, name, targets, others, rng)),
             model.rows(q, conditions),
             others,
             rng,
@@ -368,7 +368,7 @@ class DesignJudge:
 
     def rows(self, q: Array) -> Array:
         """Compute whitened rows (n, 3, p) of stops ``q`` (n, N) [rad] under drawn conditions."""
-        return self.model.rows(q, drawn_conditions(self.model.profile, self.model.name, q, self.others, self.rng))
+        return self.model.rows(q, sampled_conditions(self.model.profile, self.model.name, q, self.others, self.rng))
 
     def errors(self, information: Array) -> Errors:
         """Compute the errors from the information matrix (p, p) of readings."""
@@ -382,14 +382,14 @@ class DesignJudge:
         p = self.random.shape[2]
         found = {size: list[Errors]() for size in sizes}
         total = {size: np.zeros((p, p)) for size in sizes}
-        for _ in range(_DRAWS):
+        for _ in range(_SAMPLES):
             order = self.rng.permutation(len(self.random))
             information, before = np.zeros((p, p)), 0
             for size in sorted(sizes):
                 information = information + information_of(self.random[order[before:size]])
                 before = size
                 found[size].append(self.errors(information))
-                total[size] += information / _DRAWS
+                total[size] += information / _SAMPLES
         return {size: (_mean(errors), total[size]) for size, errors in found.items()}
 
     def determined(self, information: Array) -> tuple[int, ...]:
@@ -486,7 +486,7 @@ def arm_design(
     equal, of_random = random[n]
     return ArmDesign(
         candidates=len(pool.q),
-        drawn=pool.drawn,
+        drawn=pool.sampled,
         rejected=pool.rejected,
         designed=by_stops[-1],
         random=_quality(n, equal, equal, observability(of_random, geometry, n)),

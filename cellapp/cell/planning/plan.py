@@ -63,14 +63,14 @@ def further_stops(
     cancel = cancel or CancelToken()
     cell = cell_bodies(profile)
     rng = np.random.default_rng([profile.seed, 0x9A7, *more_seed])
-    drawn = {name: random_configurations(cell, profile, name, rng) for name in cell.arms}
+    picks = {name: random_configurations(cell, profile, name, rng) for name in cell.arms}
     homes = home_positions(profile)
     stops: list[Mapping[str, Array]] = []
     for number in range(1, wanted + 1):
         cancel.check()
         if (number - 1) % _PROGRESS_EVERY == 0:
             listener(Progress("plan", number - 1, wanted))
-        q, refusal = _next_stop(cell, drawn, stops[-1] if stops else here, homes if number == wanted else None)
+        q, refusal = _next_stop(cell, picks, stops[-1] if stops else here, homes if number == wanted else None)
         if q is None:
             raise InputError(
                 f"plan: stop {number} of {wanted} not found in {_TRIES_PER_STOP} tries; the last was refused:"
@@ -81,7 +81,7 @@ def further_stops(
     return {name: np.array([stop[name] for stop in stops]) for name in cell.arms}
 
 
-def draw_stops(
+def sample_stops(
     cell: CellBodies, profile: Profile, count: int, rng: np.random.Generator, cancel: CancelToken | None = None
 ) -> dict[str, Array]:
     """Draw stops at which all arms are clear and visible, arm -> q (count, N) [rad]; motions are not checked.
@@ -92,12 +92,12 @@ def draw_stops(
         If this number of stops is not found.
     """
     cancel = cancel or CancelToken()
-    drawn = {name: random_configurations(cell, profile, name, rng) for name in cell.arms}
+    picks = {name: random_configurations(cell, profile, name, rng) for name in cell.arms}
     found = {name: np.empty((0, arm.geometry.joints)) for name, arm in cell.arms.items()}
     for _ in range(_TRIES_PER_STOP):
         cancel.check()
-        pairs = [{name: next(configurations) for name, configurations in drawn.items()} for _ in range(count)]
-        q = {name: np.array([pair[name] for pair in pairs]) for name in drawn}
+        pairs = [{name: next(configurations) for name, configurations in picks.items()} for _ in range(count)]
+        q = {name: np.array([pair[name] for pair in pairs]) for name in picks}
         admitted = visible_stops(cell, q)
         admitted[admitted] = clear_stops(cell, {name: rows[admitted] for name, rows in q.items()})
         found = {name: np.concatenate([found[name], q[name][admitted]])[:count] for name in q}
@@ -111,12 +111,12 @@ def draw_stops(
 
 
 def _next_stop(
-    cell: CellBodies, drawn: Mapping[str, Iterator[Array]], here: Mapping[str, Array], homes: Mapping[str, Array] | None
+    cell: CellBodies, picks: Mapping[str, Iterator[Array]], here: Mapping[str, Array], homes: Mapping[str, Array] | None
 ) -> tuple[Mapping[str, Array] | None, str]:
     """Draw a stop reachable from ``here``, from which ``homes``, if given, are; None with the last refusal."""
     refusal = ""
     for _ in range(_TRIES_PER_STOP):
-        q = {name: next(configurations) for name, configurations in drawn.items()}
+        q = {name: next(configurations) for name, configurations in picks.items()}
         if not visible_stops(cell, {name: one[None] for name, one in q.items()})[0]:
             refusal = "an arm or what it carries hides the other's SMR from the tracker"
             continue
@@ -192,9 +192,9 @@ def require_plannable(profile: Profile) -> None:
         return
     rng = np.random.default_rng(profile.seed)
     limits = {name: np.array(arm.joint_limits) for name, arm in profile.arms.items()}
-    drawn = {name: rng.uniform(ends[:, 0], ends[:, 1], (_SHOWN, len(ends))) for name, ends in limits.items()}
-    for name, q in drawn.items():
-        others = {other: its for other, its in drawn.items() if other != name}
+    picks = {name: rng.uniform(ends[:, 0], ends[:, 1], (_SHOWN, len(ends))) for name, ends in limits.items()}
+    for name, q in picks.items():
+        others = {other: its for other, its in picks.items() if other != name}
         information_model(profile, name, q, even_conditions(profile, name, q, others, rng), potential=False)
 
 
@@ -213,9 +213,9 @@ def _with_loads(profile: Profile, stops: PlannedStops, kept: PlannedStops | None
     before = 0 if kept is None else len(kept)
     first = int(stops.load[before - 1]) if before else 0
     reserves = 0 if before else len(profile.plan.reserves(len(stops)))
-    left, n = profile.loads - first, len(stops) - before - reserves
-    _require_stops(n, left)
-    load = first + np.minimum(np.arange(len(stops) - before) * left // n, left - 1)
+    remaining, n = profile.loads - first, len(stops) - before - reserves
+    _require_stops(n, remaining)
+    load = first + np.minimum(np.arange(len(stops) - before) * remaining // n, remaining - 1)
     return replace(stops, load=np.concatenate([stops.load[:before], load]))
 
 

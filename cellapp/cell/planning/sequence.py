@@ -294,17 +294,17 @@ class LegPlanner:
 
     def _other_steps(self, stops: Sequence[int]) -> dict[int, list[Steps]]:
         """Draw other steps of some stops, best balanced first, whose last motions begin where the arms are clear."""
-        drawn = {stop: self._factors.other_steps(self._step, stop) for stop in stops}
-        if not drawn:
+        sampled = {stop: self._factors.other_steps(self._step, stop) for stop in stops}
+        if not sampled:
             return {}
         begins = {
-            name: np.concatenate([q[stop] - steps[name] for stop, steps in drawn.items()])
+            name: np.concatenate([q[stop] - steps[name] for stop, steps in sampled.items()])
             for name, q in self._q.items()
         }
-        free = np.split(clear_stops(self._cell, begins), len(drawn))
+        free = np.split(clear_stops(self._cell, begins), len(sampled))
         return {
             stop: [{name: rows[k] for name, rows in steps.items()} for k in np.flatnonzero(of_stop).tolist()]
-            for (stop, steps), of_stop in zip(drawn.items(), free, strict=True)
+            for (stop, steps), of_stop in zip(sampled.items(), free, strict=True)
         }
 
     def _ask(self, motions: Iterable[tuple[int, Configuration | None, Steps]]) -> None:

@@ -59,7 +59,7 @@ def calibrate_run(
     profile = run.profile
     if network is not None:
         profile = profile.model_copy(update={"network": profile.network.model_copy(update={"kind": network})})
-    notes = (*stored_tie_sentences(run.read_result(STATIONS_RESULT)), *draw_missing_splits(run))
+    notes = (*stored_tie_sentences(run.read_result(STATIONS_RESULT)), *sample_missing_splits(run))
     readings = {name: run.readings(name) for name in run.profile.arms}
     recordings = {name: read_recordings_of(run, name) for name in run.profile.arms}
     if prior is not None and any(recordings.values()):
@@ -117,7 +117,7 @@ def calibrate_cell(
     return calibrate_result(replace(found, notes=(*notes, *found.notes))), found.model
 
 
-def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
+def sample_missing_splits(run: RunFile) -> tuple[str, ...]:
     """Draw and store splits if no reading has one yet, the same for all arms at a stop; return notes."""
     counts = run.split_counts()
     recorded = {state.arm for state in recording_states(run)}
@@ -129,11 +129,11 @@ def draw_missing_splits(run: RunFile) -> tuple[str, ...]:
     if not counts or any(word is not None for its in counts.values() for word in its):
         return ()
     readings = {name: run.readings(name) for name in counts}
-    drawn, notes = missing_splits(run.profile, readings)
-    for name, words in drawn.items():
+    sampled, notes = missing_splits(run.profile, readings)
+    for name, words in sampled.items():
         if name not in recorded:  # splits are drawn once: too few stops now must not bind those to come
             refuse_too_few(name, replace(readings[name], split=words))
-    for name, words in drawn.items():
+    for name, words in sampled.items():
         run.assign_splits(name, words)
     return (*notes, *_of_stops_to_come(run))
 
@@ -142,9 +142,9 @@ def _of_stops_to_come(run: RunFile) -> tuple[str, ...]:
     """Say what becomes of planned stops that are measured after the splits are drawn."""
     total = max(run.planned_counts().values(), default=0)
     seen = {*run.stops_done(), *(one.stop for one in run.outcomes()), *run.profile.plan.reserves(total)}
-    left = len({*range(total)} - seen)
-    words = f"{counted(left, 'planned stop is', 'planned stops are')} not measured: splits are drawn once, so that"
-    return (f"{words} those measured later only train; to draw from all, collect them into a new run",) if left else ()
+    more = len({*range(total)} - seen)
+    words = f"{counted(more, 'planned stop is', 'planned stops are')} not measured: splits are drawn once, so that"
+    return (f"{words} those measured later only train; to draw from all, collect them into a new run",) if more else ()
 
 
 def note_later_stages(run: RunFile, stages: RunStages) -> list[str]:

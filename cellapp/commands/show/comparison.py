@@ -206,8 +206,8 @@ def _effects(a: Sequence[AcceptedEffect], b: Sequence[AcceptedEffect]) -> Iterat
         first, second = ([effect for effect in own if effect.effect == slug] for own in (a, b))
         pairs = [(one, other) for one in first for other in second if one.where == other.where]
         paired = [id(effect) for pair in pairs for effect in pair]
-        left = ([effect for effect in own if id(effect) not in paired] for own in (first, second))
-        for one, other in (*pairs, *zip_longest(*left)):
+        unpaired = ([effect for effect in own if id(effect) not in paired] for own in (first, second))
+        for one, other in (*pairs, *zip_longest(*unpaired)):
             known = [effect for effect in (one, other) if effect is not None]
             places = " / ".join(dict.fromkeys(place_words(effect.where) for effect in known))
             sizes = ({} if effect is None else effect.parameters for effect in (one, other))

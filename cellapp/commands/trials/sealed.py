@@ -335,7 +335,7 @@ def _write_run(
     """Write one run; return its ground truth."""
     rng = np.random.default_rng([seed, 0x5EA1, number])
     plant_seed, noise_seed = (int(value) for value in rng.integers(2**31, size=2))
-    parameters = _drawn_parameters(profile, case, setup, rng)
+    parameters = _sampled_parameters(profile, case, setup, rng)
     public = without_truth(profile, number)
     cell = _HiddenCell(profile, case.arm, plan.stops, plant_seed, noise_seed, public.seed)
     readings, with_all = cell.measured(parameters, NOISES[setup.noise]), cell.exact(parameters)
@@ -362,7 +362,7 @@ def _write_run(
     )
 
 
-def _drawn_parameters(
+def _sampled_parameters(
     profile: Profile, case: Case, setup: Setup, rng: np.random.Generator
 ) -> dict[str, dict[str, Any]]:
     """Draw the parameters of every effect of a case for its arm."""

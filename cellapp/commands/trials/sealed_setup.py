@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cellapp.cell.planning.plan import draw_stops, make_stops, plan_stops
+from cellapp.cell.planning.plan import make_stops, plan_stops, sample_stops
 from cellapp.cell.planning.planned_stops import PlannedStops
 from cellapp.cell.safety.cell_bodies import cell_bodies
 from cellapp.commands.trials.blind import Noise
@@ -229,7 +229,7 @@ class Setup(Record):
         for _ in range(_CENTRES):
             narrowed = _narrowed(profile, rng)
             try:
-                return draw_stops(cell_bodies(narrowed), narrowed, profile.plan.stops, rng, cancel)
+                return sample_stops(cell_bodies(narrowed), narrowed, profile.plan.stops, rng, cancel)
             except InputError:
                 continue
         raise InputError(f"--ranges narrow: about none of {_CENTRES} centres does the tracker see enough stops")
@@ -245,7 +245,7 @@ USUAL_SETUP = Setup()
 
 def _narrowed(profile: Profile, rng: np.random.Generator) -> Profile:
     """Return the profile with joint limits of 10 to 50 degrees about a stop at which all SMRs are visible."""
-    centre = draw_stops(cell_bodies(profile), profile, 1, rng)
+    centre = sample_stops(cell_bodies(profile), profile, 1, rng)
     arms: dict[str, Arm] = {}
     for name, arm in profile.arms.items():
         outer = np.array(arm.joint_limits)

@@ -91,17 +91,17 @@ _MOST_LISTED = 8
 """Number of configurations with gross errors that a sentence lists; more are counted."""
 
 
-def gross_errors(left_M: Array, angular: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+def gross_errors(residual_M: Array, angular: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
     """Return a mask (n,) of the residuals (n, 3) [m] that are gross errors; all False if there are few readings.
 
     Orientations, masked by ``angular`` (n,), are judged separately [rad].
     """
     if angular is not None:
-        wrong = np.zeros(len(left_M), dtype=np.bool_)
+        wrong = np.zeros(len(residual_M), dtype=np.bool_)
         for rows in (angular, ~angular):
-            wrong[rows] = gross_errors(left_M[rows])
+            wrong[rows] = gross_errors(residual_M[rows])
         return wrong
-    lengths = np.linalg.norm(left_M, axis=1)
+    lengths = np.linalg.norm(residual_M, axis=1)
     if len(lengths) < _LEAST_READINGS:
         return np.zeros(len(lengths), dtype=np.bool_)
     wrong = np.asarray(lengths > max(_MOST * float(np.median(lengths)) / MEDIAN_NORM, _LEAST_TYPICAL_M))
@@ -235,7 +235,7 @@ def _held_out(profile: Profile) -> int | None:
     return None if profile.splits.validate_ == "rest" else profile.splits.validate_
 
 
-def draw_splits(
+def sample_splits(
     configurations: NDArray[np.int64],
     identify: int,
     train: int,
@@ -253,10 +253,10 @@ def draw_splits(
     order = np.random.default_rng([seed, 0x5EED]).permutation(numbers)
     words = ["identify"] * sizes.identify + ["train"] * sizes.train + ["validate"] * sizes.validate
     together = grouped((first.get(number, number), number) for number in numbers.tolist())
-    drawn: dict[int, str | None] = {}
+    sampled: dict[int, str | None] = {}
     for stops in (together[number] for number in order.tolist() if number in together):
-        drawn |= dict.fromkeys(stops, words[len(drawn)] if len(drawn) < len(words) else None)
-    return drawn, sizes.notes
+        sampled |= dict.fromkeys(stops, words[len(sampled)] if len(sampled) < len(words) else None)
+    return sampled, sizes.notes
 
 
 # -- Detection of a tracker station or robot base that was moved during the run: this would invalidate every fit ------
@@ -497,8 +497,8 @@ def profile_splits(
     splits = profile.splits
     first, notes = first_stops(readings)
     held_out = _held_out(profile)
-    drawn, sizes = draw_splits(np.array([*first]), splits.identify, splits.train, held_out, profile.seed, first)
-    words = {name: tuple(drawn[number] for number in arm.configuration.tolist()) for name, arm in readings.items()}
+    sampled, sizes = sample_splits(np.array([*first]), splits.identify, splits.train, held_out, profile.seed, first)
+    words = {name: tuple(sampled[number] for number in arm.configuration.tolist()) for name, arm in readings.items()}
     return words, (*sizes, *notes)
 
 
@@ -698,8 +698,8 @@ def train_arm(profile: Profile, arm: ArmCalibration, readings: Readings, steps: 
     if len(taught) < 2 * profile.network.folds:
         return arm
     loaded = MeasurementConditions(approach=taught.approach, payload_kg=taught.payload_kg)
-    left_M = taught.p_M - arm.model.predict(taught.q, conditions=loaded)
-    arm = with_networks(profile, arm, taught.q, left_M, taught.time_s, steps)
+    residual_M = taught.p_M - arm.model.predict(taught.q, conditions=loaded)
+    arm = with_networks(profile, arm, taught.q, residual_M, taught.time_s, steps)
     if arm.model.network is None:
         return arm
     done = learning_steps(profile.network)
@@ -723,20 +723,20 @@ def rotation_network(profile: Profile, model: ArmModel, taught: Quantities, step
 
 
 def network_of_residuals(
-    profile: Profile, model: ArmModel, readings: Readings, left_M: Array, steps: JobSteps
+    profile: Profile, model: ArmModel, readings: Readings, residual_M: Array, steps: JobSteps
 ) -> ResidualNetwork | None:
-    """Train a network on residuals ``left_M`` (n, 3) [m, rad]; None if left-out ones are predicted no better by it."""
-    left_B = left_M @ model.geometry.T_M_B()[:3, :3]
-    return learn(profile.network, readings.q, left_B, readings.time_s, seed=profile.seed, steps=steps).network
+    """Train a network on residuals ``residual_M`` (n, 3) [m, rad]; None if it predicts left-out ones no better."""
+    residual_B = residual_M @ model.geometry.T_M_B()[:3, :3]
+    return learn(profile.network, readings.q, residual_B, readings.time_s, seed=profile.seed, steps=steps).network
 
 
 def with_networks(
-    profile: Profile, arm: ArmCalibration, q: Array, left_M: Array, time_s: Array, steps: JobSteps
+    profile: Profile, arm: ArmCalibration, q: Array, residual_M: Array, time_s: Array, steps: JobSteps
 ) -> ArmCalibration:
-    """Train networks on the geometry's residuals ``left_M`` (n, 3) [m] at ``q`` (n, N) [rad]: one in the base frame;
+    """Train networks on residuals ``residual_M`` (n, 3) [m] at ``q`` (n, N) [rad]: one in the base frame;
     for method 2 of a pair the same in the tracker frame; none if a network does not help."""
-    left_B, seed = left_M @ arm.model.geometry.T_M_B()[:3, :3], profile.seed
-    training = learn(profile.network, q, left_B, time_s, seed=seed, steps=steps.after(0, "base frame"))
+    residual_B, seed = residual_M @ arm.model.geometry.T_M_B()[:3, :3], profile.seed
+    training = learn(profile.network, q, residual_B, time_s, seed=seed, steps=steps.after(0, "base frame"))
     if training.network is None:
         return replace(arm, training=training)
     arm = replace(arm, model=replace(arm.model, network=training.network), training=training)
@@ -745,7 +745,7 @@ def with_networks(
     # The same shape, not rotated with joint 1: the tracker frame has no relation to that axis.
     shape = replace(training.shape, rotates_with_joint_1=False)
     later = steps.after(learning_steps(profile.network), "tracker frame")
-    in_tracker = train_network(profile.network, q, left_M, seed, later, shapes=(shape,))
+    in_tracker = train_network(profile.network, q, residual_M, seed, later, shapes=(shape,))
     return replace(arm, tracker_frame_network=in_tracker.network)
 
 

@@ -35,7 +35,7 @@ from cellapp.estimation.discovery.records import ArmDiscoveryResult, BeforeAfter
 from cellapp.estimation.discovery.search.state import SCORE_MARGIN, SearchResult, scatter
 from cellapp.estimation.discovery.search.stepwise import SEARCH_STEPS, search
 from cellapp.estimation.discovery.search.unnamed_term import unnamed_record
-from cellapp.estimation.discovery.verdict import structure_left, verdict
+from cellapp.estimation.discovery.verdict import residual_structure, verdict
 from cellapp.estimation.readings import Readings
 from cellapp.estimation.readings.readings import one_a_stop
 from cellapp.ground.counting import counted, mm
@@ -162,12 +162,12 @@ def _evaluated(arm: ArmReadings, result: Searched, held_out: HeldOut, started: f
     scan = remaining_scan(searched)
     probable = searched.posteriors or posteriors_of(searched, scan)
     terms, accepted = accepted_effects(found, fitted_model, held_out, after.rms, probable)
-    left, structure = scatter(found.data, found.fit), structure_left(searched.data, searched.fit)
+    spread, structure = scatter(found.data, found.fit), residual_structure(searched.data, searched.fit)
     nameless, claim = unnamed_record(found, held_out), _contradicted_claim(found, stated_mm)
-    if claim is not None and left is not None:
-        left = replace(left, against="estimated")
+    if claim is not None and spread is not None:
+        spread = replace(spread, against="estimated")
     errors = BeforeAfter(before=before.rms, after=after.rms)
-    word, sentence = verdict(accepted, floor_mm, errors, len(held_out), left, structure, nameless)
+    word, sentence = verdict(accepted, floor_mm, errors, len(held_out), spread, structure, nameless)
     if result.harmful:
         word = "unknown effect"  # the search fitted something real, but not by its true cause
     # if nothing was found, the arm stays as it was calibrated
@@ -183,8 +183,8 @@ def _evaluated(arm: ArmReadings, result: Searched, held_out: HeldOut, started: f
         seconds=time.perf_counter() - started,
         steps=_gap_steps(found, held_out, before.rms, after.rms, None if result.only_some else result.fitted),
         threshold=found.threshold,
-        omnibus_p=None if left is None else left.p_value,
-        scatter=None if left is None else left.ratio,
+        omnibus_p=None if spread is None else spread.p_value,
+        scatter=None if spread is None else spread.ratio,
         accepted=accepted,
         candidates=probable.effects,
         contradictions=contradictions(terms, accepted),
@@ -328,7 +328,7 @@ def _judged_by_held_out(result: Searched, held_out: HeldOut) -> Searched:
 
 def _with_what_was_left_out(sentence: str, result: Searched) -> str:
     """Append to the sentence of the verdict which effects and which readings were left out."""
-    said = {rival.effect for one in result.found.reviews for rival in one.rivals if not rival.distinguishable}
+    said = {other.effect for one in result.found.reviews for other in one.alternatives if not other.distinguishable}
     improbable = [slug for slug in result.found.improbable if slug not in said]
     if improbable:
         titles = ", ".join(EFFECTS[slug].title for slug in improbable)
@@ -418,8 +418,8 @@ def _train(arm: ArmReadings, steps: JobSteps) -> ResidualNetwork | None:
     readings = arm.readings
     if len(readings) < _READINGS_A_FOLD * arm.profile.network.folds:
         return None
-    left_M = readings.p_M - arm.model.predict(readings.q, conditions=arm.conditions)
-    return network_of_residuals(arm.profile, arm.model, readings, left_M, steps)
+    residual_M = readings.p_M - arm.model.predict(readings.q, conditions=arm.conditions)
+    return network_of_residuals(arm.profile, arm.model, readings, residual_M, steps)
 
 
 def _correction_mm(network: ResidualNetwork | None, q: Array) -> float:

@@ -240,7 +240,7 @@ def _change(design: Design, cause: Cause) -> FoundChange:
         p_value=cause.p_value,
         moved_mm=moved_m(design, cause, None) * 1e3,
         turned_mrad=_rotation_mrad(design, cause),
-        rivals=cause.rivals,
+        rivals=cause.confounded,
     )
 
 
@@ -304,9 +304,9 @@ def _notes(
     design: Design, found: Explanation, weak: Sequence[WeakChange], verdict: CheckVerdict, stray: int | None
 ) -> tuple[str, ...]:
     notes = [
-        f"the stops do not tell {design.name_of(cause.alternative)} from {', '.join(cause.rivals)}"
+        f"the stops do not tell {design.name_of(cause.alternative)} from {', '.join(cause.confounded)}"
         for cause in found.causes
-        if cause.rivals
+        if cause.confounded
     ]
     if stray is not None:
         notes.append(
@@ -432,6 +432,6 @@ def judged(design: Design, stops: StopRows, planned: int, before: SequentialStat
 
 
 def _named(design: Design, stops: StopRows) -> bool:
-    """Return whether the changes explain the stops and no rivals remain that more stops could exclude."""
+    """Return whether the changes explain the stops and no alternatives remain that more stops could exclude."""
     found = explain(design, stops)
-    return found.holds and not any(cause.open_rivals for cause in found.causes)
+    return found.holds and not any(cause.undecided for cause in found.causes)

@@ -472,8 +472,8 @@ class _Search:
             if judged is None:
                 continue
             if (_AS_WELL if step.law in ONLY_MOTION else 1.0) * judged.heldout_mm < state.heldout_mm:
-                rivals = [one.log_p for _, _, one in likely if {one.law, step.law} == set(CONFOUNDED)]
-                return judged, replace(step, after_mm=judged.heldout_mm, rival=min(rivals, default=math.inf))
+                confounded = [one.log_p for _, _, one in likely if {one.law, step.law} == set(CONFOUNDED)]
+                return judged, replace(step, after_mm=judged.heldout_mm, other_log_p=min(confounded, default=math.inf))
         return None
 
     def _terms_to_try(

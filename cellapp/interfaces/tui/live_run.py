@@ -51,7 +51,7 @@ class OthersControl(JobControl):
 
     def leave(self, how: str = "") -> None:
         """Look at it no longer. The job goes on: another person attends it."""
-        self._left = how or "left"
+        self._departure = how or "left"
         self._over.set()
 
     def follow(self, listener: Listener) -> None:

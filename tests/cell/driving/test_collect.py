@@ -28,7 +28,7 @@ from drivers.arms.protocol import ArmState
 from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.simulated import SimulatedTracker
 from tests.evidence.campaigning.campaign import Bench, Campaign, make_bench, run_campaign
-from tests.evidence.campaigning.faults import KINDS, draw_faults
+from tests.evidence.campaigning.faults import KINDS, sample_faults
 from tests.twin import PROFILES, plant_of, small_twin
 
 STOPS = 12
@@ -395,7 +395,7 @@ def test_the_same_seed_is_the_same_campaign(bench: Bench, campaigns: list[Campai
 
 
 def test_faults_come_in_order_and_from_the_seed() -> None:
-    first, second = (draw_faults(np.random.default_rng(1), ("left", "right"), 400, 100) for _ in range(2))
+    first, second = (sample_faults(np.random.default_rng(1), ("left", "right"), 400, 100) for _ in range(2))
     assert first == second
     assert [fault.at_s for fault in first] == sorted(fault.at_s for fault in first)
 

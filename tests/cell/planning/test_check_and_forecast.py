@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from cellapp.cell.driving.collect import collect_run
-from cellapp.cell.planning.candidates import CandidatePool, draw_pool
+from cellapp.cell.planning.candidates import CandidatePool, sample_pool
 from cellapp.cell.planning.designed_plan import select_stops
-from cellapp.cell.planning.information import InformationModel, drawn_conditions, information_model
+from cellapp.cell.planning.information import InformationModel, information_model, sampled_conditions
 from cellapp.cell.planning.planned_stops import planned_time, read_planned_stops
 from cellapp.cell.planning.records import PlanCheckResult, PlanForecastResult
 from cellapp.cell.planning.sweeps import SweepDesign
@@ -226,7 +226,7 @@ Pools = Mapping[str, CandidatePool]
 
 def drawn(profile: Profile, count: int = POOL) -> Pools:
     cell, rng = cell_bodies(profile), np.random.default_rng(3)
-    return {name: draw_pool(cell, profile, name, count, rng) for name in cell.arms}
+    return {name: sample_pool(cell, profile, name, count, rng) for name in cell.arms}
 
 
 @pytest.fixture(scope="module")
@@ -246,7 +246,7 @@ def chosen(twin: Profile, pools: Pools) -> Mapping[str, np.ndarray]:
 
 def model_of(profile: Profile, pools: Pools, name: str = "left") -> InformationModel:
     others = {other: pool.q for other, pool in pools.items() if other != name}
-    conditions = drawn_conditions(profile, name, pools[name].q, others, np.random.default_rng(0))
+    conditions = sampled_conditions(profile, name, pools[name].q, others, np.random.default_rng(0))
     return information_model(profile, name, pools[name].q, conditions)
 
 

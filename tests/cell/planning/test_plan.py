@@ -137,7 +137,7 @@ def test_where_nothing_can_be_seen_planning_ends_in_words(
     spoilt: Any, cause: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     profile = spoilt(small_twin(3))
-    monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_DRAWS", 20_000)
+    monkeypatch.setattr("cellapp.cell.planning.candidates._MOST_SAMPLES", 20_000)
     with pytest.raises(InputError, match=f"arm left: none of 20000 random configurations .*{cause}"):
         plan_stops(profile)
 

@@ -40,7 +40,7 @@ from drivers.plant import suggest
 from tests.arms import true_geometry
 from tests.cell.run.small_runs import import_csv
 from tests.estimation.discovery.problems import calibrated_and_searched
-from tests.evidence.shared.series import draw_rows, load_entrant
+from tests.evidence.shared.series import load_entrant, sample_rows
 from tests.series import twin
 
 ROOT = Path(__file__).parents[3]
@@ -425,7 +425,7 @@ SEARCHED, ROWS = 200, 320
 def drawn_beyond():
     """A draw of a real UR10: its readings with splits."""
     series = load_entrant("D")
-    readings = draw_rows(series, ROWS, 3).split(series.readings)
+    readings = sample_rows(series, ROWS, 3).split(series.readings)
     arm, _ = calibrate_arm(series.profile, series.arm, readings)
     return ArmReadings.alone(series.profile, series.arm, arm.model, readings)
 

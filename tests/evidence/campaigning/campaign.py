@@ -26,7 +26,7 @@ from cellapp.ground.profile.sections import AirLimits, Collection, Reference, Su
 from cellapp.ground.progress import CancelToken
 from drivers.sensors.simulated_settings import SimulatedAirSensorSettings
 from tests.evidence.campaigning.doubles import ProgramKilled
-from tests.evidence.campaigning.faults import Fault, draw_faults
+from tests.evidence.campaigning.faults import Fault, sample_faults
 from tests.evidence.campaigning.monitor import Failure
 from tests.evidence.campaigning.oracle import ArmEstimate, judge
 from tests.evidence.campaigning.world import Endless, SimulatedControl, World
@@ -190,7 +190,7 @@ def _run(bench: Bench, seed: int, folder: Path) -> tuple[Campaign, dict[str, Arm
     profile = bench.profile.model_copy(update={"collection": drawn_collection(rng)})
     faults: tuple[Fault, ...] = ()
     if bench.undisturbed is not None:
-        faults = draw_faults(rng, arms, stops, max(1, int(rng.poisson(stops / STOPS_TO_A_FAULT))))
+        faults = sample_faults(rng, arms, stops, max(1, int(rng.poisson(stops / STOPS_TO_A_FAULT))))
     RunFile.create(folder / "run", profile, lambda run: run.write_plan(bench.plan)).close()
     world = World(profile, seed, folder, bench.gate)
     world.expect(faults)

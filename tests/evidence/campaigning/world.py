@@ -184,8 +184,8 @@ class HoldingClock(SimulatedClock):
             self.plant.advance(max(duration_s, self.plant.undisturbed_s))
             return
         end_s = self.now_s() + duration_s
-        while (left_s := end_s - self.now_s()) > 0.0:
-            self.plant.advance(min(left_s, self.plant.undisturbed_s))
+        while (remaining_s := end_s - self.now_s()) > 0.0:
+            self.plant.advance(min(remaining_s, self.plant.undisturbed_s))
             if self._request() in ("stop", "abort"):
                 return
 

@@ -75,13 +75,13 @@ class DiscoverScreen(DayScreen):
 
     def action_collect(self) -> None:
         """Ask, then measure the planned stops that are not measured yet."""
-        folder, left = self.open_folder(), self.state.left
+        folder, todo = self.open_folder(), self.state.remaining
         if folder is None:
             return
-        if left == 0:
+        if todo == 0:
             self.say(f"No stop is left to measure: {SHOWN['add']} proposes further ones.", "warning")
             return
-        text = f"{counted(left, 'stop is', 'stops are')} left to measure in {folder}; {arms_words(self.workspace)}."
+        text = f"{counted(todo, 'stop is', 'stops are')} left to measure in {folder}; {arms_words(self.workspace)}."
 
         def begin() -> None:
             self.start(verb_jobs.job_of(COLLECT, folder=folder, resume=True))

@@ -20,8 +20,8 @@ from cellapp.estimation.discovery.search.data_driven import (
 )
 from cellapp.estimation.discovery.search.discrepancy_term import (
     BesideField,
-    explains_beside_free_parts,
-    with_free_parts,
+    explains_beside_discrepancies,
+    with_discrepancies,
 )
 from cellapp.estimation.discovery.search.review import review
 from cellapp.estimation.discovery.search.scan import LawScan
@@ -111,7 +111,7 @@ def test_a_term_explains_a_visible_share_of_what_is_left(size, name):
 
 
 def test_a_field_over_the_workspace_is_one_smooth_term():
-    field = RandomField.drawn(11, 0.6)
+    field = RandomField.sampled(11, 0.6)
     data, fit = readings_with(np.zeros_like, lambda p: 60e-6 * field.at(p))
     found = fit_process(data, fit, 30.0)
     assert found is not None
@@ -127,7 +127,7 @@ def test_a_field_over_the_workspace_is_one_smooth_term():
 
 
 def test_beside_a_field_a_law_counts_for_what_the_waves_of_the_field_cannot_follow():
-    field = RandomField.drawn(11, 0.3)
+    field = RandomField.sampled(11, 0.3)
 
     def gain(amplitude: float) -> float:
         data, fit = readings_with(
@@ -280,7 +280,7 @@ def linear(q, torques, approach):
 
 def test_a_law_that_is_right_has_none():
     problem, state = searched_off(linear, "joint_compliance", ("compliance2",))
-    assert with_free_parts(problem, state) is None
+    assert with_discrepancies(problem, state) is None
 
 
 def best_new_score(problem, state, slug):
@@ -292,7 +292,7 @@ def test_what_a_law_leaves_over_is_no_other_effect():
     problem, state = searched_off(softer, "joint_compliance", ("compliance2",))
     plain = [best_new_score(problem, state, slug) for slug in ("transmission_error", "encoder_eccentricity")]
     assert max(score.value for score in plain) > THRESHOLD, "it looks like one"
-    assert not any(explains_beside_free_parts(problem, state, score) for score in plain)
+    assert not any(explains_beside_discrepancies(problem, state, score) for score in plain)
     wave = ModelTerm("transmission_error", plain[0].candidate.law, plain[0].names)
     assert probable(problem, problem.state((*state.fit.terms, wave), state)) < 0.01
 
