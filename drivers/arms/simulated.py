@@ -14,8 +14,8 @@ from drivers.arms.protocol import (
     ArmIdentity,
     ArmState,
     ArmTimeout,
-    DoubtListener,
     EmergencyStop,
+    FaultListener,
     JointLimits,
     LinkLost,
     LiveArm,
@@ -54,7 +54,7 @@ class SimulatedArm:
         self._released = 0
         self._cut_short = False
         """Whether the last motion was stopped before its goal."""
-        self._listener: DoubtListener = lambda error: None
+        self._listener: FaultListener = lambda error: None
         self._stream: NDArray[np.float64] | None = None
         """The positions that are being streamed. ``_send`` stops when this is another array or None."""
         self._sent = 0
@@ -76,7 +76,7 @@ class SimulatedArm:
         self._released = refusals
         self._may_move()
 
-    def watch(self, listener: DoubtListener) -> None:
+    def watch(self, listener: FaultListener) -> None:
         """Report faults and lost links to ``listener`` when they occur."""
         self._listener = listener
 

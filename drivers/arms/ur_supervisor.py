@@ -444,7 +444,7 @@ class Supervisor:
         """
         if self._fault is None or (self._fault.kind == _HARMLESS and refusal.kind != _HARMLESS):
             self._fault = refusal
-            self._application.answer({"doubt": refusal.kind, "text": refusal.text})
+            self._application.answer({"fault": refusal.kind, "text": refusal.text})
             self._stop_program()
         if self._motion is not None:
             self._motion = None

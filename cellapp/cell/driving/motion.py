@@ -1,4 +1,4 @@
-"""Motion and measurement in an open cell: the gate checks every motion; doubt about one arm stops all arms.
+"""Motion and measurement in an open cell: the gate checks every motion; a fault of one arm stops all arms.
 
 Reports of the steps of collecting: the same details and sentences live and from a stored run.
 """
@@ -189,7 +189,7 @@ class MotionRefused(CellappError):
 class Mover:
     """Moves the arms of one open cell, records the last motion of each joint, and measures.
 
-    Every motion starts from the joint positions that the controllers report. Any doubt triggers ``reaction``; nothing
+    Every motion starts from the joint positions that the controllers report. Any fault triggers ``reaction``; nothing
     moves while that is latched. ``emit`` is called at the beginning and at the end of every motion.
     """
 
@@ -320,7 +320,7 @@ class Mover:
 
         ``paths`` maps arm -> positions (m, N) [rad] and their period [s]. Return the row at which its ``end_path``
         ended each early, with a fraction; else inf. If several arms are no longer where the gate expected them relative
-        to each other, that is a doubt, which stops all. ``look`` is called at the start and then each half second, or
+        to each other, that is a fault, which stops all. ``look`` is called at the start and then each half second, or
         more often.
 
         Raises
@@ -389,7 +389,7 @@ class Mover:
     def _confirm_links(self) -> None:
         """Check that every link of every arm responds now, also of arms that stay at rest.
 
-        Raise ``CellStopped`` if one does not: no motion begins while there is a doubt.
+        Raise ``CellStopped`` if one does not: no motion begins while there is a fault.
         """
         arms = self._cell.arms
         _, errors = answers_of_all(self._cell.together, {name: arm.confirm for name, arm in arms.items()})
@@ -447,7 +447,7 @@ class Mover:
     ) -> dict[str, ArmState]:
         """Wait in rounds until all arms are at rest in the same round; return their states.
 
-        Each round calls ``look`` and waits at most ``round_s`` [s] for each arm. A doubt about any arm brakes all of
+        Each round calls ``look`` and waits at most ``round_s`` [s] for each arm. A fault of any arm brakes all of
         them, which ends every wait at once.
         """
         for name in names:

@@ -222,7 +222,7 @@ class Beam:
             self._reaction.trigger(StopCause("tracker", str(error)))
             return
         for arm in self._moving:
-            with suppress(ArmError):  # the arm's own doubt stops the cell
+            with suppress(ArmError):  # the arm's own fault stops the cell
                 arm.end_path()
 
 

@@ -345,7 +345,7 @@ _FARTHEST_RAD = 0.1
 _POSE = 6
 """Degrees of freedom of a pose: an arm with fewer joints cannot keep its rotation while its position changes."""
 REPEATS = 3
-"""New measurements of a target before a correction and after one. The measurement that raised the doubt does not count:
+"""New measurements of a target before a correction and after one. The measurement that raised the fault does not count:
 it was selected because it was large."""
 _NOISE_95 = 7.815
 """95 % quantile of chi-squared with three degrees of freedom; a target above it is measured again."""

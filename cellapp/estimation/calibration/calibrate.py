@@ -47,7 +47,7 @@ from cellapp.estimation.calibration.quantities import (
     with_probe,
 )
 from cellapp.estimation.calibration.records import ArmPriorResult, ClockResult, MotionResult, Repeatability
-from cellapp.estimation.calibration.station_location import factory_doubt
+from cellapp.estimation.calibration.station_location import wrong_factory
 from cellapp.estimation.readings import SPLITS, Readings, stated_uncertainty
 from cellapp.estimation.readings.readings import FIRST_SAMPLE, first_stops, neighbours_words
 from cellapp.ground.counting import counted
@@ -516,8 +516,8 @@ def calibrate_arm(profile: Profile, name: str, readings: Readings) -> tuple[ArmC
         fitted = _fitted(profile, name, good.take(~wrong), robust=True)
     calibration = _evaluated(profile, name, readings, fitted)
     notes = _arm_notes(name, calibration, fitted)
-    if doubt := factory_doubt(profile.arms[name], fitted.readings):
-        notes.append(f"arm '{name}': {doubt}; no program, command or export is made of such a model")
+    if misfit := wrong_factory(profile.arms[name], fitted.readings):
+        notes.append(f"arm '{name}': {misfit}; no program, command or export is made of such a model")
     return calibration, notes
 
 

@@ -627,7 +627,7 @@ def better_reading(nominal: Geometry, q: Array, p_M: Array) -> tuple[str, Explai
     return simplest if simplest[1].holds and simplest[1].rms_m < _CLEARER * now else None
 
 
-def factory_doubt(arm: Arm, readings: Readings) -> str:
+def wrong_factory(arm: Arm, readings: Readings) -> str:
     """Say that the factory calibration of an arm explains its readings worse than the published rows; else empty."""
     if arm.factory is None or readings.station is not None or len(readings) < _FEWEST_ROWS:
         return ""

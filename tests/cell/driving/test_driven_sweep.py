@@ -201,7 +201,7 @@ def test_a_beam_that_stays_lost_ends_the_recording_and_the_arm_comes_back(planne
         assert len(run.stops_done()) == 2
 
 
-def test_a_doubt_in_a_sweep_stops_all_and_resuming_records_what_is_missing(planned: Path, tmp_path: Path) -> None:
+def test_a_fault_in_a_sweep_stops_all_and_resuming_records_what_is_missing(planned: Path, tmp_path: Path) -> None:
     faults: list[ArmError] = []
 
     def prepare(cell: Cell) -> None:

@@ -265,13 +265,13 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
             state = replace(state, fit=without_names(state.fit, nameless))
             found = replace(_result(problem, state, found.geometry_only), improbable={**found.improbable, **improbable})
             continue
-        doubtful = [
+        unlikely = [
             (probability, number)
             for number, (probability, led) in enumerate(answers)
             if state.fit.terms[number].slug != UNKNOWN and (led or probability < _EVEN_ODDS)
         ]
         reviews = list(found.reviews)
-        for probability, number in sorted(doubtful):
+        for probability, number in sorted(unlikely):
             state.give_up_scan()
             without, rest = _searched_without(problem, state, number)
             worse = criterion(rest.fit) - criterion(state.fit)
@@ -282,10 +282,10 @@ def _probable(problem: SearchProblem, found: SearchResult, state: SearchState) -
             reviews[number] = replace(reviews[number], alternative_scores=limited)
         else:
             found = replace(found, reviews=tuple(reviews))
-            if doubtful:
+            if unlikely:
                 probable = posteriors_of(found, remaining_scan(found))
                 others = [probability for probability, _ in _probability_of_answers(found, probable)]
-                if any(others[number] < _EVEN_ODDS for _, number in doubtful):
+                if any(others[number] < _EVEN_ODDS for _, number in unlikely):
                     continue  # with its alternatives limited it is improbable by itself
             unnamed = without_imitations(problem, state)
             if unnamed is not state:

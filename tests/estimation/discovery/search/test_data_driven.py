@@ -297,7 +297,7 @@ def test_what_a_law_leaves_over_is_no_other_effect():
     assert probable(problem, problem.state((*state.fit.terms, wave), state)) < 0.01
 
 
-def test_a_small_name_beside_a_larger_one_of_the_same_variables_is_in_doubt():
+def test_a_small_name_beside_a_larger_one_of_the_same_variables_is_of_unknown_state():
     def both(q, torques, approach):
         return at_joint(0, -1.5e-4 * approach[:, 0]) + at_joint(2, -5e-7 * approach[:, 2] * np.abs(torques[:, 2]))
 
