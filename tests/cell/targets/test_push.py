@@ -62,7 +62,7 @@ def test_compensated_targets_are_met_to_the_trackers_noise(
     run: RunFile, model: CellModel, commands: tuple[Command, ...], cells: list[Any]
 ) -> None:
     heard: list[Progress] = []
-    found = push(run.profile, model, commands, heard.append, verify=True)
+    found = push(run.profile, model, commands, JobControl(heard.append), verify=True)
     assert [(target.name, target.note) for target in found.targets] == [(t.name, "") for t in TARGETS]
     for name in ("left", "right"):
         nominal, compensated = found.arms[name].nominal_mm, found.arms[name].compensated_mm
