@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from typing import Literal
 
 from cellapp.ground.job_client import Verb
-from cellapp.ground.progress import Cancelled, CancelToken, CellLive, Halt
+from cellapp.ground.progress import Cancelled, CellLive, Halt, JobToken, Listener, ignore
 
 Request = Literal["none", "pause", "stop", "abort"]
 
@@ -29,7 +29,7 @@ class Aborted(Cancelled):
     """A person ended the job; the arms were braked, and the run can be resumed later."""
 
 
-class JobControl(CancelToken):
+class JobControl(JobToken):
     """The request that stands, and the way to the brakes. All methods may be called from any thread.
 
     A signal handler must call ``stop`` in a thread of its own: a lock of this object may be held by the code it
@@ -37,6 +37,8 @@ class JobControl(CancelToken):
 
     Parameters
     ----------
+    listener : callable
+        As in ``JobToken``.
     holds : bool
         Whether a person attends the job and may resume it after ``stop``. Otherwise ``stop`` ends the job.
 
@@ -46,8 +48,8 @@ class JobControl(CancelToken):
         The run of the job, by which controllers name its programs; empty until it is known.
     """
 
-    def __init__(self, *, holds: bool = False) -> None:
-        super().__init__()
+    def __init__(self, listener: Listener = ignore, *, holds: bool = False) -> None:
+        super().__init__(listener)
         self.holds = holds
         self.run = ""
         self._request: Request = "none"
@@ -116,7 +118,7 @@ class JobControl(CancelToken):
         self._set_and_brake("abort", replaces=("none", "pause", "stop", "abort"), ends=True)
 
     def cancel(self) -> None:
-        """End the job: ``abort``, for callers that know only a cancel token."""
+        """End the job: ``abort``, for callers that know only a ``JobToken``."""
         self.abort()
 
     def check(self) -> None:

@@ -30,7 +30,7 @@ from cellapp.estimation.uncertainty.detection_curve import NamingCurve
 from cellapp.ground.errors import InputError
 from cellapp.ground.executors import Gathered, PoolWork, TimeLimit
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Notice, Progress
+from cellapp.ground.progress import JobToken, Notice, Progress
 from tests.program import app
 from tests.twin import PROFILES, whole_twin
 from tests.verbs import plan_new_run
@@ -151,7 +151,7 @@ def power_by(
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("cellapp.commands.trials.detectability.gather", gather)
         told = list[Progress]()
-        found = power_of(planned, trials, 3, PoolWork(listener=told.append), limit)
+        found = power_of(planned, trials, 3, PoolWork(job=JobToken(told.append)), limit)
     assert isinstance(told[0].detail, Notice)
     assert limit.words() in told[0].detail.text
     return found

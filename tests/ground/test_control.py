@@ -24,7 +24,7 @@ import cellapp
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.executors import ComputingLost, PoolWork, gather
-from cellapp.ground.progress import Cancelled, CancelToken, Progress, eta_words, in_lines, with_eta
+from cellapp.ground.progress import Cancelled, JobToken, Progress, eta_words, in_lines, with_eta
 from cellapp.ground.results import Record
 
 
@@ -223,14 +223,15 @@ def test_another_file_is_no_results_file_and_stays(tmp_path: Path, text: str) ->
 
 
 def test_a_cancelled_job_begins_nothing_and_keeps_what_ended(tmp_path: Path) -> None:
-    cancel, kept = CancelToken(), tmp_path / "kept.jsonl"
+    kept = tmp_path / "kept.jsonl"
 
     def after_two(event: Progress) -> None:
         if event.done == 2:
-            cancel.cancel()
+            job.cancel()
 
+    job = JobToken(after_two)
     with pytest.raises(Cancelled):
-        values(FOUR, PoolWork(results=kept, listener=after_two, cancel=cancel))
+        values(FOUR, PoolWork(results=kept, job=job))
     assert len(kept.read_text().splitlines()) == 2
 
 
@@ -306,7 +307,7 @@ def test_workers_of_a_cluster_give_the_same(cluster: tuple[str, subprocess.Popen
 
     more = FOUR | {f"slow {number}": 1000 + number for number in range(3)}
     with pytest.raises(ComputingLost, match="the scheduler is gone"):
-        values(more, PoolWork(jobs=None, scheduler=address, results=work.results, listener=end_it))
+        values(more, PoolWork(jobs=None, scheduler=address, results=work.results, job=JobToken(end_it)))
 
 
 def test_no_scheduler_is_said_with_what_to_do() -> None:

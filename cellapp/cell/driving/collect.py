@@ -36,7 +36,7 @@ from cellapp.cell.driving.records import CollectResult, End
 from cellapp.cell.driving.stops_to_collect import StopQueue, Travel, Work, forbidden_stops, remaining_work, work_again
 from cellapp.cell.driving.supervision import CellSupervisor, Opened, opening, reacting
 from cellapp.cell.driving.sweeping import SweepDriver, Sweeps, due_sweeps
-from cellapp.cell.planning.planned_stops import planned_time, time_notice
+from cellapp.cell.planning.planned_stops import planned_time, tell_time
 from cellapp.cell.run import Outcome, RunFile, SessionEnd
 from cellapp.cell.run.measured_again import (
     missing_readings,
@@ -53,16 +53,7 @@ from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import (
-    Detail,
-    Listener,
-    LogReport,
-    MeasurementBegun,
-    PointMissed,
-    Progress,
-    Suspicion,
-    ignore,
-)
+from cellapp.ground.progress import Detail, LogReport, MeasurementBegun, PointMissed, Suspicion
 from drivers.arms.protocol import ArmError, ArmState
 from drivers.plant import Plant
 from drivers.trackers.protocol import TargetLost, TrackerError, Unstable, WrongTarget
@@ -95,7 +86,6 @@ class CollectSession:
     bodies: CellBodies
     reaction: StopReaction
     control: JobControl
-    listener: Listener
     number: int
     accept_drift: bool = False
     confirm: Confirm | None = None
@@ -441,7 +431,7 @@ class CollectSession:
 
     def _emit(self, detail: Detail | None = None, note: str = "") -> None:
         self.cell.pulse.beat()
-        self.listener(Progress("collect", self._queue.finished, self._queue.total, note, detail=detail))
+        self.control.tell("collect", self._queue.finished, self._queue.total, note, detail=detail)
 
     def _record(self, kind: str, reason: str) -> None:
         """Record a request or a suspension in the run; if writing fails, note it: the arms still need attention."""
@@ -479,7 +469,6 @@ class CollectSession:
 
 def collect_run(
     run: RunFile,
-    listener: Listener = ignore,
     control: JobControl | None = None,
     *,
     resume: bool = False,
@@ -521,9 +510,9 @@ def collect_run(
     require_links(run.profile, control.check)
     sweeps_s = 0.0 if work.again else sum(one.period_s for one in chain(*due_sweeps(run).values()))
     planned_s = planned_time(run.profile, work.route.take(work.stops)).total_s if work.stops else 0.0
-    listener(time_notice("collect", run.profile, planned_s + sweeps_s, work.stored, work.total))
+    tell_time(control, "collect", run.profile, planned_s + sweeps_s, work.stored, work.total)
     before = replaced_counts(run)
-    sessions = _Sessions(run, listener, control, accept_drift, confirm, opened)
+    sessions = _Sessions(run, control, accept_drift, confirm, opened)
     for load in work.loads or (0,):
         profile = change_load(run, load, payload, hung)
         payload = None  # it describes the first load only
@@ -551,7 +540,6 @@ class _Sessions:
     """Consecutive sessions of a run, one per load; a simulated cell keeps its state from one to the next."""
 
     run: RunFile
-    listener: Listener
     control: JobControl
     accept_drift: bool
     confirm: Confirm | None
@@ -590,7 +578,6 @@ class _Sessions:
                     bodies=bodies,
                     reaction=reaction,
                     control=control,
-                    listener=self.listener,
                     number=number,
                     accept_drift=self.accept_drift,
                     confirm=self.confirm,

@@ -34,9 +34,9 @@ from cellapp.estimation.readings import Reading
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import (
-    CancelToken,
     Detail,
     JobState,
+    JobToken,
     LogReport,
     MotionBegun,
     MotionEnded,
@@ -516,14 +516,14 @@ class Mover:
         conditions |= {key: getattr(point, key) for key in same}
         return Reading(approach=self.approach(name).copy(), step=self.step(name), **conditions)
 
-    def rest(self, name: str, dwell_s: float, cancel: CancelToken) -> None:
+    def rest(self, name: str, dwell_s: float, job: JobToken) -> None:
         """Wait until an arm has been at rest for ``dwell_s`` [s]. Raise as soon as the cell is stopped."""
         remaining_s = dwell_s - (self.rested_s(name) or 0.0)
         if remaining_s > 0.0:
             with self._cell.pulse.waiting():
-                self._cell.clock.wait(remaining_s, cancel.wait)
+                self._cell.clock.wait(remaining_s, job.wait)
         self._reaction.check()
-        cancel.check()
+        job.check()
 
     def measure(self, name: str, q: Vector) -> PointAtRest:
         """Measure the SMR of an arm that came to rest at ``q`` (N,) [rad]; try twice.

@@ -33,7 +33,7 @@ from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone, visib
 from cellapp.cell.safety.shapes import ObstacleBody, beam_gaps
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.robot.kinematics.transforms import Array
 
 _OBLIQUE_SHARE = 0.25
@@ -70,12 +70,7 @@ class CandidatePool:
 
 
 def sample_pool(
-    cell: CellBodies,
-    profile: Profile,
-    name: str,
-    count: int,
-    rng: np.random.Generator,
-    cancel: CancelToken | None = None,
+    cell: CellBodies, profile: Profile, name: str, count: int, rng: np.random.Generator, job: JobToken = UNATTENDED
 ) -> CandidatePool:
     """Draw ``count`` candidates of an arm in random order, fewer where they are rare.
 
@@ -93,11 +88,11 @@ def sample_pool(
         lucky = rng.random(len(incidence)) < _OBLIQUE_SHARE
         return np.asarray(lucky | (incidence <= profile.plan.incidence))
 
-    cancel, found, number = cancel or CancelToken(), list[CandidatePool](), 0
+    found, number = list[CandidatePool](), 0
     low, high = joint_ranges(cell, profile, name).T
     most = max(_MOST_SAMPLES, count * _MOST_SAMPLES_PER_CANDIDATE)
     while number < count and len(found) * _AT_ONCE < most:
-        cancel.check()
+        job.check()
         found.append(_usable(cell, name, rng.uniform(low, high, size=(_AT_ONCE, len(low))), keep))
         number += len(found[-1].q)
     sampled = len(found) * _AT_ONCE

@@ -22,7 +22,7 @@ from cellapp.cell.safety.gate import CellBodies, clear_stops, refuse_motion, vis
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.robot.kinematics.transforms import Array
 
 _TRIES_PER_STOP = 60
@@ -31,7 +31,7 @@ _PROGRESS_EVERY = 10
 """Stops between two progress reports."""
 
 
-def plan_stops(profile: Profile, listener: Listener = ignore, cancel: CancelToken | None = None) -> dict[str, Array]:
+def plan_stops(profile: Profile, job: JobToken = UNATTENDED) -> dict[str, Array]:
     """Draw stops for all arms with the profile's seed, arm -> q (stops + reserve, N) [rad].
 
     Configurations are uniform in joint space, restricted to those where the tracker sees the SMR and the arm is clear
@@ -44,32 +44,26 @@ def plan_stops(profile: Profile, listener: Listener = ignore, cancel: CancelToke
         If not enough stops can be reached.
     """
     wanted = profile.plan.stops + profile.plan.reserve
-    return further_stops(profile, home_positions(profile), wanted, (), listener, cancel)
+    return further_stops(profile, home_positions(profile), wanted, (), job)
 
 
 def further_stops(
-    profile: Profile,
-    here: Mapping[str, Array],
-    wanted: int,
-    more_seed: Sequence[int] = (),
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    profile: Profile, here: Mapping[str, Array], wanted: int, more_seed: Sequence[int] = (), job: JobToken = UNATTENDED
 ) -> dict[str, Array]:
     """Draw stops as ``plan_stops`` does, arm -> q (wanted, N) [rad], beginning where the arms are (arm -> (N,) [rad]).
 
     The last stop has a motion to the home positions. ``more_seed`` is added to the profile's seed, so that stops differ
     from those that exist already.
     """
-    cancel = cancel or CancelToken()
     cell = cell_bodies(profile)
     rng = np.random.default_rng([profile.seed, 0x9A7, *more_seed])
     picks = {name: random_configurations(cell, profile, name, rng) for name in cell.arms}
     homes = home_positions(profile)
     stops: list[Mapping[str, Array]] = []
     for number in range(1, wanted + 1):
-        cancel.check()
+        job.check()
         if (number - 1) % _PROGRESS_EVERY == 0:
-            listener(Progress("plan", number - 1, wanted))
+            job.tell("plan", number - 1, wanted)
         q, refusal = _next_stop(cell, picks, stops[-1] if stops else here, homes if number == wanted else None)
         if q is None:
             raise InputError(
@@ -77,12 +71,12 @@ def further_stops(
                 f" {refusal}. Ask for fewer stops, a smaller plan.clearance, or move bases or tracker"
             )
         stops.append(q)
-    listener(Progress("plan", wanted, wanted, "done"))
+    job.tell("plan", wanted, wanted, "done")
     return {name: np.array([stop[name] for stop in stops]) for name in cell.arms}
 
 
 def sample_stops(
-    cell: CellBodies, profile: Profile, count: int, rng: np.random.Generator, cancel: CancelToken | None = None
+    cell: CellBodies, profile: Profile, count: int, rng: np.random.Generator, job: JobToken = UNATTENDED
 ) -> dict[str, Array]:
     """Draw stops at which all arms are clear and visible, arm -> q (count, N) [rad]; motions are not checked.
 
@@ -91,11 +85,10 @@ def sample_stops(
     InputError
         If this number of stops is not found.
     """
-    cancel = cancel or CancelToken()
     picks = {name: random_configurations(cell, profile, name, rng) for name in cell.arms}
     found = {name: np.empty((0, arm.geometry.joints)) for name, arm in cell.arms.items()}
     for _ in range(_TRIES_PER_STOP):
-        cancel.check()
+        job.check()
         pairs = [{name: next(configurations) for name, configurations in picks.items()} for _ in range(count)]
         q = {name: np.array([pair[name] for pair in pairs]) for name in picks}
         admitted = visible_stops(cell, q)
@@ -128,7 +121,7 @@ def _next_stop(
     return None, refusal
 
 
-def plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | None = None) -> PlannedStops:
+def plan_run(run: RunFile, job: JobToken = UNATTENDED) -> PlannedStops:
     """Plan the stops of a run, and store them with the description of their design.
 
     Raises
@@ -137,25 +130,20 @@ def plan_run(run: RunFile, listener: Listener = ignore, cancel: CancelToken | No
         If not enough stops can be reached.
     Cancelled
     """
-    stops, design = make_stops(run.profile, listener, cancel)
+    stops, design = make_stops(run.profile, job)
     write_planned_stops(run, stops, design=design)
     return stops
 
 
 def make_stops(
-    profile: Profile,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
-    *,
-    kept: PlannedStops | None = None,
-    add: int | None = None,
+    profile: Profile, job: JobToken = UNATTENDED, *, kept: PlannedStops | None = None, add: int | None = None
 ) -> tuple[PlannedStops, PlanDesignResult | None]:
     """Plan stops by ``plan.method``; return them with the description of their design, None for random ones.
 
     Parameters
     ----------
     profile : Profile
-    listener, cancel
+    job
         Progress and cancelling.
     kept : PlannedStops, optional
         Stops that are in the plan already; they stay in their order at its beginning, and their information counts.
@@ -176,9 +164,9 @@ def make_stops(
         )
     count = wanted - (0 if kept is None else len(kept)) if add is None else add
     if profile.plan.method == "random":
-        return _with_loads(profile, _random(profile, count, listener, cancel, kept), kept), None
-    designed = design_stops(profile, count, listener, cancel, kept)
-    return _with_loads(profile, designed.stops, kept), design_result(profile, designed, listener, cancel)
+        return _with_loads(profile, _random(profile, count, job, kept), kept), None
+    designed = design_stops(profile, count, job, kept)
+    return _with_loads(profile, designed.stops, kept), design_result(profile, designed, job)
 
 
 _SHOWN = 100
@@ -219,14 +207,12 @@ def _with_loads(profile: Profile, stops: PlannedStops, kept: PlannedStops | None
     return replace(stops, load=np.concatenate([stops.load[:before], load]))
 
 
-def _random(
-    profile: Profile, count: int, listener: Listener, cancel: CancelToken | None, kept: PlannedStops | None
-) -> PlannedStops:
+def _random(profile: Profile, count: int, job: JobToken, kept: PlannedStops | None) -> PlannedStops:
     """Draw random stops with straight motions, and append them to those that are kept."""
     if kept is None or not len(kept):
-        return straight_stops(further_stops(profile, home_positions(profile), count, (), listener, cancel))
+        return straight_stops(further_stops(profile, home_positions(profile), count, (), job))
     here = kept.targets(len(kept) - 1)
-    return joined_after(kept, straight_stops(further_stops(profile, here, count, (len(kept),), listener, cancel)))
+    return joined_after(kept, straight_stops(further_stops(profile, here, count, (len(kept),), job)))
 
 
 # -- Description of a designed plan: what it tells against random stops, correlations of its factors, its time --------
@@ -235,9 +221,7 @@ def _random(
 _SEED = 0xDE52
 
 
-def design_result(
-    profile: Profile, designed: DesignedStops, listener: Listener = ignore, cancel: CancelToken | None = None
-) -> PlanDesignResult:
+def design_result(profile: Profile, designed: DesignedStops, job: JobToken = UNATTENDED) -> PlanDesignResult:
     """Compare the asked stops of a plan with random ones of the same number; reserves do not count.
 
     Raises ``Cancelled`` on request.
@@ -248,11 +232,11 @@ def design_result(
     asked = stops.take([stop for stop in range(len(stops)) if stop not in reserves])
 
     def compare(name: str, own_rng: np.random.Generator) -> ArmDesign:
-        return arm_design(profile, pools[name], name, asked.q, own_rng, cancel=cancel)
+        return arm_design(profile, pools[name], name, asked.q, own_rng, job=job)
 
-    listener(Progress("compare", 0, len(pools), "with random stops"))
+    job.tell("compare", 0, len(pools), "with random stops")
     arms = of_each_arm(compare, pools, rng)
-    listener(Progress("compare", len(pools), len(pools), "done"))
+    job.tell("compare", len(pools), len(pools), "done")
     return PlanDesignResult(
         arms=arms,
         correlations=correlations(profile, cell_bodies(profile), asked),

@@ -41,7 +41,7 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.robot.effects import EFFECTS, InputVariable, MeasurementConditions, place_in_words, varies
 from cellapp.robot.kinematics.statics import base_moment
 from cellapp.robot.kinematics.transforms import Array
@@ -358,7 +358,7 @@ class CandidatePoses:
 
 
 def candidate_poses(
-    profile: Profile, readings: Mapping[str, Readings], effort: Effort, rng: np.random.Generator, cancel: CancelToken
+    profile: Profile, readings: Mapping[str, Readings], effort: Effort, rng: np.random.Generator, job: JobToken
 ) -> tuple[CandidatePoses, list[str]]:
     """Draw poses in the cell that the profile describes, else take the measured configurations; and return notes.
 
@@ -371,7 +371,7 @@ def candidate_poses(
         arm.base is not None and arm.home is not None and arm.type.capsules for arm in profile.arms.values()
     )
     if described:
-        return _sampled_poses(profile, effort, rng, cancel), []
+        return _sampled_poses(profile, effort, rng, job), []
     note = (
         "candidates are configurations that were measured, as the profile does not say where arms and tracker stand;"
         " the motions to them were not checked for collisions"
@@ -379,9 +379,9 @@ def candidate_poses(
     return _measured_poses(readings, effort, rng), [note]
 
 
-def _sampled_poses(profile: Profile, effort: Effort, rng: np.random.Generator, cancel: CancelToken) -> CandidatePoses:
+def _sampled_poses(profile: Profile, effort: Effort, rng: np.random.Generator, job: JobToken) -> CandidatePoses:
     gate, homes = cell_bodies(profile), home_positions(profile)
-    sampled = sample_stops(gate, profile, effort.sampled, rng, cancel)
+    sampled = sample_stops(gate, profile, effort.sampled, rng, job)
     reached = np.all([ArmRoadmap(profile, gate, name, rng).reaches(q) for name, q in sampled.items()], axis=0)
     if not reached.any():
         raise InputError("propose: no candidate can be reached; make plan.clearance smaller")
@@ -549,8 +549,7 @@ def propose_stops(
     readings: Mapping[str, Readings],
     found: Mapping[str, ArmFound],
     count: int,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
     effort: Effort | None = None,
 ) -> Proposal:
     """Propose ``count`` further stops of all arms of a calibrated cell after ``found`` was discovered.
@@ -562,10 +561,10 @@ def propose_stops(
     Cancelled
         On request.
     """
-    cancel, effort = cancel or CancelToken(), effort or DEFAULT_EFFORT
+    effort = effort or DEFAULT_EFFORT
     rng = np.random.default_rng([profile.seed, _PROPOSAL_SEED, max(len(arm) for arm in readings.values())])
-    listener(Progress("propose", 0, count, "candidates"))
-    poses, notes = candidate_poses(profile, readings, effort, rng, cancel)
+    job.tell("propose", 0, count, "candidates")
+    poses, notes = candidate_poses(profile, readings, effort, rng, job)
     hypotheses = [
         ArmHypotheses.of(arm, model.arms, found[name], poses, count, effort, rng)
         for name, arm in ArmReadings.of_cell(profile, model.arms, readings).items()
@@ -576,7 +575,7 @@ def propose_stops(
     arms = [ArmCandidates.of(arm, poses) for arm in hypotheses]
     coupled = any(InputVariable.OTHER_ARM in arm.variables for arm in hypotheses)
     selection = StopSelection(arms, poses, coupled or poses.gate is None, rng)
-    chosen = selection.select(count, listener, cancel)
+    chosen = selection.select(count, job)
     if not chosen:
         raise InputError("propose: the motion check refused all candidates; reduce plan.clearance, or move the bases")
     if len(chosen) < count:
@@ -596,7 +595,7 @@ def propose_stops(
         moved = step.any(axis=1)
         stops.approach_from[arm.name][moved] = (stops.q[arm.name] - step)[moved]
         stops.dwell_s[arm.name][:] = arm.approaches.dwells[approach]
-    listener(Progress("propose", count, count, "done"))
+    job.tell("propose", count, count, "done")
     return Proposal(stops, tuple(predictions), tuple(notes), tuple(dict.fromkeys(advice)))
 
 
@@ -643,13 +642,13 @@ class StopSelection:
     rng: np.random.Generator
     refused: set[ChosenStop] = field(default_factory=set)
 
-    def select(self, count: int, listener: Listener, cancel: CancelToken) -> list[ChosenStop]:
+    def select(self, count: int, job: JobToken) -> list[ChosenStop]:
         """Choose ``count`` stops, each the best in addition to those before; fewer if the gate refuses."""
         used = [np.zeros(len(self.poses), dtype=np.intp) for _ in self.arms]
         found: list[ChosenStop] = []
         while len(found) < count:
-            cancel.check()
-            listener(Progress("propose", len(found), count, "stops"))
+            job.check()
+            job.tell("propose", len(found), count, "stops")
             stop = self._next(used, count - len(found))
             if stop is None:
                 break

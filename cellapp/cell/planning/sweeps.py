@@ -34,7 +34,7 @@ from cellapp.estimation.motion.search_state import foreseen_terms, motion_inform
 from cellapp.estimation.motion.streams import JointStream
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, Progress, ignore
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.ground.results import Record
 from cellapp.robot.kinematics.chain import smr_positions
 from cellapp.robot.kinematics.transforms import Array
@@ -195,9 +195,7 @@ def read_planned_sweeps(run: RunFile) -> PlannedSweeps:
         raise InputError(f"{run.path} is damaged ({SWEEPS_RESULT}); restore it from a copy") from None
 
 
-def plan_sweeps(
-    profile: Profile, stops: PlannedStops, listener: Listener = ignore, cancel: CancelToken | None = None
-) -> PlannedSweeps:
+def plan_sweeps(profile: Profile, stops: PlannedStops, job: JobToken = UNATTENDED) -> PlannedSweeps:
     """Plan a sweep of each arm at each stop where the gate and the tracker allow one.
 
     Raises
@@ -206,7 +204,7 @@ def plan_sweeps(
         If no arm can sweep anywhere.
     Cancelled
     """
-    cancel, cell, found = cancel or CancelToken(), cell_bodies(profile), list[PlannedSweep]()
+    cell, found = cell_bodies(profile), list[PlannedSweep]()
     swinging = profile.plan.other_arm == "swinging"
     if swinging and len(profile.arms) != 2:
         raise InputError(f"plan.other_arm: swinging is for cells of two arms, this one has {len(profile.arms)}")
@@ -216,10 +214,10 @@ def plan_sweeps(
         known[name] = _Known(q, design, design.before(q, np.sign(step[name])))
     refused: list[str] = []
     for stop in range(len(stops)):
-        listener(Progress("sweeps", stop, len(stops), f"sweeps about stop {stop + 1}"))
+        job.tell("sweeps", stop, len(stops), f"sweeps about stop {stop + 1}")
         at = stops.targets(stop)
         for number, name in enumerate(stops.q):
-            cancel.check()
+            job.check()
             rng = np.random.default_rng([profile.seed, 0x5EEB, stop, number])
             motion = _sweep_about(profile, cell, name, at, _PERIODS_S[stop % len(_PERIODS_S)], known[name], rng)
             if motion is None:

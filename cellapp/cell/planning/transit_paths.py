@@ -32,7 +32,7 @@ from cellapp.cell.planning.planned_stops import Configuration, Route, motion_s, 
 from cellapp.cell.safety.bodies import place
 from cellapp.cell.safety.gate import CellBodies, FreeMotions, clear_alone, refuse_motion, with_margin_for_ways
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import JobToken
 from cellapp.robot.kinematics.transforms import Array
 
 _MOST_ASKED = 60
@@ -274,7 +274,7 @@ _BEND = 0.35 * _POWER * (_POWER - 1)
 """Curvature assumed for that cost within one exchange: less than its initial value, with which exchanges that halve a
 correlation would seem to save nothing."""
 _CHECK_EVERY = 50
-"""Steps between two looks at the cancel token."""
+"""Steps between two looks whether the job is cancelled."""
 
 Order = NDArray[np.intp]
 
@@ -307,7 +307,7 @@ class TourTask:
     correlation_cost: float
 
 
-def best_order(task: TourTask, steps: int, rng: np.random.Generator, cancel: CancelToken) -> Order:
+def best_order(task: TourTask, steps: int, rng: np.random.Generator, job: JobToken) -> Order:
     """Find a fast order (K, B, m) of the stops: their indices within each block, -1 beyond its size.
 
     Parameters
@@ -316,14 +316,14 @@ def best_order(task: TourTask, steps: int, rng: np.random.Generator, cancel: Can
     steps : int
         Number of steps; each tries at most ``_TRIES_AT_ONCE`` moves.
     rng : numpy.random.Generator
-    cancel : CancelToken
+    job : JobToken
     """
     tours = _Tours(task, _near_order(task, rng))
     scale = float(np.mean(task.time_s)) or 1.0
     temperatures = np.geomspace(_HOT * scale, _COLD * scale, steps) if task.sizes.max(initial=0) > 1 else ()
     for step, temperature in enumerate(temperatures):
         if step % _CHECK_EVERY == 0:
-            cancel.check()
+            job.check()
         tours.step(float(temperature), rng)
     return tours.inner
 

@@ -23,7 +23,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.network_kind import NetworkKind
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken, Listener, ignore, with_eta
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.ground.results import CALIBRATE, CHECK, DISCOVER, LOCATE, VERIFY
 from cellapp.ground.shell import shell_word
 from cellapp.ground.threads import one_blas_thread
@@ -33,16 +33,11 @@ from cellapp.robot.model import CellModel
 def run(request: CalibrateRequest, work: Work) -> CalibrateResult:
     """Calibrate the run."""
     with RunFile.open(request.folder, write=True) as opened:
-        return calibrate_run(opened, work.listener, work.control, prior=request.prior, network=request.network)
+        return calibrate_run(opened, work.control, prior=request.prior, network=request.network)
 
 
 def calibrate_run(
-    run: RunFile,
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
-    *,
-    prior: Path | None = None,
-    network: NetworkKind | None = None,
+    run: RunFile, job: JobToken = UNATTENDED, *, prior: Path | None = None, network: NetworkKind | None = None
 ) -> CalibrateResult:
     """Calibrate a run: draw missing splits, identify, evaluate, append the stage, export the model in force.
 
@@ -78,11 +73,11 @@ def calibrate_run(
         from cellapp.estimation.motion.calibrate import calibrate_with_motion  # for a faster start without motion
 
         with one_blas_thread():
-            found, samples = calibrate_with_motion(profile, readings, recordings, with_eta(listener), cancel)
+            found, samples = calibrate_with_motion(profile, readings, recordings, job)
         keep_samples(run, samples)
         result, model = calibrate_result(replace(found, notes=(*notes, *found.notes))), found.model
     else:
-        result, model = calibrate_cell(profile, readings, listener, cancel, earlier=earlier, notes=notes)
+        result, model = calibrate_cell(profile, readings, job, earlier=earlier, notes=notes)
     now = basis_of(run)
     append_with_model(run, CALIBRATE, result, model, now.model_copy(update={"priors": basis_of_priors(earlier)}))
     stages = read_stages(run, lambda _: now)
@@ -93,8 +88,7 @@ def calibrate_run(
 def calibrate_cell(
     profile: Profile,
     readings: Mapping[str, Readings],
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
     *,
     earlier: Mapping[str, Earlier] | None = None,
     notes: Sequence[str] = (),
@@ -111,7 +105,7 @@ def calibrate_cell(
         On request.
     """
     with one_blas_thread():
-        found = calibrate_readings(profile, readings, with_eta(listener), cancel)
+        found = calibrate_readings(profile, readings, job)
         if earlier:
             found = calibrate_with_prior(profile, readings, found, earlier)
     return calibrate_result(replace(found, notes=(*notes, *found.notes))), found.model

@@ -35,7 +35,6 @@ from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.schema import Plant
-from cellapp.ground.progress import with_eta
 from cellapp.ground.results import CHECK, LOCATE
 from cellapp.ground.shell import shell_word
 from cellapp.robot.kinematics.transforms import xyz_of
@@ -88,11 +87,9 @@ def check_run(
         notes.append(f"the model in force, that of '{checked.used.name}', was checked although {checked.stale}")
 
     opened = noting_controllers(run, notes)
-    with running_job(run, control, "check", work.listener) as listener:
+    with running_job(run, control, "check"):
         confirm = confirmation(run.profile, work.ask(run.profile.name))
-        driven = drive_check(
-            task, test, with_eta(listener), control, confirm=confirm, opened=opened, open_with=open_with
-        )
+        driven = drive_check(task, test, control, confirm=confirm, opened=opened, open_with=open_with)
         result = _result(run, checked, driven, test.conclusion())
         result = result.model_copy(update={"notes": (*notes, *result.notes), "simulated": plant is not None})
         _store(run, checked, result)  # before the end is reported: listeners then read the run

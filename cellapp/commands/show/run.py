@@ -85,8 +85,8 @@ def _recordings(run: RunFile) -> RecordingsResult:
 
 def _plan(run: RunFile, request: ShowRequest, work: Work) -> Result:
     if request.check:
-        return check_plan_run(run, work.listener, work.control)
-    return forecast_run(run, work.listener, work.control) if request.forecast else stored_plan(run)
+        return check_plan_run(run, work.control)
+    return forecast_run(run, work.control) if request.forecast else stored_plan(run)
 
 
 def _target(run: RunFile, name: str) -> Shown:

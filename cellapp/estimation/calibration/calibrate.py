@@ -54,7 +54,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import UNTOLD, CancelToken, JobSteps, Listener, Progress, SharedProgress, ignore
+from cellapp.ground.progress import UNATTENDED, UNTOLD, JobSteps, JobToken, SharedProgress
 from cellapp.ground.results import Provenance, Stage, StageErrors
 from cellapp.robot.effects import MeasurementConditions
 from cellapp.robot.effects.registry import program_of
@@ -378,8 +378,7 @@ class CellCalibration:
 def calibrate_readings(
     profile: Profile,
     readings: Mapping[str, Readings],
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
     *,
     known: Mapping[str, ArmCalibration] = MappingProxyType({}),
 ) -> CellCalibration:
@@ -392,7 +391,6 @@ def calibrate_readings(
     Cancelled
         If the token says so.
     """
-    cancel = cancel or CancelToken()
     notes: list[str] = []
     trains = profile.network.kind != "none"
     require_learner(profile.network)
@@ -401,14 +399,14 @@ def calibrate_readings(
     arms: dict[str, ArmCalibration] = {}
     _refuse_exchanged_probes(profile, readings)
     for name, arm_readings in readings.items():
-        listener(Progress("calibrate", len(arms), total, f"arm {name}: geometry"))
-        cancel.check()
+        job.tell("calibrate", len(arms), total, f"arm {name}: geometry")
+        job.check()
         arms[name], arm_notes = (known[name], []) if name in known else calibrate_arm(profile, name, arm_readings)
         notes += arm_notes
     if trains:
-        listener(Progress("calibrate", len(arms), total, "residual networks"))
+        job.tell("calibrate", len(arms), total, "residual networks")
         with ThreadPoolExecutor(max_workers=2) as pool:  # matrix products release the interpreter lock
-            shared = SharedProgress(listener, "calibrate", len(arms), total, cancel)
+            shared = SharedProgress(job, "calibrate", len(arms), total)
             tasks = {
                 name: pool.submit(train_arm, profile, arm, readings[name], shared.part(f"arm {name}"))
                 for name, arm in arms.items()
@@ -417,8 +415,8 @@ def calibrate_readings(
             for name, task in tasks.items():
                 arms[name] = task.result()
                 notes += _network_notes(name, arms[name])
-    listener(Progress("calibrate", total - 1, total, "pair"))
-    cancel.check()
+    job.tell("calibrate", total - 1, total, "pair")
+    job.check()
     good = {name: without(its, arms[name].left_out) for name, its in readings.items()}
     models = {name: arm.model for name, arm in arms.items()}
     in_tracker = {name: arm.tracker_frame_network for name, arm in arms.items()}
@@ -432,7 +430,7 @@ def calibrate_readings(
         pair=None if pair is None else (names[0], names[1]),
         provenance=provenance.model_dump(),
     )
-    listener(Progress("calibrate", total, total, "done"))
+    job.tell("calibrate", total, total, "done")
     return CellCalibration(model, arms, pair, tuple(notes), provenance)
 
 
@@ -703,7 +701,7 @@ def train_arm(profile: Profile, arm: ArmCalibration, readings: Readings, steps: 
     if arm.model.network is None:
         return arm
     done = learning_steps(profile.network)
-    rotations = JobSteps(lambda _, words: steps(done, f"rotations: {words}"), steps.cancel)
+    rotations = JobSteps(lambda _, words: steps(done, f"rotations: {words}"), steps.job)
     turning = rotation_network(profile, arm.model, measured_quantities(taught), rotations)
     arm = replace(arm, model=replace(arm.model, network=replace(arm.model.network, rotation=turning)))
     its = measured_quantities(held_out)

@@ -41,7 +41,7 @@ from cellapp.estimation.readings.readings import one_a_stop
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.errors import NotConverged, with_not_fitted
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import UNTOLD, CancelToken, JobSteps, Listener, Progress, SharedProgress, ignore
+from cellapp.ground.progress import UNATTENDED, UNTOLD, JobSteps, JobToken, SharedProgress
 from cellapp.ground.threads import give_back
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.transforms import Array
@@ -63,8 +63,7 @@ def discover_cell(
     profile: Profile,
     model: CellModel,
     readings: Mapping[str, Readings],
-    listener: Listener = ignore,
-    cancel: CancelToken | None = None,
+    job: JobToken = UNATTENDED,
     search_arm: ArmSearch | None = None,
 ) -> CellDiscovery:
     """Search the readings of every arm of a calibrated cell for missing effects, and add them to the model.
@@ -78,7 +77,7 @@ def discover_cell(
     """
     readings = {name: one_a_stop(its) for name, its in readings.items()}
     searched = ArmReadings.of_cell(profile, model.arms, readings)
-    arms = _discover_arms(profile, searched, listener, cancel or CancelToken(), search_arm or discover_arm)
+    arms = _discover_arms(profile, searched, job, search_arm or discover_arm)
     pair = None
     if any(discovery.terms for discovery in arms.values()):
         good = {name: without(readings[name], found.result.left_out_configurations) for name, found in arms.items()}
@@ -86,7 +85,7 @@ def discover_cell(
     T_R_L = model.T_R_L if pair is None else pair.T_R_L
     model = replace(model, arms={name: found.model for name, found in arms.items()}, T_R_L=T_R_L)
     total = _total_steps(profile, len(arms))
-    listener(Progress("discover", total, total, "done"))
+    job.tell("discover", total, total, "done")
     return CellDiscovery(arms, model, pair)
 
 
@@ -101,11 +100,11 @@ def _may_train(profile: Profile) -> bool:
 
 
 def _discover_arms(
-    profile: Profile, arms: Mapping[str, ArmReadings], listener: Listener, cancel: CancelToken, search_arm: ArmSearch
+    profile: Profile, arms: Mapping[str, ArmReadings], job: JobToken, search_arm: ArmSearch
 ) -> dict[str, ArmFound]:
     found: dict[str, ArmFound] = {}
     total = _total_steps(profile, len(arms))
-    searched = SharedProgress(listener, "discover", 0, total, cancel)
+    searched = SharedProgress(job, "discover", 0, total)
     for name, arm in arms.items():
         steps = searched.part(f"arm {name}")
         steps(0, "search")
@@ -114,7 +113,7 @@ def _discover_arms(
         steps(SEARCH_STEPS, found[name].result.verdict)
     if not _may_train(profile):
         return found
-    trained = SharedProgress(listener, "discover", SEARCH_STEPS * len(arms), total, cancel)
+    trained = SharedProgress(job, "discover", SEARCH_STEPS * len(arms), total)
     with ThreadPoolExecutor(max_workers=2) as pool:  # the matrix products work outside the interpreter lock
         tasks = {}
         for name, discovery in found.items():

@@ -126,7 +126,7 @@ def moved_since(watched: Watched, seconds: float = 30.0) -> bool:
 def test_every_stop_of_both_arms_is_stored_once(run: RunFile, plan: dict[str, np.ndarray], watched: Watched) -> None:
     heard: list[Progress] = []
     watched.observes = True
-    assert not collect_run(run, heard.append).notes
+    assert not collect_run(run, JobControl(heard.append)).notes
     assert watched.plant.clearance.arms_m > 0.0
     assert watched.plant.clearance.floor_m > 0.0
     for name, q in plan.items():
@@ -171,14 +171,13 @@ def test_a_stop_is_committed_before_the_next_move(run: RunFile, watched: Watched
 def test_stopped_between_stops_the_arms_rest_and_the_run_goes_on(
     run: RunFile, plan: dict[str, np.ndarray], watched: Watched
 ) -> None:
-    control = JobControl()
-
     def stop_after_five(event: Progress) -> None:
         if event.done == 5:
             control.stop()
 
+    control = JobControl(stop_after_five)
     with pytest.raises(Stopped):
-        collect_run(run, stop_after_five, control)
+        collect_run(run, control)
     assert run.stops_done() == set(range(5))
     assert not moved_since(watched)
     last = max(run.readings(name).time_s.max() for name in plan)

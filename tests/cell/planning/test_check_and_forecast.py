@@ -26,7 +26,7 @@ from cellapp.commands.plan.check_view import check_sentences, forecast_sentences
 from cellapp.commands.plan.run import new_planned_run
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import Cancelled, CancelToken, Progress
+from cellapp.ground.progress import Cancelled, JobToken, Progress
 from cellapp.robot.paths.joint_path import Sweep
 from tests.twin import PROFILES, small_twin, with_arms
 
@@ -54,7 +54,7 @@ def with_plan(folder: Path, profile: Profile, **q: np.ndarray) -> RunFile:
 def test_a_plan_that_was_just_made_is_safe(planned: Path) -> None:
     heard: list[Progress] = []
     with RunFile.open(planned) as run:
-        result = check_plan_run(run, heard.append)
+        result = check_plan_run(run, JobToken(heard.append))
     assert (result.stops, result.ways) == (STOPS + 2, STOPS + 3)
     assert [one for one in result.refused if one.configuration is not None or not one.is_avoided] == []
     assert result.is_safe, "home may be reached one arm after the other"
@@ -105,12 +105,12 @@ def test_a_way_that_goes_home_first_is_safe(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_a_check_is_cancelled_and_needs_a_plan(planned: Path, tmp_path: Path) -> None:
-    token = CancelToken()
+    token = JobToken()
     token.cancel()
     with RunFile.open(planned) as run:
         for foresee in (check_plan_run, forecast_run):
             with pytest.raises(Cancelled):
-                foresee(run, cancel=token)
+                foresee(run, token)
     with RunFile.create(tmp_path / "imported", small_twin()) as run:
         for foresee in (check_plan_run, forecast_run):
             with pytest.raises(InputError, match="the run has no plan"):

@@ -25,7 +25,7 @@ from cellapp.cell.safety.gate import CellBodies, refuse_motion
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import BoxObstacle, CylinderObstacle, Placement
-from cellapp.ground.progress import Cancelled, CancelToken
+from cellapp.ground.progress import Cancelled, JobToken
 from tests.cell.planning.planned_cells import one_arm, planned_twin, refusals, seven_joints, three_arms
 from tests.twin import with_arms
 
@@ -186,10 +186,10 @@ def test_stops_that_no_motion_reaches_are_given_up_with_the_reason() -> None:
 
 
 def test_planning_can_be_cancelled() -> None:
-    token = CancelToken()
+    token = JobToken()
     token.cancel()
     with pytest.raises(Cancelled):
-        planned(planned_twin(8), cancel=token)
+        planned(planned_twin(8), job=token)
 
 
 # -- Distances between segments: known cases, and every case against a search over both segments -----------------------

@@ -19,7 +19,7 @@ from cellapp.estimation.calibration.network_training import (
 )
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Network
-from cellapp.ground.progress import Cancelled, CancelToken, JobSteps
+from cellapp.ground.progress import Cancelled, JobSteps, JobToken
 from cellapp.robot.model.model import network_from_json, network_to_json, rotate_about_z
 
 QUICK = Network(iterations=80)
@@ -198,7 +198,7 @@ def test_without_torch_the_extra_is_named(monkeypatch):
 
 def test_training_ends_on_request():
     pytest.importorskip("torch", reason="torch, of the extra learn, is not installed")
-    cancel = CancelToken()
+    cancel = JobToken()
 
     def stop(_done, words):
         if "in batches" in words:

@@ -30,7 +30,7 @@ from cellapp.estimation.discovery.outcome import HeldOut
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import NotConverged
-from cellapp.ground.progress import Cancelled, CancelToken, JobSteps
+from cellapp.ground.progress import Cancelled, JobSteps, JobToken
 from cellapp.robot.effects import EFFECTS, EffectTerm, MeasurementConditions
 from cellapp.robot.kinematics.chain import flange_poses, smr_positions
 from cellapp.robot.kinematics.transforms import rotation_vectors
@@ -303,7 +303,7 @@ def test_a_real_arm_hides_a_periodic_error_of_its_joints(tmp_path):
 
 
 def test_a_search_ends_on_request_before_the_rivals_of_the_next_effect(plan):
-    cancel, said = CancelToken(), []
+    cancel, said = JobToken(), []
 
     def report(done, words):
         said.append(words)

@@ -19,7 +19,6 @@ from cellapp.cell.profile.starters import copy_starter
 from cellapp.commands.doctor.result import DoctorResult
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import InputError
-from cellapp.ground.progress import ignore
 from cellapp.interfaces.tui import verb_jobs
 from cellapp.interfaces.tui.app import CellApp
 from cellapp.interfaces.tui.dialogs.first_run import Welcome
@@ -135,7 +134,7 @@ def test_a_profile_that_was_edited_after_the_question_moves_nothing(tmp_path: Pa
     assert load_profile(path) != agreed
     job = verb_jobs.whole_day(path, tmp_path / "run", agreed)
     with pytest.raises(InputError, match="was edited since"):
-        job.work(ignore, JobControl(), lambda words: True)
+        job.work(JobControl(), lambda words: True)
     assert not (tmp_path / "run").exists()
 
 

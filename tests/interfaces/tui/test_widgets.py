@@ -23,16 +23,7 @@ from cellapp.cell.run import RunFile
 from cellapp.cell.run.run_arms import note_halt, unseen_arms
 from cellapp.commands.view.charts import Axis, Chart, Limit, series
 from cellapp.ground.control import JobControl
-from cellapp.ground.progress import (
-    ArmLive,
-    CellLive,
-    Halt,
-    HaltState,
-    Listener,
-    MeasurementBegun,
-    Progress,
-    StateChange,
-)
+from cellapp.ground.progress import ArmLive, CellLive, Halt, HaltState, MeasurementBegun, Progress, StateChange
 from cellapp.interfaces.tui import app
 from cellapp.interfaces.tui.app import CellApp, SlowCollections
 from cellapp.interfaces.tui.job_record import LEVELS, JobRecord, LogRow, Pace, banner_of, strip_of
@@ -100,9 +91,9 @@ class HungJob:
         self.over = threading.Event()
 
     def job(self) -> Job:
-        def work(listener: Listener, control: JobControl, ask: Ask) -> None:
+        def work(control: JobControl, ask: Ask) -> None:
             with control.watching(lambda: self.live), control.brakes(lambda verb: None):
-                listener(Progress("collect", 3, 30, detail=MeasurementBegun(3, "left")))
+                control.tell("collect", 3, 30, detail=MeasurementBegun(3, "left"))
                 assert self.over.wait(WAIT_S)
 
         return Job("collect", work, moves=True)

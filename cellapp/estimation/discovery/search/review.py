@@ -48,7 +48,7 @@ def reviewed(problem: SearchProblem, state: SearchState) -> SearchState:
     """Drop superfluous terms one by one, the weakest first; return the new state."""
     dropped = list(state.dropped)
     while True:
-        problem.cancel.check()
+        problem.job.check()
         problem.say(f"review of {counted(len(state.fit.terms), 'effect')}")
         out = _weakest(problem, state)
         if out is None:

@@ -28,7 +28,7 @@ from cellapp.estimation.discovery.joint_fit import JointFit, ProjectedResidual, 
 from cellapp.estimation.discovery.records import RunnerUp
 from cellapp.estimation.discovery.search.scan import LawScan, choice_price, corrected_p_value
 from cellapp.ground.errors import tried
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import JobToken
 from cellapp.ground.threads import give_back
 from cellapp.robot.effects import EFFECTS, Law
 from cellapp.robot.effects.effect import is_contradiction
@@ -99,7 +99,7 @@ class SearchProblem:
         Largest scores in simulated data without effects.
     threshold : float
         Score that an effect must pass.
-    cancel : CancelToken
+    job : JobToken
     say : callable
         Callback for a short message on the current activity.
     not_fitted : list of str
@@ -110,7 +110,7 @@ class SearchProblem:
     slugs: tuple[str, ...]
     null_maxima: Array
     threshold: float
-    cancel: CancelToken
+    job: JobToken
     say: Callable[[str], None]
     not_fitted: list[str] = field(default_factory=list)
 

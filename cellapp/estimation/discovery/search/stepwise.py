@@ -186,7 +186,7 @@ def search(data: ArmData, slugs: Sequence[str], steps: JobSteps) -> SearchResult
     seed = (data.profile.seed, _NULL_SEED)
     null_maxima = simulate_null_maxima(start.scan(slugs), fit.projector, settings.null_simulations, seed)
     threshold = score_threshold(null_maxima, settings.false_alarm)
-    problem = SearchProblem(data, tuple(slugs), null_maxima, threshold, steps.cancel, progress.say)
+    problem = SearchProblem(data, tuple(slugs), null_maxima, threshold, steps.job, progress.say)
     progress.step("effects of the library")
     before_names = _smooth(problem, start)
     claim = _claim(data, start, before_names)
@@ -234,7 +234,7 @@ def _result(problem: SearchProblem, state: SearchState, geometry_only: JointFit)
     """Build the outcome of a search from its last state, with the alternatives of each term."""
     reviews = []
     for number, term in enumerate(state.fit.terms):
-        problem.cancel.check()
+        problem.job.check()
         problem.say(f"alternatives of effect {number + 1} of {len(state.fit.terms)}, {term.slug}")
         reviews.append(review(problem, state, number))
     return SearchResult(
@@ -417,7 +417,7 @@ def _with_library_effects(
     refused: set[tuple[str, str]] = set()
     refining, freed = True, False
     for _ in range(_MOST_STEPS):
-        problem.cancel.check()
+        problem.job.check()
         problem.say(f"model with {counted(len(state.fit.terms), 'effect')}")
         if _beats_all_names(problem, before_names, state, _CLEARLY):
             break

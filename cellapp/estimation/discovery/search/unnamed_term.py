@@ -60,7 +60,7 @@ def with_unnamed(problem: SearchProblem, found: SearchResult, extended: SearchSt
     The unnamed term must lower the mean error by more than its standard error, and the whole that of the geometry.
     ``extended`` is None if the residuals need none or the outcome has smooth terms already.
     """
-    problem.cancel.check()
+    problem.job.check()
     whole = found
     if extended is not None:
         fit = without_names(extended.fit, [k for k in smooth_numbers(extended.fit.terms) if k >= len(found.fit.terms)])

@@ -27,7 +27,7 @@ from cellapp.estimation.discovery.search.review import review
 from cellapp.estimation.discovery.search.scan import LawScan
 from cellapp.estimation.discovery.search.state import SearchProblem, SearchResult, SearchState
 from cellapp.estimation.discovery.search.stepwise import addition, refinement, search
-from cellapp.ground.progress import CancelToken, JobSteps
+from cellapp.ground.progress import JobSteps, JobToken
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.effects.data_driven import FIELD, acted_on
 from cellapp.robot.effects.periodic import LINES
@@ -53,7 +53,7 @@ def readings_with(bend, shift, N=200) -> tuple[ArmData, JointFit]:
 
 def searched(data: ArmData, fit: JointFit) -> tuple[SearchProblem, SearchState]:
     """A search that stands at a fit."""
-    problem = SearchProblem(data, (), np.zeros(20), 30.0, CancelToken(), lambda words: None)
+    problem = SearchProblem(data, (), np.zeros(20), 30.0, JobToken(), lambda words: None)
     return problem, SearchState(data, fit)
 
 
@@ -258,7 +258,7 @@ def searched_off(bend, slug="", names=(), shift=None):
     p_M = smr_positions(model.geometry, q + bent) + moved + rng.normal(0.0, SIGMA_M, (N, 3))
     data = data_of(profile, q, approach, p_M, SIGMA_M)
     terms = (ModelTerm(slug, EFFECTS[slug].law(), names),) if slug else ()
-    problem = SearchProblem(data, tuple(EFFECTS)[:-1], np.zeros(20), THRESHOLD, CancelToken(), lambda words: None)
+    problem = SearchProblem(data, tuple(EFFECTS)[:-1], np.zeros(20), THRESHOLD, JobToken(), lambda words: None)
     return problem, SearchState(*refit(data, terms))
 
 

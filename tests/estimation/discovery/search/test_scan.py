@@ -26,7 +26,7 @@ from cellapp.estimation.discovery.search.scan import (
 )
 from cellapp.estimation.discovery.search.state import Posteriors, Review, SearchProblem, SearchResult, SearchState
 from cellapp.ground.errors import NotConverged
-from cellapp.ground.progress import CancelToken, JobSteps
+from cellapp.ground.progress import JobSteps, JobToken
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import smr_positions
 from tests.estimation.discovery.problems import PLAIN, N, arm_of, data_of, problem, refining_law
@@ -103,7 +103,7 @@ def test_laws_that_take_all_that_the_readings_hold_have_no_free_part():
         terms.append(ModelTerm(slug, law, tuple(column.name for column in data.columns(slug, law))))
     state = SearchState(*refit(data, tuple(terms)))
     assert len(state.fit.residual) - state.fit.projector.effective_parameters < 1.0
-    problem = SearchProblem(data, (), np.zeros(20), 30.0, CancelToken(), lambda words: None)
+    problem = SearchProblem(data, (), np.zeros(20), 30.0, JobToken(), lambda words: None)
     assert with_discrepancies(problem, state) is None
 
 
