@@ -113,7 +113,7 @@ class SimulatedTracker:
         self._blind_until_s = -math.inf
         """Time until which a broken beam cannot be locked again [s]."""
         self.dynamic = plant.config.random(3)
-        self._turns = plant.config.random(5)
+        self._rotation_noise = plant.config.random(5)
         self._connected = False
         self._link_cut = False
         self._down_until_s = -math.inf
@@ -243,7 +243,7 @@ class SimulatedTracker:
             return None
         error = np.zeros(6)
         if self.plant.config.noise:
-            error[3:] = locked.sigma_rad * self._turns.standard_normal(3)
+            error[3:] = locked.sigma_rad * self._rotation_noise.standard_normal(3)
         return quaternion(rigid(error)[:3, :3] @ locked.R_M_S)
 
     # -- following a moving SMR ----------------------------------------------------------------------------------------

@@ -484,7 +484,7 @@ def collect_run(
     If an SMR cannot be measured, this is recorded and its arm has no reading; the stop counts as done for the other
     arm, and a reserve stop is added. Every stop is reached as planned, with its own approach and dwell. If the gate
     refuses all ways to a stop, it is tried again at the end, then left out; one that discovery proposed is left out at
-    once. Once splits are drawn, new readings are for training: the validation set must not change.
+    once. Once splits are sampled, new readings are for training: the validation set must not change.
 
     With ``again`` only those stops are visited, as planned. Their new readings replace the earlier ones, which are kept
     as replaced; an arm without a new reading keeps its earlier one.

@@ -1,6 +1,6 @@
 """Sweeps: at each stop of a plan, each arm in turn moves about it with its SMR facing the tracker; the others rest.
 
-Several random motions are drawn. The one is taken that tells most per second of geometry and effects, in addition to
+Several random motions are sampled. The one is taken that tells most per second of geometry and effects, in addition to
 the stops and the sweeps before. It is made narrower until the tracker sees all of it and the gate accepts the whole
 path. Motions about successive stops alternate between two speeds. With ``plan.other_arm: swinging`` the other arm of
 two moves at the same time, half as fast and without being measured (``PlannedSweep.beside``).
@@ -257,7 +257,7 @@ def refuse_sweep(
 def _swing_beside(
     profile: Profile, cell: CellBodies, name: str, motion: Sweep, at: Mapping[str, Array], rng: np.random.Generator
 ) -> Swing | None:
-    """Draw a motion of the other arm that lasts as long as ``motion`` of arm ``name`` and does not hide this from the
+    """Sample a motion of the other arm that lasts as long as ``motion`` of arm ``name`` and does not hide this from the
     tracker; None if the gate accepts none."""
     (other,) = (one for one in at if one != name)
     time_s = motion.times(_SEEN_S)
@@ -302,7 +302,7 @@ def _sweep_about(
 
 
 def _sampled(center: Array, towards: Array, period_s: float, rng: np.random.Generator) -> Sweep:
-    """Draw a random motion with its own amplitude for each joint, part of it ``towards`` another posture."""
+    """Sample a random motion with its own amplitude for each joint, part of it ``towards`` another posture."""
     order = np.arange(1, _HARMONICS + 1)[:, None]
     sine, cosine = (rng.normal(size=(_HARMONICS, len(center))) / order for _ in range(2))
     motion = Sweep(center, sine, cosine, period_s)

@@ -45,7 +45,7 @@ from cellapp.ground.threads import one_blas_thread
 _CHANGED = "plan changed: "
 """Prefix of the log line for each change of a plan; the number of such lines varies the seed of the next change."""
 _SEED = 0xADD
-"""Mixed with the profile's seed to draw other candidates than those that could partly not be reached."""
+"""Mixed with the profile's seed to sample other candidates than those that could partly not be reached."""
 
 
 def run(request: PlanRequest, work: Work) -> PlanResult | PlanCheckResult:

@@ -55,7 +55,7 @@ from cellapp.commands.report.data import ReportData, warnings
 from cellapp.commands.report.summary import best_method
 from cellapp.commands.stages import CALIBRATION_FILE, readings_digest, sha256_of
 from cellapp.commands.stored_model import values_in_force
-from cellapp.commands.trials.detectability import power_parts, stored_power
+from cellapp.commands.trials.detectability import detectability_parts, stored_detectability
 from cellapp.commands.view.charts import Axis, Chart, enumerated, evenly_spread, levelling_rotation, series
 from cellapp.commands.view.parts import Facts, Section, section_of
 from cellapp.commands.view.table import Cell, Table, columns_of
@@ -199,12 +199,12 @@ def placed(made: Mapping[str, Section | None], out_of_date: Mapping[StageName, s
     return found
 
 
-def power_section(run: RunFile) -> Section | None:
+def detectability_section(run: RunFile) -> Section | None:
     """Show from which size on the plan would find effects; None if that was not tried."""
-    result = stored_power(run)
+    result = stored_detectability(run)
     if result is None:
         return None
-    sentence, *parts = power_parts(result)
+    sentence, *parts = detectability_parts(result)
     about = (
         "Effects were hidden in simulated arms of this cell at the planned stops, at sizes that the trials before"
         " suggested, and searched as 'discover' does. Their laws are not those of the library."
@@ -525,7 +525,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[StageName, ...], Maker]] = {
     "paths": ("Paths", (), _of(_paths)),
     "station": ("Station of the tracker", (), _of(_station)),
     "plan": ("Plan", (), lambda run, _: plan_section(run)),
-    "power": ("What the plan can name", (), lambda run, _: power_section(run)),
+    "power": ("What the plan can name", (), lambda run, _: detectability_section(run)),
     "rehearsal": ("Rehearsal", (), lambda run, _: None if (log := kept_log(run)) is None else log_section(log)),
     "collection": ("Collecting", (), _collection),
     "cell": ("The cell", (), _of(_cell)),

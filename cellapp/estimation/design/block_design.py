@@ -183,7 +183,7 @@ SUBSET = 1000
 PASSES = 3
 """Largest number of passes of exchanges, each with new weights W: as with the subset, the result improves slowly."""
 _BATCHES = 20
-"""Number of batches of the first choice; each draws a new subset."""
+"""Number of batches of the first choice; each samples a new subset."""
 _SMALLEST_BATCH = 20
 """Smallest batch of the first choice: with fewer stops the new subset costs more than the choice."""
 _FIRST_BATCH = 5

@@ -53,7 +53,7 @@ _MOST_STEPS = 20
 _TOLERANCE = 0.1
 """Step at which the fit ends, in standard errors of any combination of parameters."""
 _SAMPLE_SEED = 0xA117
-"""Combined with the profile's seed, so that these draws are independent of all other draws."""
+"""Combined with the profile's seed, so that these samples are independent of all other samples."""
 
 
 def fit_to_all(found: SearchResult, data: ArmData, needed: float) -> tuple[SearchResult, ArmModel]:

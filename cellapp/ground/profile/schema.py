@@ -279,7 +279,8 @@ class Sensors(Section, defer_build=True):
 
 
 class Splits(Section):
-    """Number of stops for each use; ``rest`` is all that remain. Those of the pair are drawn from all common stops."""
+    """Number of stops for each use; ``rest`` is all that remain. Those of the pair are sampled from all common
+    stops."""
 
     identify: Annotated[int, Field(strict=True, ge=1)] = 100
     train: Annotated[int, Field(strict=True, ge=0)] = 200

@@ -85,7 +85,7 @@ def test_what_stops_to_come_are_for_is_said_when_splits_are_drawn(tmp_path: Path
         for stop in range(20):
             add_stop(run, stop)
         *_, note = sample_missing_splits(run)
-    assert note.startswith("2 planned stops are not measured: splits are drawn once")
+    assert note.startswith("2 planned stops are not measured: splits are chosen once")
 
 
 def test_an_arm_without_a_new_reading_keeps_what_it_has_and_one_that_had_none_gets_it(run: RunFile) -> None:

@@ -40,7 +40,7 @@ FORMS = [(slug, form) for slug, effect in EFFECTS.items() for form in effect.for
 
 
 @pytest.mark.parametrize(("slug", "form"), FORMS, ids=lambda value: value if isinstance(value, str) else value.name)
-def test_every_form_declares_words_drivers_and_constants(slug: str, form: LawForm) -> None:
+def test_every_form_declares_words_inputs_and_constants(slug: str, form: LawForm) -> None:
     assert form.words
     assert "_" not in form.words
     assert form.words != form.name.replace("_", " ")

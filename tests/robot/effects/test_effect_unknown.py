@@ -160,7 +160,7 @@ def test_a_name_that_is_no_term_is_refused(name):
         UNKNOWN.columns(CONTEXT, UNKNOWN.law(name, {"order": 4.0}))
 
 
-# -- The free part of a law: its columns against their definition, unknown drivers, and the JSON form of its terms -----
+# -- The discrepancy term of a law: its columns against their definition, unknown inputs, and JSON of its terms --------
 
 CONTEXT_OF_MODULATION = context_of()
 COMPLIANCE = EFFECTS["joint_compliance"]
@@ -169,7 +169,7 @@ STIFF = [column for column in COMPLIANCE.columns(CONTEXT_OF_MODULATION, COMPLIAN
 
 def term() -> EffectTerm:
     own, load = (
-        modulations(driver, STIFF[:1], CONTEXT_OF_MODULATION)[0] for driver in (OWN_SIZE, TermInput(Quantity.PAYLOAD))
+        modulations(one, STIFF[:1], CONTEXT_OF_MODULATION)[0] for one in (OWN_SIZE, TermInput(Quantity.PAYLOAD))
     )
     return EffectTerm(
         slug="joint_compliance",

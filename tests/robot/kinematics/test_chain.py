@@ -20,7 +20,7 @@ from cellapp.robot.kinematics.chain import (
     parameter_names,
     smr_positions,
 )
-from cellapp.robot.kinematics.inverse import all_branches, closed_form_solutions, solve_pose, structure_of, turned_into
+from cellapp.robot.kinematics.inverse import all_branches, closed_form_solutions, shifted_into, solve_pose, structure_of
 from cellapp.robot.kinematics.statics import Bodies, gravity_loads
 from cellapp.robot.kinematics.transforms import (
     apply,
@@ -473,7 +473,7 @@ def test_positions_with_any_rotation_are_reached_near_the_preferred_configuratio
     nearest = np.nanmin(np.linalg.norm(found - near, axis=2), axis=1)
     posed = all_branches(chain, position, rotation, FOUR_TURNS[: chain.joints], near, seed=1)
     with_rotation = np.nanmin(
-        np.linalg.norm(turned_into(posed, FOUR_TURNS[: chain.joints], near)[0] - near, axis=2), axis=1
+        np.linalg.norm(shifted_into(posed, FOUR_TURNS[: chain.joints], near)[0] - near, axis=2), axis=1
     )
     assert np.mean(nearest <= with_rotation + 1e-6) > 0.9, "freedom is used"
 
@@ -489,7 +489,7 @@ def test_what_is_out_of_reach_has_no_solution() -> None:
 @given(st.floats(-20.0, 20.0), st.floats(-7.0, 2.0), st.floats(0.0, 9.0), st.floats(-7.0, 7.0))
 def test_whole_turns(q: float, low: float, width: float, to: float) -> None:
     limits = np.array([[low, low + width]])
-    rotated, beyond = turned_into(np.array([[q]]), limits, np.array([to]))
+    rotated, beyond = shifted_into(np.array([[q]]), limits, np.array([to]))
     rotations = (rotated[0, 0] - q) / (2.0 * np.pi)
     assert abs(rotations - round(rotations)) < 1e-9
     every = q + 2.0 * np.pi * np.arange(-6, 7)

@@ -164,7 +164,7 @@ _CLEARLY = 1.1
 """Lead of free functions, relative to all scores of names, that ends their search: a true law scores as much as a free
 function to a few percent."""
 _NULL_SEED = 0xD15C
-"""Combined with the profile's seed, so that the simulated noise is independent of all other draws."""
+"""Combined with the profile's seed, so that the simulated noise is independent of all other samples."""
 
 
 SEARCH_STEPS = 4
