@@ -209,7 +209,7 @@ class Plant:
         memories = list(phase.memories)
         if moving:
             memories = arm.remembered(memories, q)
-        air_c = np.full(len(q), self.air_temperature_c)
+        air_c = np.full(len(q), self.air_c)
         situation = Situation(
             q=q,
             approach=np.where(step == 0.0, phase.approach, np.sign(step)) if moving else phase.approach + 0.0 * q,
@@ -232,7 +232,7 @@ class Plant:
         return self._clock_s
 
     @property
-    def air_temperature_c(self) -> float:
+    def air_c(self) -> float:
         """Air temperature now [degC]."""
         time_s, temperature_c = self._air_now
         if time_s != self._clock_s:
@@ -240,9 +240,9 @@ class Plant:
             self._air_now = self._clock_s, temperature_c
         return temperature_c
 
-    def joint_temperatures_c(self, name: str) -> Array:
+    def joints_c(self, name: str) -> Array:
         """Return the current joint temperatures of an arm, (N,) [degC]."""
-        return self.air_temperature_c + self._arm(name).rise
+        return self.air_c + self._arm(name).rise
 
     def _q(self, arm: TrueArm) -> Array:
         return arm.q if arm.motion is None else arm.motion.position(np.array([self._clock_s]))[0]
@@ -352,7 +352,7 @@ class Plant:
                     self._end_motion(arm, arm.motion.q_to, arm.motion.end_s)
             arm.rise = joint_rise(arm.rise, np.zeros_like(arm.rise), resting_s, self.config.holding_k)
             if arm.effects:
-                mean_c = (air_c := self.air_temperature_c) + 0.5 * (cold + arm.rise)
+                mean_c = (air_c := self.air_c) + 0.5 * (cold + arm.rise)
                 arm.memories = [
                     effect.memory_after_time(memory, air_c, mean_c, duration_s)
                     for effect, memory in zip(arm.effects, arm.memories, strict=True)

@@ -214,7 +214,7 @@ class SimulatedTracker:
         if locked.moving or rested_s < SETTLE_S:
             self._unstable(locked)
         taken_s = self.plant.clock_s
-        air = (self.plant.air_temperature_c, self.errors.pressure_hpa, self.errors.humidity_percent)
+        air = (self.plant.air_c, self.errors.pressure_hpa, self.errors.humidity_percent)
         read, covariance = self.plant.measure_positions(locked.p_M[None], averaging_s=averaging_s)
         applied, warnings = self._applied(air)
         p_M = self._with_errors(read[0], air, applied)
@@ -289,7 +289,7 @@ class SimulatedTracker:
 
     def points(self, p_M: Vector, *, moving: bool) -> tuple[Vector, Vector]:
         """Simulate measured points (n, 3) of true ones; return them and their standard uncertainties (n,)."""
-        air = (self.plant.air_temperature_c, self.errors.pressure_hpa, self.errors.humidity_percent)
+        air = (self.plant.air_c, self.errors.pressure_hpa, self.errors.humidity_percent)
         read, covariance = self.plant.measure_positions(p_M)
         applied = self._applied(air)[0]
         read = np.array([self._with_errors(one, air, applied) for one in read]).reshape(-1, 3)

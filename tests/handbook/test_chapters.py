@@ -151,8 +151,8 @@ def test_a_section_says_what_it_is_what_imitates_it_and_what_to_do(slug: str) ->
     assert f"(figures/{slug}.svg)" in section
     for part in ("```\n", "**Visible share.**", "**Usual size**", "**Check or mend.**", "**What settles it.**"):
         assert section.count(part) >= 1, part
-    for rival in EFFECTS[slug].confounded:
-        assert f"[{rival}](#{rival})" in section
+    for other in EFFECTS[slug].confounded:
+        assert f"[{other}](#{other})" in section
 
 
 @pytest.mark.parametrize("name", TEXTS)

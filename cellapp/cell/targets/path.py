@@ -241,7 +241,7 @@ def _piece_problem(before: PathPose, pose: PathPose) -> str:
 
 
 class PathReversal(Record):
-    """A joint that turns round: place, play crossed there as displacement of the SMR, and way in which it is crossed.
+    """A joint that reverses: place, play crossed there as displacement of the SMR, and way in which it is crossed.
 
     ``window_mm`` is 0 where the arm stands meanwhile.
     """

@@ -47,7 +47,7 @@ def _beam(situation: Situation, bending: float, torsion: float, depth: float, li
 
     The component along the beam causes torsion, the rest bending. The base rotates about the beam's centre line,
     ``depth`` below it. Bolted joints whose gaps close under load yield less than proportionally to large moments: the
-    turn is divided by ``1 + |moment| / limit``, ``limit`` in Nm.
+    rotation is divided by ``1 + |moment| / limit``, ``limit`` in Nm.
     Sizes: 2e6 Nm/rad, that is 28 urad from a stretched UR5 (an estimate).
     """
     twist = np.zeros((len(situation.q), 6))

@@ -148,17 +148,17 @@ def test_disconnecting_stops_the_arm_and_can_be_repeated(plant, arm):
 
 def test_joints_warm_up_with_motion_and_cool_at_rest(plant, arm):
     cold = arm.state().joint_temperature_c
-    assert cold == pytest.approx(plant.air_temperature_c)
+    assert cold == pytest.approx(plant.air_c)
     for k in range(200):
         goal = np.zeros(6)
         goal[1] = 2.0 * (k % 2)
         arm.start_move(goal, SPEED, ACCELERATION)
         arm.wait_settled(10.0)
-    rise = arm.state().joint_temperature_c - plant.air_temperature_c
+    rise = arm.state().joint_temperature_c - plant.air_c
     assert 1.0 < rise[1] < 20.0
     assert np.abs(rise[[0, 2, 3, 4, 5]]).max() == 0.0
     plant.advance(4 * 3600.0)
-    assert 0.0 < plant.joint_temperatures_c("left")[1] - plant.air_temperature_c < 0.01 * rise[1]
+    assert 0.0 < plant.joints_c("left")[1] - plant.air_c < 0.01 * rise[1]
 
 
 def test_each_stop_misses_its_goal_by_the_repeatability(make_arm, make_plant):

@@ -134,8 +134,8 @@ def test_a_given_history_agrees_with_a_simulated_one(make_arm, make_plant):
     q, seen, time_s, air_c, joints_c = lived.q("left"), [], [], [], []
     for _ in range(60):
         time_s.append(lived.clock_s)
-        air_c.append(lived.air_temperature_c)
-        joints_c.append(lived.joint_temperatures_c("left"))
+        air_c.append(lived.air_c)
+        joints_c.append(lived.joints_c("left"))
         seen.append(lived.targets()[0].p_M)
         lived.advance(60.0)
     found = told.smr_positions(

@@ -273,7 +273,7 @@ def test_refraction_that_is_not_corrected_scales_the_cell(make_plant):
     assert (point.temperature_c, point.pressure_hpa) == (20.0, 1013.25)
     assert point.quality == ("no weather station: refraction was corrected for standard air",)
 
-    blind.prepare(Preparation(temperature_c=plant.air_temperature_c, pressure_hpa=940.0, humidity_percent=30.0))
+    blind.prepare(Preparation(temperature_c=plant.air_c, pressure_hpa=940.0, humidity_percent=30.0))
     by_hand, point = scale_ppm(blind)
     assert by_hand == pytest.approx(0.0, abs=0.01)
     assert point.quality == ()

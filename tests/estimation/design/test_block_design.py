@@ -140,7 +140,7 @@ from cellapp.estimation.design.block_design import (
 )
 rng = np.random.default_rng(0)
 rows = np.repeat(rng.normal(size=(150, 3, 20)), 2, axis=0)
-rows *= 1.0 + 1e-7 * rng.normal(size=(300, 1, 1))  # each candidate has a rival that tells as much, nearly
+rows *= 1.0 + 1e-7 * rng.normal(size=(300, 1, 1))  # each candidate has an alternative that tells as much, nearly
 candidates = Candidates(rows, np.eye(20))
 reference = reference_errors(candidates.mean_information, 40, candidates.prior, 15)
 criterion = Criterion(reference, rng.normal(size=(50, 3, 20)))
