@@ -333,11 +333,11 @@ class DesignJudge:
         """Set up for plans of ``stops`` stops of an arm; ``others`` are configurations of the other arms."""
         cell = cell_bodies(profile)
         number = min(math.ceil(_LARGER[-1] * stops), max(_MOST_RANDOM, stops))
-        drawn = []
+        sampled = []
         for q in islice(random_configurations(cell, profile, name, rng), number):
             job.check()
-            drawn.append(q)
-        q = np.array(drawn)
+            sampled.append(q)
+        q = np.array(sampled)
         conditions = sampled_conditions(profile, name, q, others, rng)
         model = information_model(profile, name, q, conditions, potential=False)
         targets = workspace_configurations(profile, cell, name, _QUALITY_POINTS, rng)

@@ -114,14 +114,14 @@ def blind_readings(
         conditions = conditions_at(name, at, step, time_s, dwell_s, loads_kg[name], joints_c, air_c)
         conditions["other_payloads"] = {other: loads_kg[other] for other in loads_kg if other != name}
         exact = plant.smr_positions(name, stopped, **conditions)
-        draw = np.random.default_rng([seed, place, 0x401])
-        points, covariance = plant.measure_positions(exact, draw)
+        noise_rng = np.random.default_rng([seed, place, 0x401])
+        points, covariance = plant.measure_positions(exact, noise_rng)
         if noise.kind == "heavy":
-            points = _heavy_tailed(exact, covariance, draw)
+            points = _heavy_tailed(exact, covariance, noise_rng)
         readings[name] = replace(
             readings_at(q, conditions, points, covariance),
-            temperature_c=air_c + 0.05 * draw.standard_normal(n),
-            joint_temperature_c=np.round(joints_c + 0.1 * draw.standard_normal(q.shape), 2),
+            temperature_c=air_c + 0.05 * noise_rng.standard_normal(n),
+            joint_temperature_c=np.round(joints_c + 0.1 * noise_rng.standard_normal(q.shape), 2),
             **_measured_orientation(profile, plant, name, stopped, conditions, [seed, place, 0x6D]),
         )
     splits, _ = profile_splits(profile, readings)

@@ -367,8 +367,8 @@ def _sampled_parameters(
     if not case.slugs:
         return {}
     config = next(arm for arm in build_plant(profile).config.arms if arm.name == case.arm)
-    draw = suggest_other_law if (setup.laws == "other" and case.kind != OUT) or case.kind == HARD else suggest
-    return {slug: draw(slug, rng, config, DURATION_S) for slug in case.slugs}
+    sample = suggest_other_law if (setup.laws == "other" and case.kind != OUT) or case.kind == HARD else suggest
+    return {slug: sample(slug, rng, config, DURATION_S) for slug in case.slugs}
 
 
 def _hidden_laws(cell: _HiddenCell, parameters: _Effects, with_all: Mapping[str, Readings]) -> tuple[HiddenLaw, ...]:

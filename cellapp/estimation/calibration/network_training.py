@@ -467,8 +467,8 @@ def _in_batches(
     x = network_inputs("both", low, high, q)
     y = rotate_about_z(residual / scale, -q[:, 0]) if rotates else residual / scale
     known = _known_layers(committee, q.shape[1], int(fold.max()) + 1, scale)
-    left = np.stack([y - (np.tanh(x @ W.T + b) @ V.T + c) for (W, b), (V, c) in known])
-    added, device = train_members(x, left, fold, seed=seed, steps=steps.after(training_steps(), f"{len(q)} readings"))
+    misfit = np.stack([y - (np.tanh(x @ W.T + b) @ V.T + c) for (W, b), (V, c) in known])
+    added, device = train_members(x, misfit, fold, seed=seed, steps=steps.after(training_steps(), f"{len(q)} readings"))
     members = tuple(_beside(first, second) for first, second in zip(known, added, strict=True))
     return ResidualNetwork("both", low, high, MARGIN * np.maximum(high - low, 1e-3), rotates, scale, members), device
 

@@ -178,9 +178,9 @@ class _Tests:
         components = np.stack([np.sum(self.residuals * one, axis=1) for one in (beam, horizontal, upward)])
         return [
             p
-            for driver in (distance, azimuth, elevation)
-            if np.ptp(driver) > 0.0
-            for p in self._of_components(_along(driver), components)
+            for value in (distance, azimuth, elevation)
+            if np.ptp(value) > 0.0
+            for p in self._of_components(_along(value), components)
         ]
 
     @property

@@ -273,11 +273,11 @@ def _spherical_wrist(chain: _Chain, R: Array, o6: Array, free: Array) -> Array:
     phi2, bend = _two_links(v[..., 0] + 1j * v[..., 1], float(a[1]), abs(forearm))
     phi3 = c[1] * (bend - np.angle(forearm))
     R_03 = R_1[:, :, None] @ _rot_zx(phi2, c[1], s[1]) @ _rot_zx(phi3, c[2], s[2])
-    left = R_03.swapaxes(-1, -2) @ (R @ _rotation_x(c[5], -s[5]))[:, None, None]
-    phi5 = _arccos((c[3] * c[4] - left[..., 2, 2]) / (s[3] * s[4]))[..., None] * np.array([1.0, -1.0])
+    wrist = R_03.swapaxes(-1, -2) @ (R @ _rotation_x(c[5], -s[5]))[:, None, None]
+    phi5 = _arccos((c[3] * c[4] - wrist[..., 2, 2]) / (s[3] * s[4]))[..., None] * np.array([1.0, -1.0])
     axis = np.stack([s[4] * np.sin(phi5), -c[3] * s[4] * np.cos(phi5) - s[3] * c[4]], axis=-1)
-    phi4 = _between(axis, left[..., None, :2, 2], free[:, 3, None, None, None])
-    of_6 = (_rot_zx(phi4, c[3], s[3]) @ _rot_zx(phi5, c[4], s[4])).swapaxes(-1, -2) @ left[..., None, :, :]
+    phi4 = _between(axis, wrist[..., None, :2, 2], free[:, 3, None, None, None])
+    of_6 = (_rot_zx(phi4, c[3], s[3]) @ _rot_zx(phi5, c[4], s[4])).swapaxes(-1, -2) @ wrist[..., None, :, :]
     phi6 = np.arctan2(of_6[..., 1, 0], of_6[..., 0, 0])
     parts = (phi1[:, :, None, None], phi2[..., None], phi3[..., None], phi4, phi5, phi6)
     return np.stack(np.broadcast_arrays(*parts), axis=-1).reshape(len(o6), 8, 6)
