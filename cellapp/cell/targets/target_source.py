@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from cellapp.cell.profile.loader import EXPONENT
 from cellapp.cell.profile.messages import KeyPath, dotted, short, value_message
+from cellapp.ground.counting import did_you_mean
 from cellapp.ground.errors import InputError
 
 _MOST_SHOWN = 5
@@ -95,8 +95,7 @@ def _sentence(
     words = value_message(details)
     if details["type"] == "extra_forbidden":
         known = known_keys(at)
-        near = difflib.get_close_matches(str(at[-1]), known, n=1)
-        words += f"; did you mean '{near[0]}'?" if near else f"; known here are {', '.join(known)}"
+        words += did_you_mean(str(at[-1]), known, otherwise=f"; known here are {', '.join(known)}")
     return ": ".join(filter(None, (label, key, words)))
 
 
