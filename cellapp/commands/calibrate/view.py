@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from operator import itemgetter
+from typing import Any
 
 from cellapp.commands.calibrate.request import CalibrateRequest
 from cellapp.commands.record import Request, View
-from cellapp.commands.view.table import Cell, Interval, Table, columns_of
+from cellapp.commands.view.table import Cell, Field, Interval, Table, columns_of, table_of, with_rows
 from cellapp.commands.view.words import METHOD_WORDS, STAGE_WORDS, display_unit
 from cellapp.estimation.calibration.records import (
     ArmCalibrationResult,
@@ -20,7 +22,7 @@ from cellapp.estimation.calibration.records import (
     PartDrift,
 )
 from cellapp.ground.counting import counted
-from cellapp.ground.results import METHODS, STAGES, ErrorSummary
+from cellapp.ground.results import METHODS, STAGES
 from cellapp.robot.effects import EFFECTS
 from cellapp.robot.kinematics.chain import parameter_unit
 
@@ -33,10 +35,23 @@ PARAMETERS_ABOUT = (
     " A merged parameter keeps its nominal value: these data cannot separate it from others"
 )
 
-ERROR_COLUMNS = (*((title, MM) for title in ("mean", "rms", "std", "max")), ("n", "d"))
-_DETAILED = ("mean", "95 % of mean", "rms", "std", "median", "95 %", "max")
-_DETAILED_COLUMNS = (*((title, MM) for title in _DETAILED), ("n", "d"))
-_PAIRS = "between arms"
+_STATISTICS: Mapping[str, Field] = {
+    name: (name, source, number_format)
+    for name, source, number_format in (
+        ("mean", lambda row: row[1].mean, MM),
+        ("95 % of mean", lambda row: row[1].mean_ci95 and Interval(*row[1].mean_ci95), MM),
+        ("rms", lambda row: row[1].rms, MM),
+        ("std", lambda row: row[1].std, MM),
+        ("median", lambda row: row[1].p50, MM),
+        ("95 %", lambda row: row[1].p95, MM),
+        ("max", lambda row: row[1].max, MM),
+        ("n", lambda row: row[1].n, "d"),
+        ("rms / tracker", lambda row: row[1].rms / row[2] if row[2] else None, ".1f"),
+    )
+}
+"""Columns of rows (label, errors, rms error that the tracker's stated uncertainty alone would cause)."""
+_SHORT = ("mean", "rms", "std", "max", "n")
+_DETAILED = ("mean", "95 % of mean", "rms", "std", "median", "95 %", "max", "n")
 _ROTATION = "orientation [mrad]"
 _PAIR_TITLE = "Pair: held-out cooperative errors [mm]"
 
@@ -55,19 +70,22 @@ def parameters_view(result: CalibrateResult) -> View:
 
 def calibration_tables(result: CalibrateResult) -> list[Table]:
     """Show held-out errors by stage of each arm and by method of the pair, further tables, priors and changes."""
-    tables = []
-    for name, arm in result.arms.items():
-        rows = [(label, *error_cells(summary)) for label, _, summary in _stage_summaries(arm)]
-        tables.append(Table(_arm_title(name, arm), columns_of("stage, measure", *ERROR_COLUMNS), tuple(rows)))
-    if result.pair:
-        rows = [(label, *error_cells(errors)) for label, _, errors in _pair_summaries(result)]
-        tables.append(Table(_PAIR_TITLE, columns_of("method", *ERROR_COLUMNS), tuple(rows)))
-    return [*tables, *_tables_of_kinds(result)]
+    return _error_tables(result, {stage: stage for stage in STAGES}, _SHORT)
 
 
-def _tables_of_kinds(result: CalibrateResult) -> list[Table]:
-    """Show results from recordings of motion, and the priors."""
-    return [*motion_tables(result), *prior_tables(result)]
+def error_table(title: str, what: str, rows: Iterable[Sequence[Any]], shown: Sequence[str] = _SHORT) -> Table:
+    """Show statistics of errors; a row is (label, errors, noise), the noise only where the table has their ratio."""
+    return table_of(title, rows, (what, itemgetter(0)), *(_STATISTICS[name] for name in shown))
+
+
+def _error_tables(result: CalibrateResult, words: Mapping[str, str], shown: Sequence[str]) -> list[Table]:
+    """Show errors of arms and pair, then results from recordings of motion, and the priors."""
+    arms = (
+        error_table(_arm_title(name, arm), "stage, measure", _stage_errors(arm, words), shown)
+        for name, arm in result.arms.items()
+    )
+    pair = error_table(_PAIR_TITLE, "method", _pair_errors(result), shown)
+    return [*arms, *with_rows(pair), *motion_tables(result), *prior_tables(result)]
 
 
 def detailed_tables(result: CalibrateResult) -> list[Table]:
@@ -76,23 +94,7 @@ def detailed_tables(result: CalibrateResult) -> list[Table]:
 
     The ratio is the rms error over the rms error that the tracker's stated uncertainty alone would cause.
     """
-    columns = (*_DETAILED_COLUMNS, ("rms / tracker", ".1f"))
-    tables = []
-    for name, arm in result.arms.items():
-        noise_mm = {"position": arm.tracker_mm or None, "distance": distance_mm(arm.tracker_mm, arm.tracker_mm)}
-        rows = [
-            (_in_full(label), *_detailed_cells(summary), _ratio(summary, noise_mm.get(measure)))
-            for label, measure, summary in _stage_summaries(arm)
-        ]
-        tables.append(Table(_arm_title(name, arm), columns_of("stage, measure", *columns), tuple(rows)))
-    if result.pair:
-        noise = {"distance": cooperative_noise_mm(result), "orientation": cooperative_noise_mrad(result)}
-        rows = [
-            (label, *_detailed_cells(errors), _ratio(errors, noise[measure]))
-            for label, measure, errors in _pair_summaries(result)
-        ]
-        tables.append(Table(_PAIR_TITLE, columns_of("method", *columns), tuple(rows)))
-    return [*tables, *_tables_of_kinds(result)]
+    return _error_tables(result, STAGE_WORDS, (*_DETAILED, "rms / tracker"))
 
 
 def transform_tables(result: CalibrateResult) -> list[Table]:
@@ -104,13 +106,11 @@ def transform_tables(result: CalibrateResult) -> list[Table]:
         rotated = own.by_transform_mrad or {}
         for transform, summary in own.by_transform_mm.items():
             label = f"{METHOD_WORDS[method]}, by {transform_words(transform, own)}"
-            rows.append((label, *_detailed_cells(summary)))
+            rows.append((label, summary))
             if transform in rotated:
-                rows.append((f"{label}, {_ROTATION}", *_detailed_cells(rotated[transform])))
-    if not rows:
-        return []
-    columns = columns_of("method, transform", *_DETAILED_COLUMNS)
-    return [Table("Pair: cooperative errors by either transform [mm]", columns, tuple(rows))]
+                rows.append((f"{label}, {_ROTATION}", rotated[transform]))
+    title = "Pair: cooperative errors by either transform [mm]"
+    return with_rows(error_table(title, "method, transform", rows, _DETAILED))
 
 
 def transform_words(transform: str, method: PairMethodResult) -> str:
@@ -203,49 +203,24 @@ def _arm_title(name: str, arm: ArmCalibrationResult) -> str:
     )
 
 
-def _stage_summaries(arm: ArmCalibrationResult) -> list[tuple[str, str, ErrorSummary]]:
-    """Return the label, measure (position, orientation or distance) and errors of each stage."""
-    found = []
+def _stage_errors(arm: ArmCalibrationResult, words: Mapping[str, str]) -> Iterator[tuple[Any, ...]]:
+    """Yield what is measured after each stage, its errors, and the noise to compare with."""
     for stage in STAGES:
-        if stage in arm.validate_:
-            errors = arm.validate_[stage]
-            found.append((f"{stage}, position", "position", errors.position_mm))
+        if (errors := arm.validate_.get(stage)) is not None:
+            yield f"{words[stage]}, position", errors.position_mm, arm.tracker_mm
             if errors.orientation_mrad is not None:
-                found.append((f"{stage}, {_ROTATION}", "orientation", errors.orientation_mrad))
+                yield f"{words[stage]}, {_ROTATION}", errors.orientation_mrad, None
             if errors.distance_mm is not None:
-                found.append((f"{stage}, distance", "distance", errors.distance_mm))
-    return found
+                yield f"{words[stage]}, distance", errors.distance_mm, distance_mm(arm.tracker_mm, arm.tracker_mm)
 
 
-def _in_full(label: str) -> str:
-    """Return the label of a stage's measure as charts and sentences name it."""
-    stage, _, measure = label.partition(", ")
-    return f"{STAGE_WORDS[stage]}, {measure}"
-
-
-def _pair_summaries(result: CalibrateResult) -> list[tuple[str, str, ErrorSummary]]:
-    """Return the label, measure (distance or orientation) and errors of each method of the pair."""
-    found = []
+def _pair_errors(result: CalibrateResult) -> Iterator[tuple[Any, ...]]:
+    """Yield what is measured of the pair by each method, its errors, and the noise to compare with."""
     for method in METHODS:
         if (own := result.pair.get(method)) is not None:
-            found.append((METHOD_WORDS[method], "distance", own.cooperative_mm))
+            yield METHOD_WORDS[method], own.cooperative_mm, cooperative_noise_mm(result)
             if own.cooperative_mrad is not None:
-                found.append((f"{METHOD_WORDS[method]}, {_ROTATION}", "orientation", own.cooperative_mrad))
-    return found
-
-
-def error_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
-    """Return the cells of ``ERROR_COLUMNS``."""
-    return summary.mean, summary.rms, summary.std, summary.max, summary.n
-
-
-def _detailed_cells(summary: ErrorSummary) -> tuple[Cell, ...]:
-    interval = None if summary.mean_ci95 is None else Interval(*summary.mean_ci95)
-    return summary.mean, interval, summary.rms, summary.std, summary.p50, summary.p95, summary.max, summary.n
-
-
-def _ratio(summary: ErrorSummary, noise_mm: float | None) -> float | None:
-    return None if noise_mm is None else summary.rms / noise_mm
+                yield f"{METHOD_WORDS[method]}, {_ROTATION}", own.cooperative_mrad, cooperative_noise_mrad(result)
 
 
 # -- Tables of an earlier calibration used as prior: how far it was believed, and what has changed since --------------
