@@ -15,7 +15,7 @@ from cellapp.commands.collect.charts import drift_by_reference, drift_chart, swe
 from cellapp.commands.record import Request, View
 from cellapp.commands.view.charts import Chart
 from cellapp.commands.view.parts import Section, section_of
-from cellapp.commands.view.table import Cell, Table, columns_of, table_of, with_rows
+from cellapp.commands.view.table import Cell, Table, columns_of, part_title, table_of, with_rows
 from cellapp.ground.counting import counted, mm
 from cellapp.ground.results import second_of
 
@@ -95,11 +95,11 @@ def collection_tables(state: CollectionResult) -> list[Table]:
     ]
     measured = [one for one in state.stops if one.residual_mm is not None]
     worst = sorted(measured, key=_suspicion, reverse=True)[:_MOST_LISTED]
-    return with_rows(*tables, stops_table(worst, len(measured), "Stops to look at first"))
+    return with_rows(*tables, stops_table(worst, part_title("Stops to look at first", len(worst), len(measured))))
 
 
-def stops_table(stops: Sequence[CollectedStop], count: int | None = None, title: str = "Stops one by one") -> Table:
-    """Show residual, its sigma, their ratio and the suspicion of stops; these are some of ``count`` stops."""
+def stops_table(stops: Sequence[CollectedStop], title: str = "Stops one by one") -> Table:
+    """Show residual, its sigma, their ratio and the suspicion of stops."""
     return table_of(
         title,
         stops,
@@ -110,7 +110,6 @@ def stops_table(stops: Sequence[CollectedStop], count: int | None = None, title:
         ("ratio", residual_ratio, ".1f"),
         ("retried", _retried),
         ("suspicion", "suspicion"),
-        count=count,
     )
 
 

@@ -145,8 +145,13 @@ def urgent_rows(
     No table without rows.
     """
     chosen = sorted(range(len(rows)), key=lambda row: (-urgency(rows[row]), row))[:MOST_ROWS]
-    whole = title if len(chosen) == len(rows) else f"{title}: {len(chosen)} of {len(rows)}, --json has all"
+    whole = part_title(title, len(chosen), len(rows))
     return with_rows(without_empty(table_of(whole, [rows[row] for row in sorted(chosen)], *fields)))
+
+
+def part_title(title: str, shown: int, count: int) -> str:
+    """Return the title of a table of some of ``count`` rows; it says if rows are missing."""
+    return title if shown == count else f"{title}: {shown} of {count}, --json has all"
 
 
 def without_empty(table: Table) -> Table:
