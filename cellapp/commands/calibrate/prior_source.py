@@ -172,4 +172,4 @@ def recorded_priors(run: RunFile) -> dict[str, ArmPriorResult]:
     if stage is None:
         return {}
     arms = CalibrateResult.from_json(stage.text, f"{run.path}: {CALIBRATE}").arms
-    return {name: arms[name].prior for name in run.profile.arms if name in arms and arms[name].prior is not None}
+    return {name: prior for name in run.profile.arms if name in arms and (prior := arms[name].prior) is not None}

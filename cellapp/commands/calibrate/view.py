@@ -16,7 +16,6 @@ from cellapp.estimation.calibration.records import (
     ArmPriorResult,
     BatchesResult,
     CalibrateResult,
-    ClockResult,
     PairMethodResult,
     ParameterEstimate,
     PartDrift,
@@ -228,13 +227,10 @@ def _pair_errors(result: CalibrateResult) -> Iterator[tuple[Any, ...]]:
 
 def prior_tables(result: CalibrateResult) -> list[Table]:
     """Show parts and changes of every arm that was calibrated with a prior; none without one."""
-    tables = []
-    for name, arm in result.arms.items():
-        if arm.prior is not None:
-            tables.append(_part_table(name, arm.prior))
-            if arm.prior.changes:
-                tables.append(_change_table(name, arm.prior))
-    return tables
+    priors = ((name, arm.prior) for name, arm in result.arms.items() if arm.prior is not None)
+    return with_rows(
+        *(table for name, prior in priors for table in (_part_table(name, prior), _change_table(name, prior)))
+    )
 
 
 def prior_sentences(result: CalibrateResult) -> list[str]:
@@ -273,72 +269,76 @@ def _drift(one: PartDrift) -> tuple[Cell, Cell]:
 
 
 def _change_table(name: str, prior: ArmPriorResult) -> Table:
-    columns = columns_of(
-        "what",
-        ("change", "+.3f"),
-        ("standard error", ".3f"),
-        "unit",
-        ("sigmas", ".1f"),
-        ("evidence", ".0f"),
-        ("at the SMR", ".3f", "mm"),
-        "as likely",
+    def scaled(one: Any, key: str) -> float | None:
+        value: float | None = getattr(one, key)
+        return None if value is None else value * (display_unit(one.unit)[0] if one.unit else 1.0)
+
+    return table_of(
+        f"Arm {name}: changed since {prior.since}",
+        prior.changes,
+        ("what", "what"),
+        ("change", lambda one: scaled(one, "value"), "+.3f"),
+        ("standard error", lambda one: scaled(one, "standard_error"), ".3f"),
+        ("unit", lambda one: display_unit(one.unit)[1] if one.unit else ""),
+        ("sigmas", "sigmas", ".1f"),
+        ("evidence", "evidence", ".0f"),
+        ("at the SMR", "moved_mm", ".3f", "mm"),
+        ("as likely", lambda one: ", ".join(one.rivals)),
     )
-    rows: list[tuple[Cell, ...]] = []
-    for one in prior.changes:
-        factor, unit = display_unit(one.unit) if one.unit else (1.0, "")
-        scaled = (None if value is None else value * factor for value in (one.value, one.standard_error))
-        likely = ", ".join(one.rivals)
-        rows.append((one.what, *scaled, unit, one.sigmas, one.evidence, one.moved_mm, likely))
-    return Table(f"Arm {name}: changed since {prior.since}", columns, tuple(rows))
 
 
 # -- Results of recordings of motion for people: clocks, weight of the points, lost motion, what is not determined ----
 
 
-_CLOCKS = columns_of(
-    "arm",
-    "recording",
-    ("offset [s]", ".6f"),
-    ("standard error [ms]", ".4f"),
-    ("rate [ppm]", ".3f"),
-    ("standard error [ppm]", ".3f"),
-    ("clock steps", "d"),
-)
-_RECORDINGS = columns_of(
-    "arm",
-    "recording",
-    ("points", "d"),
-    ("learnt", "d"),
-    ("worth", ".0f"),
-    ("held out", "d"),
-    ("gross", "d"),
-    ("in gaps", "d"),
-    ("scatter [mm]", ".4f"),
-    ("held-out rms [mm]", ".4f"),
-)
-_PLAY = columns_of("arm", "joint", ("half play [urad]", ".1f"), ("standard error [urad]", ".1f"))
 _SURE = 2.0
 """Lost motion is shown as found from this many standard errors on."""
 
 
 def motion_tables(result: CalibrateResult) -> list[Table]:
     """Show clocks, recordings and lost motion of all recorded arms; none without recordings."""
-    moved = {name: arm for name, arm in result.arms.items() if arm.motion is not None}
-    if not moved:
-        return []
-    clocks: list[tuple[Cell, ...]] = []
-    recordings: list[tuple[Cell, ...]] = []
-    for name, arm in moved.items():
-        clocks += [(name, recording, *_clock(clock)) for recording, clock in (arm.clocks or {}).items()]
-        for recording, one in arm.motion.recordings.items() if arm.motion else ():
-            counts = (one.points, one.learnt, one.effective_points, one.held_out, one.gross, one.in_gaps)
-            recordings.append((name, recording, *counts, one.scatter_mm, one.heldout_rms_mm))
-    return [
-        Table("Clocks: the tracker's against the controller's", _CLOCKS, tuple(clocks)),
-        Table("Recordings: what their points are worth as independent ones", _RECORDINGS, tuple(recordings)),
-        *_in_motion(moved),
-        *_play(moved),
-    ]
+    moved = {name: arm.motion for name, arm in result.arms.items() if arm.motion is not None}
+    named = (("arm", itemgetter(0)), ("recording", itemgetter(1)))
+    clocks = table_of(
+        "Clocks: the tracker's against the controller's",
+        [(name, recording, its) for name in moved for recording, its in (result.arms[name].clocks or {}).items()],
+        *named,
+        ("offset [s]", lambda row: row[2].offset_s, ".6f"),
+        ("standard error [ms]", lambda row: row[2].offset_standard_error_s * 1e3, ".4f"),
+        ("rate [ppm]", lambda row: row[2].rate_ppm, ".3f"),
+        ("standard error [ppm]", lambda row: row[2].rate_standard_error_ppm, ".3f"),
+        ("clock steps", lambda row: len(row[2].steps_of_joints) + len(row[2].steps_of_points), "d"),
+    )
+    recordings = table_of(
+        "Recordings: what their points are worth as independent ones",
+        [(name, recording, its) for name, motion in moved.items() for recording, its in motion.recordings.items()],
+        *named,
+        ("points", lambda row: row[2].points, "d"),
+        ("learnt", lambda row: row[2].learnt, "d"),
+        ("worth", lambda row: row[2].effective_points, ".0f"),
+        ("held out", lambda row: row[2].held_out, "d"),
+        ("gross", lambda row: row[2].gross, "d"),
+        ("in gaps", lambda row: row[2].in_gaps, "d"),
+        ("scatter [mm]", lambda row: row[2].scatter_mm, ".4f"),
+        ("held-out rms [mm]", lambda row: row[2].heldout_rms_mm, ".4f"),
+    )
+    of_blocks = {name: its.validate_ for name, its in moved.items() if result.arms[name].validate_ != its.validate_}
+    in_motion = table_of(
+        "In motion: errors of held-out blocks of time [mm]",
+        [(name, errors.position_mm, stage) for name, its in of_blocks.items() for stage, errors in its.items()],
+        ("arm", itemgetter(0)),
+        ("stage", itemgetter(2)),
+        *(_STATISTICS[name] for name in _SHORT),
+    )
+    plays = ((name, joint, its) for name, motion in moved.items() for joint, its in motion.half_play.items())
+    lost = table_of(
+        "Lost motion",
+        [row for row in plays if row[2].value > _SURE * (row[2].standard_error or 0.0)],
+        ("arm", itemgetter(0)),
+        ("joint", itemgetter(1)),
+        ("half play [urad]", lambda row: row[2].value * 1e6, ".1f"),
+        ("standard error [urad]", lambda row: (row[2].standard_error or 0.0) * 1e6, ".1f"),
+    )
+    return with_rows(clocks, recordings, in_motion, lost)
 
 
 def motion_sentences(result: CalibrateResult) -> list[str]:
@@ -354,35 +354,6 @@ def motion_sentences(result: CalibrateResult) -> list[str]:
         if arm.motion is not None:
             said += [f"arm {name}: not determined: {sentence}" for sentence in arm.motion.undetermined]
     return said
-
-
-def _clock(clock: ClockResult) -> tuple[Cell, ...]:
-    steps = len(clock.steps_of_joints) + len(clock.steps_of_points)
-    errors = clock.offset_standard_error_s * 1e3, clock.rate_standard_error_ppm
-    return clock.offset_s, errors[0], clock.rate_ppm, errors[1], steps
-
-
-def _in_motion(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
-    """Show errors of held-out blocks of motion, for arms whose held-out errors are those of stops."""
-    rows: list[tuple[Cell, ...]] = []
-    for name, arm in moved.items():
-        if arm.motion is not None and arm.validate_ != arm.motion.validate_:
-            for stage, errors in arm.motion.validate_.items():
-                its = errors.position_mm
-                rows.append((name, stage, its.mean, its.rms, its.std, its.max, its.n))
-    columns = columns_of("arm", "stage", *((title, ".4f") for title in ("mean", "rms", "std", "max")), ("n", "d"))
-    return [Table("In motion: errors of held-out blocks of time [mm]", columns, tuple(rows))] if rows else []
-
-
-def _play(moved: dict[str, ArmCalibrationResult]) -> list[Table]:
-    """Show the joints whose lost motion is larger than chance would give."""
-    rows: list[tuple[Cell, ...]] = []
-    for name, arm in moved.items():
-        for joint, found in arm.motion.half_play.items() if arm.motion else ():
-            error = found.standard_error or 0.0
-            if found.value > _SURE * error:
-                rows.append((name, joint, found.value * 1e6, error * 1e6))
-    return [Table("Lost motion", _PLAY, tuple(rows))] if rows else []
 
 
 # -- Comparison of a network from all readings with the committee, in words -------------------------------------------

@@ -232,31 +232,25 @@ def _time(written: str | None) -> str:
     return "" if written is None else second_of(written)
 
 
-_COLUMNS = columns_of(
-    "arm",
-    "recording",
-    "of",
-    ("n", "d"),
-    ("s", ".1f"),
-    ("Hz", ".1f"),
-    ("gaps", "d"),
-    ("longest [s]", ".3f"),
-    ("repeats", "d"),
-    ("clock steps back", "d"),
-    ("beam lost", "d"),
-    "with",
-)
-
-
 _OF_POINTS = ("sigma_m", "quat_w", "split")
 
 
 def recording_tables(states: Sequence[RecordingState]) -> list[Table]:
     """Build a table with two rows for each recording; no table without recordings."""
-    rows: list[tuple[Cell, ...]] = []
-    for one in states:
-        for kind, its in (("joints", one.joints), ("points", one.points)):
-            there = [name for name in one.optional if (name in _OF_POINTS) == (kind == "points")]
-            cells = (its.n, its.seconds, its.rate_hz, its.gaps, its.longest_gap_s, its.repeats, its.backward, its.lost)
-            rows.append((one.arm, one.name, kind, *cells, ", ".join(there)))
-    return [Table("Recordings of motion", _COLUMNS, tuple(rows))] if rows else []
+    table = table_of(
+        "Recordings of motion",
+        [(one, kind, its) for one in states for kind, its in (("joints", one.joints), ("points", one.points))],
+        ("arm", lambda row: row[0].arm),
+        ("recording", lambda row: row[0].name),
+        ("of", lambda row: row[1]),
+        ("n", lambda row: row[2].n, "d"),
+        ("s", lambda row: row[2].seconds, ".1f"),
+        ("Hz", lambda row: row[2].rate_hz, ".1f"),
+        ("gaps", lambda row: row[2].gaps, "d"),
+        ("longest [s]", lambda row: row[2].longest_gap_s, ".3f"),
+        ("repeats", lambda row: row[2].repeats, "d"),
+        ("clock steps back", lambda row: row[2].backward, "d"),
+        ("beam lost", lambda row: row[2].lost, "d"),
+        ("with", lambda row: ", ".join(one for one in row[0].optional if (one in _OF_POINTS) == (row[1] == "points"))),
+    )
+    return with_rows(table)
