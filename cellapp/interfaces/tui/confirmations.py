@@ -16,6 +16,7 @@ from cellapp.interfaces.tui.workspace import Workspace, new_folder
 
 if TYPE_CHECKING:
     from cellapp.ground.results import Result, StageName
+    from cellapp.interfaces.tui.jobs import Job
 
 BEGIN = (ChosenAnswer("begin", "Begin", "b", "success"), ChosenAnswer("no", "Not now", "n"))
 WRITE = (ChosenAnswer("write", "Write", "ctrl+s", "success"), ChosenAnswer("no", "Close", "f10"))
@@ -30,20 +31,18 @@ def arms_words(workspace: Workspace) -> str:
     return "REAL ARMS WILL MOVE" if workspace.kind == "real" else f"the arms are {workspace.kind}"
 
 
-def offer_again(
-    screen: DayScreen, title: str, found: Result | None, stage: StageName, begin: Callable[[], None]
-) -> None:
-    """Begin; if a valid result exists, first ask whether to repeat the work."""
+def offer_again(screen: DayScreen, title: str, stage: StageName, job: Job) -> None:
+    """Begin the job of a stage; if a valid result exists, first ask whether to repeat the work."""
     results = screen.workspace.results
-    if found is None or (results is not None and stage in results.out_of_date):
-        begin()
+    if results is None or screen.workspace.stored(stage) is None or stage in results.out_of_date:
+        screen.start(job)
         return
     mark = screen.state.marks[screen.STEP]
     text = (
         f"The run has a result that holds ({mark.words}). Nothing it rests on has changed since; what is stored stays."
     )
     answers = (ChosenAnswer("no", "Not now", "n"), ChosenAnswer("begin", "Do it again", "b", "warning"))
-    screen.ask(Choice(title, text, answers), begin)
+    screen.ask(Choice(title, text, answers), lambda: screen.start(job))
 
 
 def offer_whole_day(app: Host) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.job_client import JOB_FILE, who_uses
@@ -74,6 +74,10 @@ class Workspace:
     conformity: Conformity | None = None
     reported: bool = False
     read_only: bool = False
+
+    def stored(self, stage: StageName) -> Any:
+        """Return the result of a stage that the run stores, also one that is out of date; None if there is none."""
+        return None if self.results is None else getattr(self.results, stage)
 
     @property
     def file_profile(self) -> Profile | None:
