@@ -75,7 +75,7 @@ class Workspace:
     reported: bool = False
     read_only: bool = False
 
-    def stored(self, stage: StageName) -> Any:
+    def stored(self, stage: StageName | Step) -> Any:
         """Return the result of a stage that the run stores, also one that is out of date; None if there is none."""
         return None if self.results is None else getattr(self.results, stage)
 

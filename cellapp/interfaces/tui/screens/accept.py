@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 from textual import work as in_thread
 from textual.app import ComposeResult
 from textual.binding import BindingType
-from textual.widgets import Static, TabbedContent
+from textual.widgets import TabbedContent
 from textual.worker import get_current_worker
 
 from cellapp.commands.certificate.request import VERB as CERTIFICATE_VERB
@@ -32,6 +32,7 @@ from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState
 from cellapp.interfaces.tui.screens.tabs import TabsScreen, id_of
+from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.parts_view import words_first
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
 
@@ -94,8 +95,8 @@ class AcceptScreen(TabsScreen):
     TABS: ClassVar[tuple[str, ...]] = ("Verdict", "Check", "ISO 9283", "Certificate")
 
     def body(self) -> ComposeResult:
-        yield Static("", id="decision", markup=False)
-        yield Static("", id="outdated", markup=False)
+        yield Line(id="decision")
+        yield Line(id="outdated")
         yield from super().body()
 
     # -- keys ----------------------------------------------------------------------------------------------------------
@@ -179,8 +180,8 @@ class AcceptScreen(TabsScreen):
     def show_run(self, workspace: Workspace) -> None:
         """Draw the content of the run, and judge it in a thread."""
         marks = () if workspace.overview is None else workspace.overview.complaints
-        outdated = self.query_one("#outdated", Static)
-        outdated.update("\n".join(f"! OUT OF DATE: {with_keys(mark)}" for mark in marks))
+        outdated = self.query_one("#outdated", Line)
+        outdated.say("\n".join(f"! OUT OF DATE: {with_keys(mark)}" for mark in marks))
         outdated.display = bool(marks)
         for verb, stage, key, title in _SHOWN:
             result = workspace.stored(stage)
@@ -218,6 +219,4 @@ class AcceptScreen(TabsScreen):
         tables.show((*verdict_tables(verdict), *verdict_sentences(verdict)))
 
     def _draw_decision(self, state: str, sentence: str) -> None:
-        decision = self.query_one("#decision", Static)
-        decision.update(sentence)
-        decision.set_classes(state.replace(" ", "-"))
+        self.query_one("#decision", Line).say(sentence, state.replace(" ", "-"))

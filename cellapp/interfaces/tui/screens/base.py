@@ -23,7 +23,7 @@ from cellapp.interfaces.tui.keys import way_of
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.verb_jobs import verb_job
 from cellapp.interfaces.tui.widgets.arm_panel import JobPanel, LiveStrip
-from cellapp.interfaces.tui.widgets.controls import KeyLine
+from cellapp.interfaces.tui.widgets.controls import KeyLine, Line
 from cellapp.interfaces.tui.widgets.header import DayHeader, StepLine
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
@@ -93,8 +93,8 @@ class DayScreen(Screen[None]):
         yield Static(_TOO_SMALL, classes="too-small", markup=False)
         with Vertical(classes="body"):
             yield from self.body()
-        yield Static("", classes="next-words", markup=False)
-        yield Static("", classes="message", markup=False)
+        yield Line(classes="next-words")
+        yield Line(classes="message")
         yield KeyLine()
 
     def body(self) -> ComposeResult:
@@ -119,9 +119,9 @@ class DayScreen(Screen[None]):
             panel.show(record)
         if state != self._state:
             self.query_one(StepLine).show(state.marks, self.STEP)
-            line = self.query_one(".next-words", Static)
+            line = self.query_one(".next-words", Line)
             line.display = state.job is None
-            line.update(state.next_words)
+            line.say(state.next_words)
             self.show_state(state)
             self._state = state  # only now: if a widget was missing above, the next call draws it
 

@@ -22,6 +22,7 @@ from cellapp.interfaces.tui import verb_jobs as verbs
 from cellapp.interfaces.tui.dialogs.file_picker import FilePicker
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.tables import CellMap, FindingsTable, TextTable, age_words, explain_tabs
 from cellapp.interfaces.tui.workspace import Step, Workspace
 
@@ -71,7 +72,7 @@ class CellScreen(DayScreen):
         with Horizontal():
             yield _tipped(OptionList(id="profiles", markup=False, compact=True), "Profiles of the folder; Enter opens")
             with Vertical(id="cell-middle"):
-                yield Static("", id="cell-verdict", markup=False)
+                yield Line(id="cell-verdict")
                 with TabbedContent(id="cell-tabs", initial="tab-profile"):
                     with TabPane("Profile", id="tab-profile"):
                         yield _tipped(TextTable(id="cell-words", cursor_type="row"), "What the profile says")
@@ -250,10 +251,7 @@ class CellScreen(DayScreen):
             self._draw_doctor()
 
     def _draw_doctor(self) -> None:
-        verdict, kind = self._verdict()
-        line = self.query_one("#cell-verdict", Static)
-        line.update(verdict)
-        line.set_classes(kind)
+        self.query_one("#cell-verdict", Line).say(*self._verdict())
 
     def _verdict(self) -> tuple[str, str]:
         """Return the doctor's verdict in words, and the class that colours it."""

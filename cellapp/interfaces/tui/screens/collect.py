@@ -50,6 +50,7 @@ from cellapp.interfaces.tui.terminal import since_words
 from cellapp.interfaces.tui.widgets.arm_panel import ArmPanel, TrackerPanel
 from cellapp.interfaces.tui.widgets.chart_plot import ChartPlot
 from cellapp.interfaces.tui.widgets.collected_stops import CollectedStops
+from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.log_pane import LogPane
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.progress_bars import ProgressBars, parts_of
@@ -166,12 +167,11 @@ class CollectScreen(DayScreen):
         self._tabled: Workspace | None = None
         self._opened: Path | None = None
         self._job: Job | None = None
-        self._headline: Headline | None = None
         self._suspicions = 0
 
     def body(self) -> ComposeResult:
         self.add_class(self._first_view)  # before the widgets are there, whose styles depend on it
-        yield Static("", id="state", markup=False)
+        yield Line(id="state")
         yield Horizontal(id="arms")
         yield TrackerPanel()
         yield ProgressBars()
@@ -350,11 +350,7 @@ class CollectScreen(DayScreen):
 
     def _draw_state(self, record: JobRecord) -> None:
         now = headline(self.state, record, self.cell_app.jobs.control.request)
-        if now != self._headline:
-            self._headline = now
-            state = self.query_one("#state", Static)
-            state.update(Content.assemble((now.word, "bold"), f"  {now.sentence}"))
-            state.set_classes(now.look)
+        self.query_one("#state", Line).say(Content.assemble((now.word, "bold"), f"  {now.sentence}"), now.look)
 
     def _draw_arms(self, record: JobRecord) -> None:
         panels = {panel.arm_name: panel for panel in self.query(ArmPanel)}

@@ -21,6 +21,7 @@ from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
+from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.parts_view import PartsView
 from cellapp.interfaces.tui.widgets.tables import CellMap, StopsTable, explain_tabs
 from cellapp.interfaces.tui.workspace import Step, Workspace, new_folder
@@ -67,9 +68,9 @@ class PlanScreen(DayScreen):
         self._file_check: PlanCheckResult | None = None
 
     def body(self) -> ComposeResult:
-        yield Static("", id="plan-state", markup=False)
-        yield Static("", id="plan-safety", markup=False)
-        yield Static("", id="plan-time", markup=False)
+        yield Line(id="plan-state")
+        yield Line(id="plan-safety")
+        yield Line(id="plan-time")
         with TabbedContent(id="plan-tabs", initial="tab-constraints"):
             with TabPane("Limits", id="tab-constraints"):
                 yield PartsView(id="constraints")
@@ -184,7 +185,7 @@ class PlanScreen(DayScreen):
 
     def show_state(self, state: RunState) -> None:
         """Say how much is planned and measured, or what to do."""
-        self.query_one("#plan-state", Static).update(_state_words(state, self.workspace))
+        self.query_one("#plan-state", Line).say(_state_words(state, self.workspace))
 
     def _draw_constraints(self) -> None:
         from cellapp.commands.doctor.view import profile_tables
@@ -236,20 +237,19 @@ class PlanScreen(DayScreen):
 
             shown.show((*forecast_sentences(forecast), *forecast_tables(forecast)))
             words = " ".join([time_sentence(forecast.time), *forecast.notes])
-        line = self.query_one("#plan-time", Static)
-        line.update(words)
+        line = self.query_one("#plan-time", Line)
+        line.say(words)
         line.display = bool(words)
         self._draw_detail()
 
     def _draw_check(self, *, has_plan: bool) -> None:
         """Draw the verdict on the open run's plan, and the refusals of this plan or of the last checked edited plan."""
-        line, check = self.query_one("#plan-safety", Static), self._check
-        line.update(f"Checked when it was planned; {SHOWN['check']} checks it again." if has_plan else "")
+        line, check = self.query_one("#plan-safety", Line), self._check
         line.display = has_plan
-        line.set_classes("")
         if check is not None:
-            line.update(_check_lines(check)[0])
-            line.set_classes("safe" if check.is_safe else "unsafe")
+            line.say(_check_lines(check)[0], "safe" if check.is_safe else "unsafe")
+        else:
+            line.say(f"Checked when it was planned; {SHOWN['check']} checks it again." if has_plan else "", "")
         listed = self._file_check or check
         self.query_one("#refusals", PartsView).show(() if listed is None else _check_lines(listed))
 
