@@ -90,6 +90,11 @@ class Workspace:
         return "none" if self.profile is None else self.profile.cell_kind
 
     @property
+    def arms_words(self) -> str:
+        """Which arms a job would move."""
+        return "REAL ARMS WILL MOVE" if self.kind == "real" else f"the arms are {self.kind}"
+
+    @property
     def unseen(self) -> Mapping[str, str]:
         """Arms that the run counts as moving, arm -> why they were not seen at rest."""
         return {} if self.overview is None else {n: a.reason for n, a in self.overview.not_seen_at_rest.items()}

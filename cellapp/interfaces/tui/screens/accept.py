@@ -26,9 +26,7 @@ from cellapp.commands.report.request import VERB as REPORT
 from cellapp.estimation.iso9283.norm import ISO_COMMANDS, ISO_TESTS
 from cellapp.ground.results import CALIBRATE, CERTIFICATE, CHECK, ISO9283, StageName
 from cellapp.interfaces.tui import verb_jobs
-from cellapp.interfaces.tui.confirmations import BEGIN, USE_STALE, arms_words, ask_of_calibrated
 from cellapp.interfaces.tui.dialogs.question import ChosenAnswer
-from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind, with_keys
 from cellapp.interfaces.tui.run_state import COPY_IT, RunState
 from cellapp.interfaces.tui.screens.tabs import TabsScreen, id_of
@@ -108,8 +106,9 @@ class AcceptScreen(TabsScreen):
             " is sure; no model is changed;"
         )
         given = {"tracker_pose": None, "simulated_pose": None}
-        if ask_of_calibrated(self, CHECK_VERB, words, given, {"stops": STOPS}):
+        if (calibrated := self.calibrated_run()) is not None:
             self.show_tab("Check")
+            self.ask_verb(CHECK_VERB, words, {"folder": calibrated[0], **given}, proposed={"stops": STOPS})
 
     def action_iso9283(self) -> None:
         """Ask which tests, then make them in the open run, or else in a new run of the profile."""
@@ -120,23 +119,16 @@ class AcceptScreen(TabsScreen):
             return
         folder = workspace.folder or new_folder(profile)
         commands = ISO_COMMANDS if workspace.stored(CALIBRATE) else ("nominal",)
-        stale = workspace.stale
         where = f", in {folder}" if workspace.folder is None else ""  # the first line of the screen shows an open run
-        text = f"Drive to the test cube's poses{where}; {arms_words(workspace)}."
-        if stale:
-            text += f"\nThe model is not up to date: {stale}."
         cell = workspace.profile_path if workspace.folder is None else None  # a run has its own profile
         tests = [test for test in ISO_TESTS if test != "cooperative" or len(profile.arms) > 1]
         self.show_tab("ISO 9283")
         self.ask_verb(
-            VerbQuestion(
-                ISO9283_VERB,
-                text,
-                USE_STALE if stale else BEGIN,
-                {"profile": cell, "folder": folder, "out_of_date": bool(stale)},
-                proposed={"tests": ("pose",), "commands": commands},
-                choices={"tests": tests, "commands": commands, "arms": tuple(profile.arms)},
-            )
+            ISO9283_VERB,
+            f"Drive to the test cube's poses{where};",
+            {"profile": cell, "folder": folder},
+            proposed={"tests": ("pose",), "commands": commands},
+            choices={"tests": tests, "commands": commands, "arms": tuple(profile.arms)},
         )
 
     def action_certificate(self) -> None:
@@ -145,7 +137,7 @@ class AcceptScreen(TabsScreen):
             self.show_tab("Certificate")
             text = f"{_certificate_words(self.workspace)} Nothing moves."
             write = ChosenAnswer("send", "Write", "w", "success"), ChosenAnswer("no", "Not now", "n")
-            self.ask_verb(VerbQuestion(CERTIFICATE_VERB, text, write, {"folder": folder}))
+            self.ask_verb(CERTIFICATE_VERB, text, {"folder": folder}, write)
 
     def action_report(self) -> None:
         """Write the report of the open run."""

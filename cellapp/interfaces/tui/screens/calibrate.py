@@ -30,8 +30,8 @@ from cellapp.estimation.calibration.records import CalibrateResult
 from cellapp.estimation.discovery.records import with_effects
 from cellapp.ground.results import CALIBRATE, Result
 from cellapp.interfaces.tui import verb_jobs
-from cellapp.interfaces.tui.confirmations import BEGIN, WRITE, offer_again
-from cellapp.interfaces.tui.dialogs.question import ChosenAnswer, reading_of
+from cellapp.interfaces.tui.confirmations import offer_again
+from cellapp.interfaces.tui.dialogs.question import WRITE, ChosenAnswer, reading_of
 from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.tabs import TabsScreen
@@ -117,13 +117,13 @@ class CalibrateScreen(TabsScreen):
         """Ask for an earlier run as prior and for the network, then calibrate the open run."""
         if (folder := self.open_folder()) is not None:
             text = "What is stored stays. An earlier run of the same arms is a prior. Nothing moves."
-            self.ask_verb(VerbQuestion(request.VERB, text, BEGIN, {"folder": folder, "parameters": False}))
+            self.ask_verb(request.VERB, text, {"folder": folder, "parameters": False})
 
     def action_export(self) -> None:
         """Ask for format and file, then write the calibrated arms."""
         if (calibrated := self.calibrated_run()) is not None:
             folder, _, calibration = calibrated
-            self.ask_verb(ExportArms(folder, tuple(calibration.arms), WRITE))
+            self.ask_request(ExportArms(folder, tuple(calibration.arms), WRITE))
 
     def show_result(self, result: Result) -> None:
         """Show what was exported, and what the files do not contain."""

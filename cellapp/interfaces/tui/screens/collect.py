@@ -39,8 +39,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.errors import CellappError
 from cellapp.ground.progress import JobState
 from cellapp.interfaces.tui import verb_jobs as jobs
-from cellapp.interfaces.tui.confirmations import BEGIN, arms_words
-from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.dialogs.question import BEGIN, Choice
 from cellapp.interfaces.tui.job_record import LEVELS, ArmRecord, JobRecord, LogRow, level_of
 from cellapp.interfaces.tui.jobs import Job
 from cellapp.interfaces.tui.keys import bind
@@ -241,7 +240,7 @@ class CollectScreen(DayScreen):
         if kind == "real" and not {"accept_drift", "again"} & asked.keys():
             self.start(job)
             return
-        moves = arms_words(self.workspace) + (", after one more question" if kind == "real" else "")
+        moves = self.workspace.arms_words + (", after one more question" if kind == "real" else "")
         text = f"Measure {what}. In {folder}; {moves}. Escape stops at any time; what is measured is kept."
         self.ask(Choice(title, text, BEGIN), lambda: self.start(job))
 

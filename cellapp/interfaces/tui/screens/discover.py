@@ -16,8 +16,8 @@ from cellapp.estimation.discovery.records import DiscoverResult
 from cellapp.ground.counting import counted
 from cellapp.ground.results import DISCOVER
 from cellapp.interfaces.tui import verb_jobs
-from cellapp.interfaces.tui.confirmations import BEGIN, arms_words, offer_again
-from cellapp.interfaces.tui.dialogs.question import Choice
+from cellapp.interfaces.tui.confirmations import offer_again
+from cellapp.interfaces.tui.dialogs.question import BEGIN, Choice
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.screens.tabs import TabsScreen
 from cellapp.interfaces.tui.workspace import Step, Workspace
@@ -62,7 +62,7 @@ class DiscoverScreen(TabsScreen):
         if todo == 0:
             self.say(f"No stop is left to measure: {SHOWN['add']} proposes further ones.", "warning")
             return
-        text = f"{counted(todo, 'stop is', 'stops are')} left to measure in {folder}; {arms_words(self.workspace)}."
+        text = f"{counted(todo, 'stop is', 'stops are')} left to measure in {folder}; {self.workspace.arms_words}."
 
         def begin() -> None:
             self.start(verb_jobs.job_of(COLLECT, folder=folder, resume=True))

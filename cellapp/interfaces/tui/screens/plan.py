@@ -16,8 +16,6 @@ from cellapp.commands.export.request import VERB as EXPORT
 from cellapp.commands.plan.request import VERB as PLAN
 from cellapp.ground.counting import counted
 from cellapp.interfaces.tui import verb_jobs as verbs
-from cellapp.interfaces.tui.confirmations import BEGIN
-from cellapp.interfaces.tui.dialogs.verb_question import VerbQuestion
 from cellapp.interfaces.tui.keys import bind
 from cellapp.interfaces.tui.run_state import RunState
 from cellapp.interfaces.tui.screens.base import DayScreen
@@ -114,7 +112,7 @@ class PlanScreen(DayScreen):
             " those of a table. Nothing moves."
         )
         given, proposed = {"profile": path, **_EDITS}, {"folder": new_folder(profile)}
-        self.ask_verb(VerbQuestion(PLAN, text, BEGIN, given, proposed=proposed))
+        self.ask_verb(PLAN, text, given, proposed=proposed)
 
     def action_change(self) -> None:
         """Ask what to change, then change the open run's plan."""
@@ -123,13 +121,13 @@ class PlanScreen(DayScreen):
                 "Further stops tell most beside those that are there. Designed again are all that are not measured,"
                 " proposed by discovery or frozen. One of these at a time; nothing moves."
             )
-            self.ask_verb(VerbQuestion(PLAN, text, BEGIN, {"folder": folder, **_NEW, "edit": True}))
+            self.ask_verb(PLAN, text, {"folder": folder, **_NEW, "edit": True})
 
     def action_write(self) -> None:
         """Ask where to write the plan."""
         if folder := self.planned_folder():
             given, proposed = {"folder": folder, **_OTHER_EXPORTS}, {"plan": folder / _PLAN_FILE}
-            self.ask_verb(VerbQuestion(EXPORT, "The plan as a table.", BEGIN, given, proposed=proposed))
+            self.ask_verb(EXPORT, "The plan as a table.", given, proposed=proposed)
 
     def action_check(self) -> None:
         """Check the plan of the open run."""
