@@ -27,7 +27,7 @@ Step = Literal["cell", "plan", "collect", "calibrate", "discover", "targets", "a
 STEPS: tuple[Step, ...] = ("cell", "plan", "collect", "calibrate", "discover", "targets", "accept")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Workspace:
     """A profile and a run of it, read once for the screens.
 
@@ -93,6 +93,19 @@ class Workspace:
     def arms_words(self) -> str:
         """Which arms a job would move."""
         return "REAL ARMS WILL MOVE" if self.kind == "real" else f"the arms are {self.kind}"
+
+    @property
+    def outcome(self) -> str:
+        """How the last session of collecting ended; empty without one, or if the program died in it."""
+        last = None if self.collection is None else self.collection.last
+        return "" if last is None else last.outcome or ""
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the newest reference measurements of the run are beyond the limit."""
+        rows = () if (collection := self.collection) is None else collection.references
+        newest = (row for row in rows if row.stops_done == rows[-1].stops_done)
+        return collection is not None and any(row.drift_mm > collection.drift_limit_mm for row in newest)
 
     @property
     def unseen(self) -> Mapping[str, str]:

@@ -162,7 +162,7 @@ class AcceptScreen(TabsScreen):
         for title, empty in (("Check", _NOT_CHECKED), ("ISO 9283", _NOT_TESTED), ("Certificate", _NO_CERTIFICATE)):
             needs = {"Check": state.not_calibrated, "Certificate": state.no_run}.get(title, "")
             busy = state.nothing(self.STEP, "") if state.job is not None and state.job.step == self.STEP else ""
-            locked = COPY_IT if state.read_only else ""
+            locked = COPY_IT if state.workspace.read_only else ""
             self.tab(title).say_empty(busy or needs or locked or empty)
         if state.no_run:
             self._draw_verdict(None, state.no_run)

@@ -104,8 +104,8 @@ class DayScreen(Screen[None]):
     def show_workspace(self, workspace: Workspace) -> None:
         """Draw the open profile and run, unless they are drawn already."""
         if workspace is not self._shown:
-            self._shown = workspace
             self.show_run(workspace)
+            self._shown = workspace  # only now: if a widget was missing above, the next call draws it
 
     def show_run(self, workspace: Workspace) -> None:
         """Draw the open profile and run, which have changed."""

@@ -105,12 +105,14 @@ def _of_run(state: RunState) -> Headline:
         return Headline("NO CELL" if state.stored == "no cell" else "NO RUN", state.no_run, "idle")
     if state.reading:
         return Headline("READING", state.reading, "idle")
-    if state.in_use:
-        return Headline("IN USE", f"by {state.in_use}. Shown is what was stored when it was opened.", "waiting")
+    if state.workspace.in_use:
+        return Headline(
+            "IN USE", f"by {state.workspace.in_use}. Shown is what was stored when it was opened.", "waiting"
+        )
     word, sentence, look = _of_stops(state)
-    if state.read_only:
+    if state.workspace.read_only:
         sentence = COPY_IT
-    elif state.drift and state.remaining:
+    elif state.workspace.drifts and state.remaining:
         sentence = f"The references moved beyond their limit: {SHOWN['drift']} accepts that and resumes. {sentence}"
     return Headline(word, sentence, look)
 
@@ -123,10 +125,10 @@ def _of_stops(state: RunState) -> tuple[str, str, Look]:
         return f"COMPLETE, {counted(measured, 'stop')}", f"{on}.", "done"
     if not measured:
         return f"READY, {counted(todo, 'stop')}", f"{go} begins. Nothing moves before it is confirmed.", "idle"
-    if state.outcome == "accurate enough":
+    if state.workspace.outcome == "accurate enough":
         sentence = f"{on}; {go} measures the {counted(todo, 'stop')} that are left."
         return f"ACCURATE ENOUGH, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle"
-    if state.outcome == "complete":
+    if state.workspace.outcome == "complete":
         return (f"{todo} MORE STOPS", f"{measured} are measured; {go} measures those that were planned since.", "idle")
     sentence = f"{go} measures the {counted(todo, 'stop')} that are left."
     return f"INTERRUPTED, {measured} of {counted(measured + todo, 'stop')}", sentence, "idle"
@@ -163,7 +165,6 @@ class CollectScreen(DayScreen):
         self._plot = 0
         self._plotted: dict[str, tuple[object, ...]] = {}
         self._plot_waits = False
-        self._tabled: Workspace | None = None
         self._opened: Path | None = None
         self._job: Job | None = None
         self._suspicions = 0
@@ -200,10 +201,10 @@ class CollectScreen(DayScreen):
     def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:
         """Enable only actions that are possible now."""
         idle, state = not self.cell_app.jobs.running, self.state
-        free = idle and state.remaining > 0 and not (state.in_use or state.read_only or state.no_run)
-        drift = free and state.drift if idle else holds_for_drift(self.cell_app.record)
-        again = idle and not (state.in_use or state.read_only or state.no_run)
-        again = again and self.has_class("stops") and bool(self.query_one(CollectedStops).again)
+        usable = idle and not (self.workspace.in_use or self.workspace.read_only or state.no_run)
+        free = usable and state.remaining > 0
+        drift = free and self.workspace.drifts if idle else holds_for_drift(self.cell_app.record)
+        again = usable and self.has_class("stops") and bool(self.query_one(CollectedStops).again)
         return {"begin": free, "accept_drift": drift, "measure_again": again}.get(action, True)
 
     def action_begin(self) -> None:
@@ -304,17 +305,19 @@ class CollectScreen(DayScreen):
     # -- drawing -------------------------------------------------------------------------------------------------------
 
     def show_workspace(self, workspace: Workspace) -> None:
-        """Draw the stored data of the run."""
-        if workspace is not self._tabled:
-            self._tabled = workspace
-            state = workspace.collection
-            self.query_one(PartsView).show([] if state is None else collection_tables(state))
-            self.query_one(CollectedStops).show(state)
+        """Draw the stored data of the run, and its log unless a job tells more."""
+        super().show_workspace(workspace)
         if workspace.folder != self._opened and not self.cell_app.jobs.running:
             self._opened = workspace.folder
             self.action_view(self._first_view)
             if workspace.folder is not None:
                 self._read_log(workspace.folder)
+
+    def show_run(self, workspace: Workspace) -> None:
+        """Draw the tables of what was collected."""
+        state = workspace.collection
+        self.query_one(PartsView).show([] if state is None else collection_tables(state))
+        self.query_one(CollectedStops).show(state)
 
     def show_state(self, state: RunState) -> None:
         """Say what is collected, if no table does."""
