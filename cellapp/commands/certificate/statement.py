@@ -34,7 +34,7 @@ from cellapp.ground.counting import counted
 from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Instrument
-from cellapp.ground.results import CERTIFICATE, VERIFY, best_method, day_of
+from cellapp.ground.results import CERTIFICATE, VERIFY, Record, best_method, day_of
 
 _METHOD = (
     "Each target is driven with the command of the published geometry and with the compensated one. While the arm"
@@ -137,36 +137,29 @@ def _errors(results: RunResults, arm: str) -> CertifiedErrors:
     calibrate = results.held.calibrate
     calibrated = None if calibrate is None else calibrate.arms.get(arm)
     predicted = {} if calibrated is None else calibrated.validate_
-    return _measured(results.verified.arms.get(arm)).model_copy(
-        update={
-            "predicted_found": predicted["nominal"].position_mm if "nominal" in predicted else None,
-            "predicted_left": None if calibrated is None else predicted[calibrated.best_stage].position_mm,
-            "predicted_found_mrad": predicted["nominal"].orientation_mrad if "nominal" in predicted else None,
-            "predicted_left_mrad": None if calibrated is None else predicted[calibrated.best_stage].orientation_mrad,
-        }
-    )
+    best = None if calibrated is None else predicted[calibrated.best_stage]
+    own = results.verified.arms.get(arm)
+    return _found_and_left(own, predicted.get("nominal"), best, "position_mm", "orientation_mrad")
 
 
 def _pair(results: RunResults) -> CertifiedErrors:
     best, nominal = (results.pair.get(method) for method in (best_method(results.pair) or "nominal", "nominal"))
-    return _measured(results.verified.cooperative).model_copy(
-        update={
-            "predicted_found": None if nominal is None else nominal.cooperative_mm,
-            "predicted_left": None if best is None else best.cooperative_mm,
-            "predicted_found_mrad": None if nominal is None else nominal.cooperative_mrad,
-            "predicted_left_mrad": None if best is None else best.cooperative_mrad,
-        }
-    )
+    return _found_and_left(results.verified.cooperative, nominal, best, "cooperative_mm", "cooperative_mrad")
 
 
-def _measured(verified: ArmVerification | None) -> CertifiedErrors:
-    if verified is None:
-        return CertifiedErrors()
+def _found_and_left(
+    verified: ArmVerification | None, nominal: Record | None, best: Record | None, mm: str, mrad: str
+) -> CertifiedErrors:
+    """Return what was verified, and what ``nominal`` and ``best`` predict in their fields ``mm`` and ``mrad``."""
     return CertifiedErrors(
-        found=verified.nominal_mm,
-        left=verified.corrected_mm or verified.compensated_mm,
-        found_mrad=verified.nominal_mrad,
-        left_mrad=verified.compensated_mrad,
+        found=verified and verified.nominal_mm,
+        left=verified and (verified.corrected_mm or verified.compensated_mm),
+        found_mrad=verified and verified.nominal_mrad,
+        left_mrad=verified and verified.compensated_mrad,
+        predicted_found=getattr(nominal, mm, None),
+        predicted_left=getattr(best, mm, None),
+        predicted_found_mrad=getattr(nominal, mrad, None),
+        predicted_left_mrad=getattr(best, mrad, None),
     )
 
 
