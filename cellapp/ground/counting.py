@@ -1,9 +1,11 @@
-"""Numbers as people read and type them."""
+"""Numbers and names as people read and type them."""
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
+from collections.abc import Iterable
 from decimal import Decimal
 
 from cellapp.ground.errors import InputError
@@ -28,6 +30,14 @@ def plain(value: float, digits: int = 3) -> str:
     """Format a number with so many significant digits; without an exponent, and never as minus zero."""
     text = f"{value:z.{digits}g}"
     return f"{Decimal(text):f}" if "e" in text else text
+
+
+def did_you_mean(
+    name: str, known: Iterable[str], words: str = "; did you mean '{}'?", *, cutoff: float = 0.6, otherwise: str = ""
+) -> str:
+    """Put the known name that is most like ``name`` into ``words``; return ``otherwise`` if none is like it."""
+    close = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
+    return words.format(close[0]) if close else otherwise
 
 
 def listed_numbers(text: str, what: str) -> tuple[int, ...]:

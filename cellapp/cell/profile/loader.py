@@ -27,6 +27,7 @@ from cellapp.cell.profile.messages import (
     validation_message,
 )
 from cellapp.ground.errors import InputError
+from cellapp.ground.file_text import file_text
 from cellapp.ground.profile.device_plugins import ARM_TYPES
 from cellapp.ground.profile.schema import VERSION, ArmType, Profile
 from cellapp.ground.removed import without_removed_keys
@@ -425,17 +426,7 @@ def _parse_yaml(text: str, path: Path) -> YamlDocument:
 def _read_text(path: Path) -> str:
     if path.is_fifo():  # reading would wait endlessly for a writer
         raise InputError(f"{path}: is a pipe, not a file; save the profile as a file and give its path")
-    try:
-        raw = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(f"{path}: file not found; give a profile such as profiles/twin.yaml") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give the path of a profile") from None
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        raise InputError(f"{path}:{line}: not UTF-8 text ({error.reason}); save the file as UTF-8") from None
+    return file_text(path, "give a profile such as profiles/twin.yaml")
 
 
 def _plain_data(

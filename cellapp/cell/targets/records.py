@@ -306,6 +306,10 @@ class VerifyResult(Result, schema="cellapp-verify"):
     notes: tuple[str, ...] = ()
     common: Mapping[str, CommonUncertainty] = {}
 
+    def of_arm(self, arm: str) -> list[MeasuredTarget]:
+        """Return the targets of one arm."""
+        return [one for one in self.targets if one.arm == arm]
+
     def complaints(self) -> list[str]:
         """Return why the verification failed: stopped, no improvement, or out of tolerance; empty if it did not.
 

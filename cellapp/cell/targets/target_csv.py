@@ -18,7 +18,6 @@ have the same unit, and so have all angles.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -29,6 +28,7 @@ from typing import Any
 from cellapp.cell.profile.messages import KeyPath
 from cellapp.cell.run.csv_text import NUMBER, CsvTable, Problems, check_names, read_csv_table, short, unquoted_text
 from cellapp.cell.targets.target_source import TargetSource
+from cellapp.ground.counting import did_you_mean
 from drivers.quantities import parse_quantity
 
 _WORDS: Mapping[str, KeyPath] = {
@@ -173,8 +173,7 @@ def _choices(stem: str) -> str:
 
 def _similar(name: str) -> str:
     known = [*_WORDS, *(f"{stem}_{unit}" for stem, of in _QUANTITIES.items() for unit in of.units), "approach1"]
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
-    return f" (is '{near[0]}' meant?)" if near else ""
+    return did_you_mean(name, known, " (is '{}' meant?)")
 
 
 def _check_complete(table: CsvTable, columns: Sequence[_Column], problems: Problems) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from cellapp.commands.check.station import excess_of_readings, last_location, pr
 from cellapp.commands.confirm import confirmation
 from cellapp.commands.record import Work
 from cellapp.commands.stages import CALIBRATION_FILE, RunStages, StoredStage, append_stage, basis_on_model, read_stages
-from cellapp.commands.stored_model import arms_stage, model_of
+from cellapp.commands.stored_model import append_with_model, arms_stage, model_of
 from cellapp.estimation.calibration.station_location import displacement_m
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Pose, Profile
@@ -158,12 +157,10 @@ def _result(profile: Profile, task: LocateTask, found: LocatedStation, notes: tu
 def _store(run: RunFile, used: StoredStage, result: LocateResult, moved: CellModel | None) -> None:
     basis = basis_on_model(run, used)
     assert basis is not None
-    text = None
-    if moved is not None:
-        provenance = {**moved.provenance, "stage": LOCATE, "basis": basis.model_dump()}
-        moved = replace(moved, provenance=provenance)
-        text = moved.to_json()
-    append_stage(run, LOCATE, result, basis, text)
+    if moved is None:
+        append_stage(run, LOCATE, result, basis)
+    else:
+        moved = append_with_model(run, LOCATE, result, moved, basis)
     for line in (*result.complaints(), *result.notes):
         run.log("warning" if result.verdict != "located" else "note", line)
     if moved is not None:

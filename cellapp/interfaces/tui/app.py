@@ -36,7 +36,6 @@ from textual.css.query import NoMatches
 from textual.driver import Driver
 from textual.screen import ModalScreen, Screen
 from textual.theme import Theme
-from textual.widgets import Static
 
 from cellapp.commands.docs.keys import KEYS, SHOWN
 from cellapp.commands.registry import ALL
@@ -55,6 +54,7 @@ from cellapp.interfaces.tui.screens import SCREENS
 from cellapp.interfaces.tui.screens.base import DayScreen
 from cellapp.interfaces.tui.terminal import driver_that_stops
 from cellapp.interfaces.tui.widgets.arm_panel import LiveStrip
+from cellapp.interfaces.tui.widgets.controls import Line
 from cellapp.interfaces.tui.widgets.header import StepTab
 from cellapp.interfaces.tui.workspace import Step, holds_run, last_run, load_workspace
 
@@ -598,9 +598,7 @@ class CellApp(JobKeys):
 
     def _draw_message(self) -> None:
         with contextlib.suppress(NoMatches, StopIteration):
-            line = self.day_screen.query_one(".message", Static)
-            line.update(self.message)
-            line.set_classes(f"message {self._severity}")
+            self.day_screen.query_one(".message", Line).say(self.message, f"message {self._severity}")
 
     def _draw_events(self) -> None:
         """Process the oldest events of the job, and draw if anything changed.

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
+from cellapp.ground.file_text import file_text
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import plain_data
 from cellapp.robot.effects import (
@@ -513,13 +514,7 @@ class CellModel:
     @classmethod
     def load(cls, path: Path | str) -> CellModel:
         """Read a calibration file; raise ``InputError`` if it is missing, damaged or of another version."""
-        path = Path(path)
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "not text"
-            raise InputError(f"{path}: cannot be read ({reason}); run 'cellapp calibrate DIR' first") from None
-        return cls.from_json(text, str(path))
+        return cls.from_json(file_text(Path(path), "run 'cellapp calibrate DIR' first"), str(path))
 
 
 def _geometry_to_json(geometry: Geometry) -> dict[str, Any]:

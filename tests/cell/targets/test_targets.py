@@ -59,7 +59,7 @@ def test_what_is_refused(path: Path) -> None:
 
 
 def test_no_file_a_folder_and_no_text(path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="file not found"):
         load_targets(path, PROFILE)
     with pytest.raises(InputError, match="cannot be read"):
         load_targets(path.parent, PROFILE)
