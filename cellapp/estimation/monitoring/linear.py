@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from cellapp.estimation.calibration.quantities import conditions_of_arms
+from cellapp.estimation.calibration.quantities import Quantities, conditions_of_arms
 from cellapp.estimation.monitoring.belief import (
     LENGTH_M,
     ROTATION_RAD,
@@ -32,7 +32,7 @@ from cellapp.estimation.monitoring.belief import (
     measured_vectors,
     noise_covariance,
 )
-from cellapp.estimation.prior.belief import Measured, design, is_own, is_smooth, term_columns
+from cellapp.estimation.prior.belief import design, is_own, is_smooth, term_columns
 from cellapp.estimation.prior.update import parameter_words
 from cellapp.estimation.readings import Readings
 from cellapp.robot.effects import EFFECTS, MeasurementConditions
@@ -213,7 +213,7 @@ def conditions_now(belief: CheckBelief, readings: Mapping[str, Readings]) -> dic
     return {name: replace(own, time_s=None, order=None, record=None) for name, own in found.items()}
 
 
-def _remembered(arm: ArmBelief, its: Measured) -> tuple[Array, Array]:
+def _remembered(arm: ArmBelief, its: Quantities) -> tuple[Array, Array]:
     """Return the calibration's residuals (n, 3) at the same stops, and the shares (n,) of them that are expected."""
     residuals, again = np.zeros((len(its), 3)), np.zeros(len(its))
     known = arm.measured
@@ -224,7 +224,7 @@ def _remembered(arm: ArmBelief, its: Measured) -> tuple[Array, Array]:
     return residuals, again
 
 
-def _sided(its: Measured, rows: NDArray[np.bool_]) -> Array:
+def _sided(its: Quantities, rows: NDArray[np.bool_]) -> Array:
     """Return joint positions, then sides of approach as far less than a stop: of equal stops, that of this side."""
     return np.hstack([its.readings.q[rows], _SIDE_RAD * its.readings.approach[rows]])
 
@@ -352,7 +352,7 @@ def _add_noise(K: Array, first: int, blocks: Array) -> None:
 # -- How far a change moves the SMR at the calibration's readings, of which its visible size follows ------------------
 
 
-def motions(belief: CheckBelief, name: str, measured: Measured, directions: Sequence[Changing]) -> Array:
+def motions(belief: CheckBelief, name: str, measured: Quantities, directions: Sequence[Changing]) -> Array:
     """Compute the motion (C, n, 3) [m, rad] of n measured vectors of an arm by one step of each direction."""
     arm = belief.arms[name]
     X = design(arm.model, measured, arm.columns).reshape(-1, 3, len(measured)).transpose(0, 2, 1)

@@ -18,9 +18,9 @@ import scipy
 from numpy.typing import NDArray
 
 from cellapp.estimation.calibration.identification import start_from_nominal
-from cellapp.estimation.calibration.quantities import ArmReadings, with_probe
+from cellapp.estimation.calibration.quantities import ArmReadings, Quantities, with_probe
 from cellapp.estimation.calibration.records import PartDrift, SignatureChange, SignaturePart
-from cellapp.estimation.prior.belief import Belief, Measured, Posterior, design, is_own, posterior, sizes, term_columns
+from cellapp.estimation.prior.belief import Belief, Posterior, design, is_own, posterior, sizes, term_columns
 from cellapp.ground.counting import plain
 from cellapp.ground.errors import NotConverged
 from cellapp.ground.profile import Profile
@@ -363,7 +363,7 @@ class Updated:
         return not self.belief.is_forgotten
 
 
-def first_model(profile: Profile, name: str, measured: Measured, belief: Belief) -> ArmModel:
+def first_model(profile: Profile, name: str, measured: Quantities, belief: Belief) -> ArmModel:
     """Return the arm by its belief, with base, tool and probe fitted to the new readings."""
     arm, its = profile.arms[name], measured.positions
     readings, conditions = its.readings, its.conditions
@@ -390,7 +390,7 @@ def update(arm: ArmReadings, belief: Belief, since: str, further: Sequence[Effec
     numpy.linalg.LinAlgError
         If readings are not finite.
     """
-    profile, measured = arm.profile, Measured.of(arm.readings, arm.conditions)
+    profile, measured = arm.profile, arm.quantities()
     supported = _supported(profile, arm.name, measured, belief)
     model = first_model(profile, arm.name, measured, supported)
     judged = measured.take(_subset(profile, len(measured), _MOST_READINGS))
@@ -402,7 +402,7 @@ def update(arm: ArmReadings, belief: Belief, since: str, further: Sequence[Effec
     return Updated(changed, found, parts, tuple(changes), tested, drifts.scatter_m, drifts.scatter_rad)
 
 
-def _supported(profile: Profile, name: str, measured: Measured, belief: Belief) -> Belief:
+def _supported(profile: Profile, name: str, measured: Quantities, belief: Belief) -> Belief:
     """Return the belief, or ``belief.forgotten()`` if that makes the readings likelier."""
     some = measured.take(_subset(profile, len(measured), _FEW_READINGS))
     found = []
@@ -414,7 +414,7 @@ def _supported(profile: Profile, name: str, measured: Measured, belief: Belief) 
 
 
 def _changed(
-    belief: Belief, model: ArmModel, judged: Measured, since: str
+    belief: Belief, model: ArmModel, judged: Quantities, since: str
 ) -> tuple[Belief, Drifts, list[SignatureChange], int]:
     """Return the belief widened by drifts and proven jumps, both of these, and the number of jumps tested."""
     problem = _evidence(belief, model, judged)
@@ -447,7 +447,7 @@ def _changed(
     return belief.widened(variance), drifts, changes, tested
 
 
-def _evidence(belief: Belief, model: ArmModel, judged: Measured) -> NewEvidence:
+def _evidence(belief: Belief, model: ArmModel, judged: Quantities) -> NewEvidence:
     joints = model.geometry.joints
     free = tuple(column for column in range(len(model.geometry.names)) if not is_own(column, joints))
     rows = design(model, judged, (*free, *belief.columns))

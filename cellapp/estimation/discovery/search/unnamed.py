@@ -92,7 +92,7 @@ def _without(problem: SearchProblem, found: SearchResult, parts: Collection[int]
 def _errors(found: SearchResult, fit: JointFit | None = None) -> Array:
     """Return the position errors (n,) [m] of left-out readings by the outcome's fit or by another one."""
     left = left_out(found.data, fit or found.fit)
-    return np.asarray(np.linalg.norm(left[found.data.positions], axis=1))
+    return np.asarray(np.linalg.norm(left[found.data.points], axis=1))
 
 
 def _spread(scaled: Array) -> float:
