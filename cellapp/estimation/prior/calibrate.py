@@ -15,7 +15,7 @@ import numpy as np
 from cellapp.estimation.calibration.calibrate import ArmCalibration, CellCalibration, gross_errors_of_model, without
 from cellapp.estimation.calibration.identification import Identification
 from cellapp.estimation.calibration.least_squares import readings_noise
-from cellapp.estimation.calibration.pair_calibration import calibrate_pair
+from cellapp.estimation.calibration.pair_calibration import PairCalibration, calibrate_pair
 from cellapp.estimation.calibration.parameters import ParameterSet, candidate_columns, determined_set
 from cellapp.estimation.calibration.quantities import (
     ArmReadings,
@@ -122,7 +122,7 @@ def calibrate_with_prior(
     models = {name: arm.model for name, arm in arms.items()}
     with_effects, _ = calibrate_pair(profile, good, models)
     if pair is not None and with_effects is not None:
-        pair = replace(pair, methods={**pair.methods, **with_effects.methods})
+        pair = PairCalibration({**pair.methods, **with_effects.methods}, {**pair.transforms, **with_effects.transforms})
     model = replace(calibration.model, arms=models, T_R_L=None if pair is None else pair.T_R_L)
     return replace(calibration, model=model, arms=arms, pair=pair, notes=tuple(notes))
 
