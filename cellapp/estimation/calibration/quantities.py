@@ -393,18 +393,16 @@ def summarise(errors: Array, means: Array | None = None) -> ErrorSummary:
     if means is None:
         weights = _resampled(len(mm))
         means = weights @ np.abs(errors) / len(mm)
-    low, high = np.quantile(means, [0.025, 0.975]) * 1e3
-    p50, p95 = np.quantile(mm, [0.5, 0.95])
-    return ErrorSummary(
-        mean=float(mm.mean()),
-        rms=float(np.sqrt(np.mean(mm**2))),
-        std=float(mm.std(ddof=1)) if len(mm) > 1 else 0.0,
-        max=float(mm.max()),
-        p50=float(p50),
-        p95=float(p95),
-        mean_ci95=(float(low), float(high)),
-        n=len(mm),
-    )
+    low, high = (np.quantile(means, [0.025, 0.975]) * 1e3).tolist()
+    return summary_mm(mm).model_copy(update={"mean_ci95": (low, high)})
+
+
+def summary_mm(mm: Array) -> ErrorSummary:
+    """Compute statistics of errors [mm] that may be correlated: without a confidence interval of their mean."""
+    p50, p95 = np.quantile(mm, [0.5, 0.95]).tolist()
+    std = float(mm.std(ddof=1)) if len(mm) > 1 else 0.0
+    rms, mean, most = float(np.sqrt(np.mean(mm**2))), float(mm.mean()), float(mm.max())
+    return ErrorSummary(mean=mean, rms=rms, std=std, max=most, p50=p50, p95=p95, n=len(mm))
 
 
 @lru_cache(maxsize=1)

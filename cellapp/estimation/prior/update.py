@@ -124,6 +124,27 @@ class NewEvidence:
     drift: Mapping[SignaturePart, Array]
     of_rotations: Array | None = None
 
+    @classmethod
+    def of(cls, belief: Belief, model: ArmModel, judged: Quantities) -> NewEvidence:
+        """Linearise readings at the mean of a belief, with any base and tool."""
+        joints = model.geometry.joints
+        free = tuple(column for column in range(len(model.geometry.names)) if not is_own(column, joints))
+        every = design(model, judged, (*free, *belief.columns))
+        by_free = every[: len(free)] / np.maximum(np.linalg.norm(every[: len(free)], axis=1), 1e-300)[:, None]
+        Q, R, _ = scipy.linalg.qr(by_free.T, pivoting=True)
+        pivots = np.abs(np.diag(R))
+        Z = Q[:, int(np.sum(pivots > _DEPENDENT * pivots[0])) :]
+        rows, units = every[len(free) :] @ Z, {part: _units(belief, part) for part in dict.fromkeys(belief.parts)}
+        angular = None if judged.angular is None else np.tile(judged.angular, 3)
+        return cls(
+            residuals=Z.T @ judged.residuals(model).T.ravel(),
+            rows=rows,
+            believed=rows.T @ belief.covariance @ rows,
+            stated=Z.T @ _covariance_matrix(judged.stated, len(judged)) @ Z,
+            drift={part: (rows * unit[:, None] ** 2).T @ rows for part, unit in units.items()},
+            of_rotations=None if angular is None else Z[angular].T @ Z[angular],
+        )
+
     def jumped(self, candidate: Candidate) -> NewEvidence:
         """Return the model that allows for a jump of some parameters."""
         rows = self.rows[candidate.places] * candidate.sd[:, None]
@@ -189,49 +210,6 @@ class NewEvidence:
             covariance = np.linalg.inv(inner) * one.sd * one.sd[:, None]
             found.append(UpdateFit(values * one.sd, covariance, gain))
         return found
-
-
-def evidence(
-    free: Array,
-    own: Array,
-    residuals: Array,
-    covariance: Array,
-    stated: Array,
-    units: Mapping[SignaturePart, Array],
-    angular: NDArray[np.bool_] | None = None,
-) -> NewEvidence:
-    """Build the linear model in the complement of the free parameters.
-
-    Parameters
-    ----------
-    free : array, shape (f, 3 n)
-        Derivatives with respect to base and tool.
-    own : array, shape (p, 3 n)
-        Derivatives with respect to the arm's own parameters.
-    residuals : array, shape (3 n,)
-        Residuals of the readings for the mean of the belief [m], at any base and tool.
-    covariance : array, shape (p, p)
-        Covariance of the belief.
-    stated : array, shape (3 n, 3 n)
-        Stated covariance of the readings [m^2].
-    units : mapping
-        Part -> unit of drift (p,) of each parameter, zero outside the part.
-    angular : array, shape (3 n,), optional
-        Mask of the components of orientations.
-    """
-    scale = 1.0 / np.maximum(np.linalg.norm(free, axis=1), 1e-300)
-    Q, R, _ = scipy.linalg.qr((free * scale[:, None]).T, pivoting=True)
-    pivots = np.abs(np.diag(R))
-    Z = Q[:, int(np.sum(pivots > _DEPENDENT * pivots[0])) :]
-    rows = own @ Z
-    return NewEvidence(
-        residuals=Z.T @ residuals,
-        rows=rows,
-        believed=rows.T @ covariance @ rows,
-        stated=Z.T @ stated @ Z,
-        drift={part: (rows * unit[:, None] ** 2).T @ rows for part, unit in units.items()},
-        of_rotations=None if angular is None else Z[angular].T @ Z[angular],
-    )
 
 
 # -- Possible changes of an arm since an earlier calibration: candidates, and proven ones in words --------------------
@@ -407,7 +385,7 @@ def _supported(profile: Profile, name: str, measured: Quantities, belief: Belief
     some = measured.take(_subset(profile, len(measured), _FEW_READINGS))
     found = []
     for one in (belief, belief.forgotten()):
-        problem = _evidence(one, first_model(profile, name, some, one), some)
+        problem = NewEvidence.of(one, first_model(profile, name, some, one), some)
         drifts = (replace(problem, drift={}) if one.is_forgotten else problem).drifts()
         found.append((drifts.log_likelihood - len(drifts.of_parts), one))
     return max(found, key=lambda pair: pair[0])[1]
@@ -417,7 +395,7 @@ def _changed(
     belief: Belief, model: ArmModel, judged: Quantities, since: str
 ) -> tuple[Belief, Drifts, list[SignatureChange], int]:
     """Return the belief widened by drifts and proven jumps, both of these, and the number of jumps tested."""
-    problem = _evidence(belief, model, judged)
+    problem = NewEvidence.of(belief, model, judged)
     if belief.is_forgotten:
         problem = replace(problem, drift={})
         return belief, problem.drifts(), [], 0
@@ -445,21 +423,6 @@ def _changed(
     for part, size in drifts.of_parts.items():
         variance += size**2 * _units(belief, part) ** 2
     return belief.widened(variance), drifts, changes, tested
-
-
-def _evidence(belief: Belief, model: ArmModel, judged: Quantities) -> NewEvidence:
-    joints = model.geometry.joints
-    free = tuple(column for column in range(len(model.geometry.names)) if not is_own(column, joints))
-    rows = design(model, judged, (*free, *belief.columns))
-    return evidence(
-        free=rows[: len(free)],
-        own=rows[len(free) :],
-        residuals=judged.residuals(model).T.ravel(),
-        covariance=belief.covariance,
-        stated=_covariance_matrix(judged.stated, len(judged)),
-        units={part: _units(belief, part) for part in dict.fromkeys(belief.parts)},
-        angular=None if judged.angular is None else np.tile(judged.angular, 3),
-    )
 
 
 def _covariance_matrix(stated: Array | None, count: int) -> Array:
