@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 
 from cellapp.estimation.calibration.calibrate import ArmCalibration, CellCalibration
-from cellapp.estimation.calibration.learning import NetForm, Training
 from cellapp.estimation.calibration.records import (
     ArmCalibrationResult,
     CalibrateResult,
-    NetworkResult,
-    NetworkTrial,
     ParameterEstimate,
     Scatter,
     largest_correlations,
@@ -74,35 +71,11 @@ def arm_result(arm: ArmCalibration) -> ArmCalibrationResult:
         tracker_mm=arm.tracker_mm,
         probe_mrad=arm.probe_mrad,
         repeatability_mm=arm.repeatability,
-        network=None if arm.training is None else _network(arm.training),
+        network=None if arm.training is None else arm.training.result,
         prior=arm.prior,
         left_out_configurations=arm.left_out,
         left_out_splits=arm.left_out_counts,
         validate_=arm.validate,
         clocks=arm.clocks,
         motion=arm.motion,
-    )
-
-
-def _network(training: Training) -> NetworkResult:
-    batches = training.batches
-    of_all = batches is not None and batches.used
-    return NetworkResult(
-        used=training.network is not None,
-        inputs="both" if of_all else training.shape.inputs,
-        hidden=batches.hidden if batches is not None and of_all else (training.shape.hidden,),
-        turning=training.shape.rotates_with_joint_1,
-        left_out_rms_mm=training.left_out_rms * 1e3,
-        without_rms_mm=training.without_rms * 1e3,
-        tried=tuple(_trial(shape, error) for shape, error in training.tried),
-        batches=batches,
-    )
-
-
-def _trial(shape: NetForm, left_out_rms_m: float) -> NetworkTrial:
-    return NetworkTrial(
-        inputs=shape.inputs,
-        hidden=(shape.hidden,),
-        turning=shape.rotates_with_joint_1,
-        left_out_rms_mm=left_out_rms_m * 1e3,
     )

@@ -199,7 +199,7 @@ def test_no_network_is_trained_or_judged_on_rows_left_out(ur5: Entrant) -> None:
     trained = train_arm(profile, arm, spoilt)
     without = train_arm(profile, arm, spoilt.take(np.setdiff1d(np.arange(len(spoilt)), rows)))
     assert trained.training is not None
-    assert trained.training.left_out_rms == without.training.left_out_rms  # type: ignore[union-attr]
+    assert trained.training.result.left_out_rms_mm == without.training.result.left_out_rms_mm  # type: ignore[union-attr]
     assert trained.validate == without.validate
     result = arm_result(trained)
     assert sorted(result.left_out_configurations) == sorted(spoilt.configuration[rows].tolist())
