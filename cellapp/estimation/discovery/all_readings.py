@@ -18,8 +18,8 @@ import numpy as np
 from cellapp.estimation.discovery.arm_data import ArmData, Excess, ModelTerm, ModelTerms, smoothness_of
 from cellapp.estimation.discovery.joint_fit import (
     JointFit,
+    draws_of,
     fit_terms,
-    noise_of,
     refit,
     uncertainty_with_scatter,
     with_posterior,
@@ -42,7 +42,6 @@ from cellapp.robot.effects.effect import is_unnamed, lent_effect
 from cellapp.robot.kinematics.chain import AT_BOUND
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
-from cellapp.robot.model.model import PosteriorDraws
 
 _DRAW_SEED = 0xA117
 """Combined with the profile's seed, so that these draws are independent of all other draws."""
@@ -151,12 +150,4 @@ def _fitted(data: ArmData, fit: JointFit, spread: float) -> ArmModel:
     values = found.model.geometry.vector()[list(estimated.columns)]
     if limits is not None and np.any(np.abs(np.clip(values, *limits) - values) > AT_BOUND):
         raise NotConverged.of("fit of geometry and effects to all readings", "a parameter left its bounds")
-    draws = PosteriorDraws.of_covariance(
-        columns=estimated.columns,
-        sizes=[term.size for term in fit.terms],
-        covariance=found.covariance * spread**2,
-        noise=noise_of(data, spread, smoothness_of(fit.terms)),
-        seed=(data.profile.seed, _DRAW_SEED),
-        tied=estimated.tied,
-    )
-    return replace(found.model, posterior=draws)
+    return replace(found.model, posterior=draws_of(data, fit, found.covariance, 1.0, spread, _DRAW_SEED))

@@ -519,15 +519,23 @@ def with_posterior(data: ArmData, fit: JointFit, spread: float = 1.0) -> ArmMode
     """Return the fitted model with draws of its parameters and the scatter of readings, ``spread`` times as wide."""
     found = fit.identification
     kept = [*range(len(found.estimated.columns)), *range(fit.layout.geometric, fit.layout.total)]
-    draws = PosteriorDraws.of_covariance(
-        columns=found.estimated.columns,
-        sizes=[term.size for term in fit.terms],
-        covariance=found.covariance[np.ix_(kept, kept)] * spread**2,
-        noise=noise_of(data, max(found.scale, 1.0) * spread, smoothness_of(fit.terms)),
-        seed=(data.profile.seed, _DRAW_SEED),
-        tied=found.estimated.tied,
-    )
+    draws = draws_of(data, fit, found.covariance[np.ix_(kept, kept)], max(found.scale, 1.0), spread)
     return replace(fit.model, posterior=draws)
+
+
+def draws_of(
+    data: ArmData, fit: JointFit, covariance: Array, scale: float, spread: float, seed: int = _DRAW_SEED
+) -> PosteriorDraws:
+    """Draw parameters of a fit, ``spread`` times as wide, and state the noise of the readings, ``scale`` times it."""
+    estimated = fit.identification.estimated
+    return PosteriorDraws.of_covariance(
+        columns=estimated.columns,
+        sizes=[term.size for term in fit.terms],
+        covariance=covariance * spread**2,
+        noise=noise_of(data, scale * spread, smoothness_of(fit.terms)),
+        seed=(data.profile.seed, seed),
+        tied=estimated.tied,
+    )
 
 
 def noise_of(data: ArmData, scale: float = 1.0, smooth: Smoothness | None = None) -> ReadingsNoise:
