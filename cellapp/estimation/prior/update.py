@@ -23,9 +23,10 @@ from cellapp.estimation.calibration.records import PartDrift, SignatureChange, S
 from cellapp.estimation.prior.belief import Belief, Posterior, design, is_own, posterior, sizes, term_columns
 from cellapp.ground.counting import plain
 from cellapp.ground.errors import NotConverged
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.robot.effects import EFFECTS, EffectColumn, EffectTerm
-from cellapp.robot.kinematics.chain import parameter_names, parameter_unit
+from cellapp.robot.kinematics.chain import all_names, parameter_names, parameter_unit
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 from cellapp.robot.model.nominal import nominal_arm
@@ -232,20 +233,18 @@ def candidates(belief: Belief, columns: Sequence[EffectColumn]) -> list[Candidat
 
     ``columns`` are those of the belief's effects, in the order of their values.
     """
-    names, size = parameter_names(belief.nominal.joints), belief.jump_sd
-    found = [
-        Candidate(parameter_words(names[column]), np.array([place], dtype=np.intp), size[[place]])
-        for place, column in enumerate(belief.columns)
-    ]
-    first = len(belief.columns)
-    places: dict[str, list[int]] = {}
-    slugs = [term.slug for term in belief.terms for _ in term.names]
-    for k, (slug, column) in enumerate(zip(slugs, columns, strict=True)):
-        places.setdefault(f"{EFFECTS[slug].title}, {column.where}", []).append(first + k)
-    for what, some in places.items():
-        rows = np.array(some, dtype=np.intp)
-        found.append(Candidate(what, rows, size[rows]))
-    return found
+    names = change_names(belief.nominal.joints, belief.columns, belief.terms, columns)
+    places = grouped((what, place) for place, what in enumerate(names))
+    return [Candidate(what, np.array(some, dtype=np.intp), belief.jump_sd[some]) for what, some in places.items()]
+
+
+def change_names(
+    joints: int, columns: Sequence[int], terms: Sequence[EffectTerm], of_terms: Sequence[EffectColumn]
+) -> list[str]:
+    """Name a change of each parameter of an arm: geometric ``columns``, then values of effects with their columns."""
+    names, slugs = all_names(joints), [term.slug for term in terms for _ in term.names]
+    effects = [f"{EFFECTS[slug].title}, {column.where}" for slug, column in zip(slugs, of_terms, strict=True)]
+    return [*(parameter_words(names[column]) for column in columns), *effects]
 
 
 def change_of(
