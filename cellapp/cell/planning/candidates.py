@@ -33,7 +33,7 @@ from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone, visib
 from cellapp.cell.safety.shapes import ObstacleBody, beam_gaps
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
-from cellapp.ground.progress import CancelToken
+from cellapp.ground.progress import UNATTENDED, JobToken
 from cellapp.robot.kinematics.transforms import Array
 
 _OBLIQUE_SHARE = 0.25
@@ -41,8 +41,8 @@ _OBLIQUE_SHARE = 0.25
 them effects of the incidence could not be seen."""
 _AT_ONCE = 4000
 """Configurations drawn at once: about 60 of them are usable in the twin cell, and they fit in the cache."""
-_MOST_DRAWS = 800_000
-_MOST_DRAWS_PER_CANDIDATE = 400
+_MOST_SAMPLES = 800_000
+_MOST_SAMPLES_PER_CANDIDATE = 400
 """Draws after which the search ends: four times the number that a candidate takes in the twin cell, some seconds."""
 
 
@@ -56,7 +56,7 @@ class CandidatePool:
         Joint positions [rad].
     incidence : array, shape (m,)
         Angle between beam and viewing direction of the SMR [rad].
-    drawn : int
+    sampled : int
         Configurations drawn to find them.
     rejected : mapping
         Constraint -> how many of those drawn it excluded. A configuration counts for the first that excludes it, in
@@ -65,17 +65,12 @@ class CandidatePool:
 
     q: Array
     incidence: Array
-    drawn: int
+    sampled: int
     rejected: Mapping[str, int]
 
 
-def draw_pool(
-    cell: CellBodies,
-    profile: Profile,
-    name: str,
-    count: int,
-    rng: np.random.Generator,
-    cancel: CancelToken | None = None,
+def sample_pool(
+    cell: CellBodies, profile: Profile, name: str, count: int, rng: np.random.Generator, job: JobToken = UNATTENDED
 ) -> CandidatePool:
     """Draw ``count`` candidates of an arm in random order, fewer where they are rare.
 
@@ -93,20 +88,20 @@ def draw_pool(
         lucky = rng.random(len(incidence)) < _OBLIQUE_SHARE
         return np.asarray(lucky | (incidence <= profile.plan.incidence))
 
-    cancel, found, number = cancel or CancelToken(), list[CandidatePool](), 0
+    found, number = list[CandidatePool](), 0
     low, high = joint_ranges(cell, profile, name).T
-    most = max(_MOST_DRAWS, count * _MOST_DRAWS_PER_CANDIDATE)
+    most = max(_MOST_SAMPLES, count * _MOST_SAMPLES_PER_CANDIDATE)
     while number < count and len(found) * _AT_ONCE < most:
-        cancel.check()
+        job.check()
         found.append(_usable(cell, name, rng.uniform(low, high, size=(_AT_ONCE, len(low))), keep))
         number += len(found[-1].q)
-    drawn = len(found) * _AT_ONCE
+    sampled = len(found) * _AT_ONCE
     if number < min(count, profile.plan.stops + profile.plan.reserve):
-        raise InputError(shortage(cell, profile, name, number, drawn))
+        raise InputError(shortage(cell, profile, name, number, sampled))
     order = rng.permutation(number)[:count]
     q, incidence = (np.concatenate([getattr(one, part) for one in found])[order] for part in ("q", "incidence"))
     rejected = {constraint: sum(one.rejected[constraint] for one in found) for constraint in found[0].rejected}
-    return CandidatePool(q, incidence, drawn, rejected)
+    return CandidatePool(q, incidence, sampled, rejected)
 
 
 def random_configurations(cell: CellBodies, profile: Profile, name: str, rng: np.random.Generator) -> Iterator[Array]:
@@ -123,7 +118,7 @@ def random_configurations(cell: CellBodies, profile: Profile, name: str, rng: np
         q = _usable(cell, name, rng.uniform(low, high, size=(_AT_ONCE, len(low)))).q
         yield from q[::-1]  # this order belongs to the seed: a profile gives the same plan each time
         fruitless = 0 if len(q) else fruitless + _AT_ONCE
-        if fruitless >= _MOST_DRAWS:
+        if fruitless >= _MOST_SAMPLES:
             raise InputError(shortage(cell, profile, name, 0, fruitless))
 
 
@@ -260,7 +255,7 @@ _ADVICE: Mapping[str, str] = {
 }
 
 
-def shortage(cell: CellBodies, profile: Profile, name: str, found: int, drawn: int) -> str:
+def shortage(cell: CellBodies, profile: Profile, name: str, found: int, sampled: int) -> str:
     """Compose one message: how few configurations of an arm are usable, which constraint excludes most, what helps."""
     asked = f", {profile.plan.stops + profile.plan.reserve} are needed" if found else ""
     first, second = exclusions(cell, profile, name)[:2]
@@ -270,7 +265,7 @@ def shortage(cell: CellBodies, profile: Profile, name: str, found: int, drawn: i
     else:
         besides = f"No other constraint decides alone; next, {next_one} excludes {_percent(second.alone)}."
     return (
-        f"plan: arm {name}: {found or 'none'} of {drawn} random configurations can be measured{asked}. Most are"
+        f"plan: arm {name}: {found or 'none'} of {sampled} random configurations can be measured{asked}. Most are"
         f" excluded by {subject} ({_percent(first.alone)}): {first.extent}. {besides} What helps: {first.advice}"
     )
 
@@ -322,12 +317,12 @@ def _sight_examined(field: TrackerField, sight: Sight, acceptance: float) -> lis
     """Examine the conditions on the SMRs, and by how much they are missed in mm or deg."""
     low, high = field.distance
     lowest, highest = field.elevation
-    past_left = np.mod(sight.azimuth - field.azimuth[0], _TURN)
+    past_side = np.mod(sight.azimuth - field.azimuth[0], _TURN)
     width = field.azimuth[1] - field.azimuth[0]
     elevation = np.arcsin(np.clip(sight.sine_of_elevation, -1.0, 1.0))
     missed = {
         RANGE: (1e3 * np.maximum(low - sight.distance, sight.distance - high), "mm"),
-        AZIMUTH: (np.degrees(np.minimum(past_left - width, _TURN - past_left)), "deg"),
+        AZIMUTH: (np.degrees(np.minimum(past_side - width, _TURN - past_side)), "deg"),
         ELEVATION: (np.degrees(np.maximum(lowest - elevation, elevation - highest)), "deg"),
         FACING: (np.degrees(sight.incidence - usable_acceptance(acceptance)), "deg"),
     }

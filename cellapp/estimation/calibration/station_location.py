@@ -40,7 +40,7 @@ from cellapp.robot.kinematics.transforms import (
     twist_columns,
 )
 from cellapp.robot.model import CellModel
-from cellapp.robot.model.model import DRAWS, relocated
+from cellapp.robot.model.model import SAMPLES, relocated
 from cellapp.robot.model.nominal import nominal_arm, published_rows
 
 # -- Pose of the tracker ----------------------------------------------------------------------------------------------
@@ -199,8 +199,8 @@ def fit_station(
     station = start
     of_prior = [] if rough is None else [np.linalg.cholesky(rough.covariance)]
     for _ in range(_REWEIGHTED):
-        noise, drawn = _uncertainty(relocated(model, station), points, excess_m)
-        L, n = np.linalg.cholesky(noise + drawn.T @ drawn / len(drawn)), len(noise)
+        noise, sampled = _uncertainty(relocated(model, station), points, excess_m)
+        L, n = np.linalg.cholesky(noise + sampled.T @ sampled / len(sampled)), len(noise)
         with_prior: Array = np.asarray(scipy.linalg.block_diag(L, *of_prior), dtype=np.float64)
         fit = LeastSquares(linearised, lambda T, step: small_motion(step, np.zeros(3)) @ T, with_prior)
         best = fit.best("fit of the tracker's station", station, tolerance=_SMALL_STEP).point
@@ -209,7 +209,7 @@ def fit_station(
     covariance: Array = np.asarray(np.linalg.inv(white_J.T @ white_J), dtype=np.float64)
     gain = scipy.linalg.solve_triangular(L, white_J[:n], lower=True, trans=1) @ covariance
     rng = np.random.default_rng([*seed, 0x10C])
-    drawn_noise = rng.standard_normal((len(drawn), n)) @ np.linalg.cholesky(noise).T
+    sampled_noise = rng.standard_normal((len(sampled), n)) @ np.linalg.cholesky(noise).T
     ends = np.cumsum([len(own) for own in points.values()])
     return StationFit(
         T_new_old=station,
@@ -217,7 +217,7 @@ def fit_station(
         residuals=dict(zip(points, np.split(best.r[:n].reshape(-1, 3), ends[:-1]), strict=True)),
         chi_squared=float(white_r[:n] @ white_r[:n]),
         degrees_of_freedom=n - 6,
-        twists=-((drawn + drawn_noise) @ gain),
+        twists=-((sampled + sampled_noise) @ gain),
     )
 
 
@@ -232,18 +232,18 @@ def displacement_m(model: CellModel, points: Points, T_new_old: Array) -> float:
 
 def _uncertainty(model: CellModel, points: Points, excess_m: Mapping[str, float]) -> tuple[Array, Array]:
     """Compute the noise covariance (3 n, 3 n) [m^2] and draws of the model's error (S, 3 n) [m] at the points."""
-    noise, drawn = list[Array](), list[Array]()
+    noise, sampled = list[Array](), list[Array]()
     for name, own in points.items():
         arm, added = model.arms[name], np.full(len(own), excess_m[name] ** 2)
         if arm.network is not None:
             added += np.mean(arm.network.spread(own.q) ** 2, axis=1)
         noise += [*(own.covariance_M + added[:, None, None] * np.eye(3))]
-        moved = np.zeros((DRAWS, len(own), 3))
+        moved = np.zeros((SAMPLES, len(own), 3))
         if arm.posterior is not None:
             context = arm.context(own.q, conditions=_conditions(model, own))
             moved = arm.posterior.displacements(arm.geometry, arm.effects, context)
-        drawn.append(moved.reshape(len(moved), -1))
-    return np.asarray(scipy.linalg.block_diag(*noise), dtype=np.float64), np.concatenate(drawn, axis=1)
+        sampled.append(moved.reshape(len(moved), -1))
+    return np.asarray(scipy.linalg.block_diag(*noise), dtype=np.float64), np.concatenate(sampled, axis=1)
 
 
 def _conditions(model: CellModel, own: ArmPoints) -> MeasurementConditions:
@@ -370,17 +370,17 @@ def tie_stations(first: str, points: Sequence[NestPoint]) -> dict[str, StationTi
 def _pairwise(stations: Sequence[str], points: Sequence[NestPoint]) -> dict[str, Array]:
     """Register the stations one by one, each by the nests that it shares with those already registered."""
     T: dict[str, Array] = {stations[0]: np.eye(4)}
-    left = list(stations[1:])
-    while left:
+    remaining = list(stations[1:])
+    while remaining:
         known = {one.nest: apply(T[one.station], one.p[None])[0] for one in points if one.station in T}
-        for name in left:
+        for name in remaining:
             own = [one for one in points if one.station == name and one.nest in known]
             if len(own) >= FEWEST_NESTS and _spans(np.array([one.p for one in own])):
                 T[name] = register(np.array([known[one.nest] for one in own]), np.array([one.p for one in own]))
-                left.remove(name)
+                remaining.remove(name)
                 break
         else:
-            raise TooFewNests(left[0])
+            raise TooFewNests(remaining[0])
     return T
 
 
@@ -591,7 +591,7 @@ def better_reading(nominal: Geometry, q: Array, p_M: Array) -> tuple[str, Explai
     return simplest if simplest[1].holds and simplest[1].rms_m < _CLEARER * now else None
 
 
-def factory_doubt(arm: Arm, readings: Readings) -> str:
+def wrong_factory(arm: Arm, readings: Readings) -> str:
     """Say that the factory calibration of an arm explains its readings worse than the published rows; else empty."""
     if arm.factory is None or readings.station is not None or len(readings) < _FEWEST_ROWS:
         return ""

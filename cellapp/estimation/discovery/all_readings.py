@@ -18,9 +18,9 @@ import numpy as np
 from cellapp.estimation.discovery.arm_data import ArmData, Excess, ModelTerm, ModelTerms, smoothness_of
 from cellapp.estimation.discovery.joint_fit import (
     JointFit,
-    draws_of,
     fit_terms,
     refit,
+    samples_of,
     uncertainty_with_scatter,
     with_posterior,
 )
@@ -34,7 +34,7 @@ from cellapp.estimation.discovery.process import (
     process_terms,
 )
 from cellapp.estimation.discovery.search.state import Review, SearchResult
-from cellapp.estimation.discovery.search.unnamed import without_name
+from cellapp.estimation.discovery.search.unnamed_term import without_name
 from cellapp.estimation.prior.belief import Prior, normal_matrix, posterior
 from cellapp.ground.errors import NotConverged
 from cellapp.robot.effects import EffectColumn
@@ -43,7 +43,7 @@ from cellapp.robot.kinematics.chain import AT_BOUND
 from cellapp.robot.kinematics.transforms import Array
 from cellapp.robot.model import ArmModel
 
-_DRAW_SEED = 0xA117
+_SAMPLE_SEED = 0xA117
 """Combined with the profile's seed, so that these draws are independent of all other draws."""
 
 
@@ -150,4 +150,4 @@ def _fitted(data: ArmData, fit: JointFit, spread: float) -> ArmModel:
     values = found.model.geometry.vector()[list(estimated.columns)]
     if limits is not None and np.any(np.abs(np.clip(values, *limits) - values) > AT_BOUND):
         raise NotConverged.of("fit of geometry and effects to all readings", "a parameter left its bounds")
-    return replace(found.model, posterior=draws_of(data, fit, found.covariance, 1.0, spread, _DRAW_SEED))
+    return replace(found.model, posterior=samples_of(data, fit, found.covariance, 1.0, spread, _SAMPLE_SEED))
