@@ -161,13 +161,6 @@ class Solver:
         """``(X^T X + P)^-1 rhs`` for (p,) or (p, r)."""
         return self.factored.solve(rhs)
 
-    def in_standard_errors(self, step: Array) -> Array:
-        """Return a vector (p,) as long as a step (p,) in standard errors: its square is the change of the objective."""
-        scaled, factored = step / self.scale, self.factored
-        if factored.is_factor:
-            return np.asarray(factored.matrix.T @ scaled)
-        return np.sqrt(np.abs(scaled * (factored.matrix @ scaled)))
-
     @cached_property
     def factored(self) -> Factored:
         """What solves without X^T X."""
