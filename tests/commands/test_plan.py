@@ -34,7 +34,7 @@ from cellapp.commands.plan.run import (
     stored_plan,
 )
 from cellapp.commands.show.overview import run_overview
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings
 from cellapp.ground.control import JobControl
 from cellapp.ground.errors import CheckFailed, InputError
 from cellapp.ground.profile import Profile
@@ -271,7 +271,7 @@ def test_a_new_design_changes_what_it_may_and_nothing_else(
     with TemporaryDirectory() as folder, RunFile.create(Path(folder) / "run", profile) as run:
         write_planned_stops(run, stops)
         for stop in sorted(measured | failed):
-            rows = {name: Reading(q=q[stop], p_M=np.zeros(3)) for name, q in stops.q.items()}
+            rows = {name: Readings.one(q=q[stop], p_M=np.zeros(3)) for name, q in stops.q.items()}
             outcomes = [Outcome(stop, name, "left out", "a column") for name in rows]
             run.add_stop(stop, rows if stop in measured else {}, [] if stop in measured else outcomes)
         stay = measured | (asked - failed)

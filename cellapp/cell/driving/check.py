@@ -23,7 +23,7 @@ from cellapp.cell.planning.planned_stops import tell_time, visits_s
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import clear_stops, visible_stops
 from cellapp.estimation.monitoring.belief import SequentialState
-from cellapp.estimation.readings import Reading, Readings
+from cellapp.estimation.readings import Readings
 from cellapp.ground.control import JobControl
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
@@ -191,7 +191,7 @@ class _Checking:
         rows = {name: self._reading(name, point) for name, point in found.items()}
         # arms that went to a stop one by one count as two stops: the other arm was at home
         count = len(self.driven.stops)
-        state = self.test.add({name: row.as_readings(count) for name, row in rows.items()})
+        state = self.test.add({name: row.at_stop(count) for name, row in rows.items()})
         self.driven.stops.append(MeasuredStop(number, found, state, self.elapsed_s()))
         return state.sure
 
@@ -211,7 +211,7 @@ class _Checking:
             )
         return None
 
-    def _reading(self, name: str, found: FoundPoint) -> Reading:
+    def _reading(self, name: str, found: FoundPoint) -> Readings:
         """Return the reading of a point with the conditions of its arm, as collecting stores it.
 
         It has no time: seconds since the start of the run would be far beyond the times of the calibration.

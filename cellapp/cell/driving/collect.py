@@ -48,7 +48,7 @@ from cellapp.cell.run.measured_again import (
 from cellapp.cell.run.sqlite_file import OutcomeKind
 from cellapp.cell.safety.cell_bodies import cell_bodies, home_positions
 from cellapp.cell.safety.gate import CellBodies
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings
 from cellapp.ground.control import Aborted, JobControl, Stopped
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import HardwareError, InputError
@@ -229,7 +229,7 @@ class CollectSession:
         else:
             self._emit(note=f"stop {stop + 1}: sweeps of {' and '.join(recorded) or 'no arm'} are recorded")
 
-    def _report(self, stop: int, rows: Mapping[str, Reading]) -> None:
+    def _report(self, stop: int, rows: Mapping[str, Readings]) -> None:
         """Refit the running model and report what it shows; log suspicions."""
         for detail in self._model.add(stop, rows):
             if isinstance(detail, Suspicion):
@@ -246,7 +246,7 @@ class CollectSession:
         """Standard uncertainty [mm] of a predicted SMR position due to the parameters, by arm."""
         return self._model.standard_error_mm
 
-    def _check_missed(self, rows: Mapping[str, Reading]) -> None:
+    def _check_missed(self, rows: Mapping[str, Readings]) -> None:
         """Pause after too many consecutive stops without a reading; raise ``HardwareError`` if nobody attends."""
         self._missed = 0 if rows else self._missed + 1
         if self._missed < MOST_MISSED_IN_A_ROW:
@@ -359,13 +359,13 @@ class CollectSession:
 
     # -- measurement ---------------------------------------------------------------------------------------------------
 
-    def _measure(self, stop: int, states: Mapping[str, ArmState]) -> tuple[dict[str, Reading], list[Outcome]]:
+    def _measure(self, stop: int, states: Mapping[str, ArmState]) -> tuple[dict[str, Readings], list[Outcome]]:
         """Measure the arms in the order of their dwell times.
 
         Return the readings of their SMRs, and an outcome for each SMR that was not measured.
         """
         temperature_c = None if self._air is None else self._air.at_stop(stop)
-        rows: dict[str, Reading] = {}
+        rows: dict[str, Readings] = {}
         outcomes: list[Outcome] = []
         dwell_s = {name: self.work.dwell_s(stop, name) for name in states}
         for name in sorted(states, key=lambda name: dwell_s[name]):
@@ -386,7 +386,7 @@ class CollectSession:
 
     def _reading(
         self, stop: int, name: str, state: ArmState, point: PointAtRest, temperature_c: float | None
-    ) -> Reading:
+    ) -> Readings:
         """Return the reading of a point just measured; its dwell time lasts until the middle of the averaging."""
         rested_s, carried = self._mover.rested_s(name), self.profile.arms[name].payload
         return self._mover.reading(
@@ -407,7 +407,7 @@ class CollectSession:
             self.began_s = now_s - self.work.earlier_s
         return self.began_s
 
-    def _store(self, stop: int, rows: Mapping[str, Reading], outcomes: list[Outcome]) -> None:
+    def _store(self, stop: int, rows: Mapping[str, Readings], outcomes: list[Outcome]) -> None:
         """Store a stop; if writing fails, pause so that a person can free the disk, then try again."""
         while True:
             try:

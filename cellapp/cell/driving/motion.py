@@ -30,7 +30,7 @@ from cellapp.cell.safety.gate import (
     predicted_smr,
     refuse_paths,
 )
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings, coordinate_uncertainty
 from cellapp.ground.errors import CellappError, InputError
 from cellapp.ground.profile import Profile
 from cellapp.ground.progress import (
@@ -92,25 +92,19 @@ def motion_ended(stop: int | None, states: Mapping[str, ArmState]) -> MotionEnde
     return MotionEnded(stop, vectors({name: one.q for name, one in states.items()}), vectors(warm))
 
 
-def point_measured(stop: int, arm: str, reading: Reading) -> PointMeasured:
-    """Return the detail of a reading."""
-    x, y, z = reading.p_M.tolist()
-    warm = reading.joint_temperature_c
+def point_measured(stop: int, arm: str, reading: Readings) -> PointMeasured:
+    """Return the detail of one reading."""
+    x, y, z = reading.p_M[0].tolist()
+    warm, air_c, sigma_m = reading.joint_temperature_c, reading.temperature_c, coordinate_uncertainty(reading)
     return PointMeasured(
         stop=stop,
         arm=arm,
-        q=tuple(reading.q.tolist()),
+        q=tuple(reading.q[0].tolist()),
         p_M=(x, y, z),
-        sigma_mm=_sigma_mm(reading),
-        temperature_c=reading.temperature_c,
-        joint_temperature_c=None if warm is None else tuple(warm.tolist()),
+        sigma_mm=None if sigma_m is None else 1e3 * math.sqrt(3.0) * float(sigma_m[0]),
+        temperature_c=None if air_c is None else float(air_c[0]),
+        joint_temperature_c=None if warm is None else tuple(warm[0].tolist()),
     )
-
-
-def _sigma_mm(reading: Reading) -> float | None:
-    if reading.covariance_M is not None:
-        return 1e3 * math.sqrt(float(np.trace(reading.covariance_M)))
-    return None if reading.sigma_m is None else 1e3 * math.sqrt(3.0) * reading.sigma_m
 
 
 Vector = NDArray[np.float64]
@@ -510,11 +504,11 @@ class Mover:
             joints_c=None if state.joint_temperature_c is None else state.joint_temperature_c[None],
         )
 
-    def reading(self, name: str, point: PointAtRest, **conditions: Any) -> Reading:
+    def reading(self, name: str, point: PointAtRest, **conditions: Any) -> Readings:
         """Return the reading of a point just measured after the arm's last motion, with further ``conditions``."""
         same = ("q", "q_spread", "p_M", "covariance_M", "quaternion_M", "sigma_rad")
         conditions |= {key: getattr(point, key) for key in same}
-        return Reading(approach=self.approach(name).copy(), step=self.step(name), **conditions)
+        return Readings.one(approach=self.approach(name), step=self.step(name), **conditions)
 
     def rest(self, name: str, dwell_s: float, job: JobToken) -> None:
         """Wait until an arm has been at rest for ``dwell_s`` [s]. Raise as soon as the cell is stopped."""

@@ -58,7 +58,7 @@ from cellapp.cell.run.sqlite_file import (
 )
 from cellapp.cell.run.stations import in_one_frame, select_stations
 from cellapp.estimation.readings.columns import COLUMNS, OF_SEVERAL, OF_SOCKETS, SPLITS, Column, Values
-from cellapp.estimation.readings.readings import Reading, Readings, readings_from_columns
+from cellapp.estimation.readings.readings import Readings, readings_from_columns
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.grouping import grouped
@@ -389,7 +389,7 @@ class RunFile:
 
     # -- readings ----------------------------------------------------------------------------------------------------
 
-    def add_stop(self, configuration: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
+    def add_stop(self, configuration: int, rows: Mapping[str, Readings], outcomes: Sequence[Outcome] = ()) -> None:
         """Store one stop of all arms, and why arms have no reading there, in one transaction; on return it is on disk.
 
         Raises
@@ -399,7 +399,7 @@ class RunFile:
         ValueError
             If an array has the wrong shape or a required value is not finite.
         """
-        self._add({arm: reading.as_readings(configuration) for arm, reading in rows.items()}, outcomes)
+        self._add({arm: reading.at_stop(configuration) for arm, reading in rows.items()}, outcomes)
 
     def add_readings(self, arm: str, readings: Readings) -> None:
         """Store readings of one arm in one transaction. Raises as ``add_stop`` does."""

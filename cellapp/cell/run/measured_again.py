@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cellapp.cell.run.file import RunFile, check_readings, insert_readings, select_readings
 from cellapp.cell.run.records import ReferenceDrift
 from cellapp.cell.run.sqlite_file import Outcome, insert_outcome, schema_version, stored_columns, utc_now
-from cellapp.estimation.readings.readings import Reading, Readings
+from cellapp.estimation.readings.readings import Readings
 
 _SINCE = 9
 """Schema version from which on a stop may be measured again."""
@@ -36,7 +36,7 @@ class EarlierReadings:
     replaced: tuple[str, ...]
 
 
-def replace_stop(run: RunFile, stop: int, rows: Mapping[str, Reading], outcomes: Sequence[Outcome] = ()) -> None:
+def replace_stop(run: RunFile, stop: int, rows: Mapping[str, Readings], outcomes: Sequence[Outcome] = ()) -> None:
     """Store one stop that was measured again, in one transaction; on return it is on disk.
 
     The previous reading is kept, and the new one takes its split: measuring again moves no stop between identification
@@ -50,7 +50,7 @@ def replace_stop(run: RunFile, stop: int, rows: Mapping[str, Reading], outcomes:
     ValueError
         If an array has the wrong shape or a required value is not finite.
     """
-    batches = {arm: reading.as_readings(stop) for arm, reading in rows.items()}
+    batches = {arm: reading.at_stop(stop) for arm, reading in rows.items()}
     for arm, readings in batches.items():
         check_readings(arm, len(run.profile.arms[arm].type.joints), readings)
     with run.change() as connection:

@@ -597,11 +597,11 @@ def _network_notes(name: str, arm: ArmCalibration) -> list[str]:
     with_network, without = (arm.validate[stage].position_mm.rms for stage in ("network", "geometry"))
     if with_network < without:
         return []
-    left_out, before = (1e3 * value for value in (arm.training.left_out_rms, arm.training.without_rms))
+    its = arm.training.result
     return [
         f"arm '{name}': the network is in force, as it predicts left-out configurations of the learnt ones better"
-        f" ({left_out:.4f} mm rms, without it {before:.4f}), but not the held-out ones ({with_network:.4f} mm rms,"
-        f" geometry {without:.4f}): '--network none' calibrates without it"
+        f" ({its.left_out_rms_mm:.4f} mm rms, without it {its.without_rms_mm:.4f}), but not the held-out ones"
+        f" ({with_network:.4f} mm rms, geometry {without:.4f}): '--network none' calibrates without it"
     ]
 
 

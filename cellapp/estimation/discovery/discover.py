@@ -207,7 +207,7 @@ def _scatter_m(found: SearchResult) -> float:
     data = found.data
     if smoothness_of(found.fit.terms) is None:
         return 0.0
-    points = data.positions
+    points = data.points
     stated = 0.0 if data.stated is None else mean_variance(data.stated[points])
     return math.sqrt(max(mean_variance(data.sigma[points]) - stated, 0.0))
 
@@ -222,7 +222,7 @@ def _contradicted_claim(found: SearchResult, stated_mm: float) -> str | None:
 
 def _noise(data: ArmData) -> Noise:
     """Return the rms length of the noise: the stated one, else that estimated by the final fit (all of its scatter)."""
-    points = data.positions
+    points = data.points
     if data.stated is None or states_nothing(data.stated[points]):
         return Noise(rms=rms_length_mm(data.sigma[points]), source="estimated")
     return Noise(rms=rms_length_mm(data.stated[points]), source="stated")

@@ -242,7 +242,8 @@ class ForecastDesign:
         priors = {**typical_spreads(model.nominal.joints), **stated}
         covariance = readings.covariance_M
         assert covariance is not None
-        return cls(name, ArmData(profile, model, readings, arm.conditions, covariance, covariance, estimated, priors))
+        its = {**vars(arm.quantities()), "sigma": covariance}
+        return cls(name, ArmData(**its, profile=profile, model=model, parameter_set=estimated, prior_sigma=priors))
 
     def with_scatter(self, scatter_m: float) -> ForecastDesign:
         """Return the design with a scatter of every coordinate [m] beside the tracker's noise."""

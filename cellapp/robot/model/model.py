@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from cellapp.ground.counting import counted
 from cellapp.ground.errors import InputError
 from cellapp.ground.file_text import file_text
+from cellapp.ground.grouping import grouped
 from cellapp.ground.profile import Profile
 from cellapp.ground.results import plain_data
 from cellapp.robot.effects import (
@@ -770,16 +771,11 @@ class PosteriorSamples:
 
 def _add(joints: Array, moved: Array, columns: Sequence[EffectColumn], sampled: Array) -> None:
     """Add joint offsets (S, n, N) and shifts (S, n, 3) of columns with sampled values (S, m)."""
-    by_joint: dict[int, list[int]] = {}
-    shifting: NDArray[np.intp] = np.array([k for k, one in enumerate(columns) if one.joint is None], dtype=np.intp)
-    for k, column in enumerate(columns):
-        if column.joint is not None:
-            by_joint.setdefault(column.joint, []).append(k)
-    for joint, own in by_joint.items():
-        joints[:, :, joint] += sampled[:, own] @ np.array([columns[k].offset for k in own])
-    if len(shifting):
-        shifts = np.array([columns[k].shift_M for k in shifting])
-        moved += np.tensordot(sampled[:, shifting], shifts, axes=1)
+    for joint, own in grouped((column.joint, k) for k, column in enumerate(columns)).items():
+        if joint is None:
+            moved += np.tensordot(sampled[:, own], np.array([columns[k].shift_M for k in own]), axes=1)
+        else:
+            joints[:, :, joint] += sampled[:, own] @ np.array([columns[k].offset for k in own])
 
 
 def posterior_to_json(posterior: PosteriorSamples) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from cellapp.cell.driving.records import CollectResult
 from cellapp.cell.planning.plan import plan_stops
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.measured_again import earlier_readings, missing_share, reference_drifts
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings
 from cellapp.ground.control import JobControl, Request, Stopped
 from cellapp.ground.errors import HardwareError, InputError
 from cellapp.ground.profile import Profile
@@ -334,7 +334,7 @@ def test_a_full_disk_holds_the_reading_until_a_person_freed_it(bench: Bench, mon
     add_stop = RunFile.add_stop
     full = [True]
 
-    def refused(self: RunFile, stop: int, rows: dict[str, Reading], *others: Any) -> None:
+    def refused(self: RunFile, stop: int, rows: dict[str, Readings], *others: Any) -> None:
         if stop == 3 and full[0]:
             raise InputError("run.sqlite: database or disk is full")
         add_stop(self, stop, rows, *others)

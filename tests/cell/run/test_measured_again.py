@@ -25,7 +25,7 @@ from cellapp.cell.run.records import ArmOrder
 from cellapp.commands.calibrate.run import sample_missing_splits
 from cellapp.commands.import_ import ImportRequest
 from cellapp.commands.import_ import run as import_run
-from cellapp.estimation.readings import Reading, Readings
+from cellapp.estimation.readings import Readings
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
 from cellapp.ground.profile.sections import Smr
@@ -45,8 +45,8 @@ from tests.twin import PROFILES, small_twin
 from tests.verbs import import_new_run
 
 
-def seen(joints: int, x_m: float) -> Reading:
-    return Reading(q=np.zeros(joints), p_M=np.array([x_m, 0.0, 0.0]), time_s=9.0, split="train")
+def seen(joints: int, x_m: float) -> Readings:
+    return Readings.one(q=np.zeros(joints), p_M=np.array([x_m, 0.0, 0.0]), time_s=9.0, split="train")
 
 
 @pytest.fixture
@@ -124,7 +124,7 @@ def test_a_file_of_the_eighth_schema_has_none_and_takes_some(run: RunFile) -> No
 
 def reading(number: int, **more: object) -> Readings:
     values = {"q": np.full(3, 0.1 * number), "p_M": np.full(3, float(number)), **more}
-    return Reading(**values).as_readings(number)  # type: ignore[arg-type]
+    return Readings.one(**values).at_stop(number)
 
 
 # -- Import in the order of measurement: each joint's last motion from the row before, and what contradicts it ---------

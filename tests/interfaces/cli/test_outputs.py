@@ -17,7 +17,7 @@ import typer
 
 from cellapp.cell.profile.files import write_new
 from cellapp.cell.run import RunFile
-from cellapp.estimation.readings import Reading
+from cellapp.estimation.readings import Readings
 from cellapp.ground import outputs
 from cellapp.ground.errors import InputError
 from cellapp.ground.outputs import NEW_ONLY, RENEWED, Outputs, Writes
@@ -81,7 +81,7 @@ def run_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The file of a run in the folder R below the working folder, closed, and what else is never replaced."""
     monkeypatch.chdir(tmp_path)
     with RunFile.create(Path("R"), two_arms()) as run:
-        run.add_stop(0, {"left": Reading(q=np.zeros(2), p_M=np.zeros(3))})
+        run.add_stop(0, {"left": Readings.one(q=np.zeros(2), p_M=np.zeros(3))})
     Path("there.txt").write_bytes(OLD)
     Path("cell.yaml").write_text("# a cell\nschema: cellapp-profile\nversion: 1\n")
     Path("draft.txt").write_text("name: draft\narms:\n  left: {}\ntracker: {}\n")

@@ -41,7 +41,7 @@ from cellapp.estimation.discovery.search.state import (
 )
 from cellapp.robot.effects import EFFECTS, InputVariable
 from cellapp.robot.effects.data_driven import ActedOn, acted_on, data_driven_form
-from cellapp.robot.effects.effect import imitation, is_borrowed, place_in_words
+from cellapp.robot.effects.effect import borrowed, is_borrowed, place_in_words
 from cellapp.robot.effects.law import AMPLITUDE
 from cellapp.robot.effects.unknown import FunctionFamily, curve_families, own_angles, pair_families
 
@@ -136,7 +136,7 @@ def without_imitations(problem: SearchProblem, state: SearchState) -> SearchStat
         effect = EFFECTS[term.slug]
         places = place_in_words(tuple(dict.fromkeys(column.where for column in fit.term_columns(number))))
         note = f"something moves {places} and looks like {effect.title}"
-        law = imitation(effect, term.law.form).law(term.law.constants, term.law.tried)
+        law = borrowed("imitation", effect, term.law.form).law(term.law.constants, term.law.tried)
         terms = with_term(terms, number, replace(term, slug=UNKNOWN, law=law, note=note))
     return state if terms is fit.terms else problem.state(terms, state)
 

@@ -31,7 +31,7 @@ from cellapp.estimation.discovery.search.state import (
 )
 from cellapp.ground.counting import counted
 from cellapp.robot.effects import EFFECTS, InputVariable
-from cellapp.robot.effects.effect import form_without_bounds, sentence
+from cellapp.robot.effects.effect import borrowed, sentence
 from cellapp.robot.effects.periodic import LINES
 from cellapp.robot.kinematics.transforms import Array
 
@@ -276,7 +276,7 @@ def _impossible_term(state: SearchState, score: LawScore) -> ModelTerm | None:
         if not column.lower <= value <= column.upper
     ]
     note = sentence(effect, [column for column, _ in outside], [value for _, value in outside])
-    unbounded = form_without_bounds(effect, law.form).law(law.constants, law.tried)
+    unbounded = borrowed("contradiction", effect, law.form).law(law.constants, law.tried)
     return ModelTerm(UNKNOWN, unbounded, score.names, note=note)
 
 

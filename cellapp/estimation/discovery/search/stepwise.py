@@ -205,7 +205,7 @@ def search(data: ArmData, slugs: Sequence[str], steps: JobSteps) -> SearchResult
 
 def _claim(data: ArmData, start: SearchState, before_names: SearchState | None) -> float:
     """Return the ratio of the scatter of positions to what they state, about free functions; 1 if nothing is stated."""
-    points = data.positions
+    points = data.points
     if data.stated is None or states_nothing(data.stated[points]):
         return 1.0
     about_geometry = scatter(data, start.fit)

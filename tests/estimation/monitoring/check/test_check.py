@@ -9,12 +9,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2, kstest
 
+from cellapp.estimation.calibration.quantities import measured_quantities
 from cellapp.estimation.monitoring.belief import CheckBelief, arm_belief, check_belief
 from cellapp.estimation.monitoring.causes import Design, MinPValueTest, after, log_valid
 from cellapp.estimation.monitoring.linear import Moments, StopRows, directions_of, stop_rows
 from cellapp.estimation.monitoring.records import CheckResult
 from cellapp.estimation.monitoring.sequential import SequentialTest
-from cellapp.estimation.prior.belief import Measured, Prior, posterior
+from cellapp.estimation.prior.belief import Prior, posterior
 from cellapp.estimation.readings import Readings, joined
 from cellapp.ground.errors import InputError, NotConverged
 from cellapp.ground.profile import Profile
@@ -241,7 +242,7 @@ def posterior_of(pair: SimulatedCell, readings: Readings, conditions: Measuremen
     arm = pair.belief.arms["left"]
     bare = replace(arm.model, effects=())
     prior = Prior(arm.columns, bare.nominal, np.zeros(len(arm.columns)), 1e6 * np.eye(len(arm.columns)))
-    measured = Measured.of(readings, conditions)
+    measured = measured_quantities(readings, conditions)
     return CheckBelief({"left": arm_belief(posterior(bare, measured, prior), measured)})
 
 
@@ -306,7 +307,7 @@ def test_drift_of_the_day_hides_as_large_a_motion_of_the_base(pair: SimulatedCel
     )
     drifting = replace(arm.model, effects=(term,))
     readings = replace(its, p_M=its.p_M + drifting.predict(its.q, conditions=conditions) - arm.model.predict(its.q))
-    measured = Measured.of(readings, conditions)
+    measured = measured_quantities(readings, conditions)
     count = len(arm.columns) + 3
     prior = Prior(arm.columns, arm.model.nominal, np.zeros(count), np.diag(np.r_[np.full(count - 3, 1e6), 0, 0, 0]))
     belief = arm_belief(posterior(drifting, measured, prior), measured)
