@@ -29,6 +29,7 @@ from drivers.arms.simulated import SimulatedArm
 from drivers.trackers.protocol import TrackerLinkLost
 from drivers.trackers.simulated import SimulatedTracker
 from tests.twin import plant_of, small_twin
+from tests.verbs import collect_by
 
 STOPS, RESERVE = 8, 3
 Act = Callable[["Bench"], None]
@@ -84,7 +85,7 @@ class Bench:
 
     def collect(self, **options: Any) -> CollectResult:
         with self.control.heard_by(lambda event, _: self.heard.append(event)):
-            return collect_run(self.run, self.control, opened=self.opened, **options)
+            return collect_by(self.opened, self.run, self.control, **options)
 
     @property
     def tracker(self) -> SimulatedTracker:
@@ -517,7 +518,7 @@ def test_arms_that_are_not_at_home_are_confirmed_to_go_there_before_a_reference(
         return False
 
     with pytest.raises(InputError, match="not confirmed"):
-        collect_run(bench.run, control=bench.control, confirm=confirm, opened=away)
+        collect_by(away, bench.run, control=bench.control, confirm=confirm)
     for name, home in homes.items():
         np.testing.assert_array_equal(shown[0][name], home)
 
