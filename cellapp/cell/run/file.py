@@ -30,7 +30,6 @@ from cellapp.cell.run.sqlite_file import (
     FILE_NAME,
     FORMER_COLUMNS,
     UNFINISHED,
-    Document,
     Event,
     Outcome,
     ReferenceRow,
@@ -543,7 +542,7 @@ class RunFile:
     def read_result(self, name: str) -> str | None:
         """Return the text of a stored document, or None."""
         document = self.read_document(name)
-        return None if document is None else document.text
+        return None if document is None else document[1]
 
     def read_checked(self, name: str, kind: TypeAdapter[T], otherwise: T, to_do: str) -> T:
         """Return a stored document of this ``kind``, or ``otherwise``.
@@ -556,8 +555,8 @@ class RunFile:
         except ValidationError as error:
             raise InputError(f"{self.path}: the document '{name}' is damaged; {to_do}") from error
 
-    def read_document(self, name: str) -> Document | None:
-        """Return a stored document, or None."""
+    def read_document(self, name: str) -> tuple[str, str] | None:
+        """Return when a stored document was written (UTC), and its text; None without one."""
         with self.look() as connection:
             return select_document(connection, name)
 
