@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import TypeAdapter
 
 from cellapp.cell.planning.information import geometry_priors
 from cellapp.cell.planning.planned_stops import PlannedStops, last_motions
@@ -186,13 +186,8 @@ def read_sweeps(run: RunFile) -> tuple[PlannedSweep, ...]:
 
 def read_planned_sweeps(run: RunFile) -> PlannedSweeps:
     """Read the planned sweeps of a run with their notes, as ``read_sweeps`` does; unknown keys are ignored."""
-    text = run.read_result(SWEEPS_RESULT)
-    if text is None:
-        return PlannedSweeps(sweeps=())
-    try:
-        return PlannedSweeps.model_validate_json(text, extra="ignore")
-    except ValidationError:
-        raise InputError(f"{run.path} is damaged ({SWEEPS_RESULT}); restore it from a copy") from None
+    none = PlannedSweeps(sweeps=())
+    return run.read_checked(SWEEPS_RESULT, TypeAdapter(PlannedSweeps), none, "restore the run from a copy")
 
 
 def plan_sweeps(profile: Profile, stops: PlannedStops, job: JobToken = UNATTENDED) -> PlannedSweeps:

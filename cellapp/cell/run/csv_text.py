@@ -133,11 +133,11 @@ def write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[str]], 
     outputs.write_text(path, table_text(header, rows))
 
 
-def table_text(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Format a table as CSV."""
+def table_text(header: Sequence[str], rows: Iterable[Sequence[str]], end: str = "\r\n") -> str:
+    """Format a table as CSV, with this ``end`` of each line."""
     text = io.StringIO(newline="")
     # The writer quotes a carriage return within a text only if the line terminator contains one.
-    writer = csv.writer(text, lineterminator="\r\n")
+    writer = csv.writer(text, lineterminator=end)
     writer.writerow(header)
     writer.writerows(rows)
     return text.getvalue()

@@ -9,7 +9,6 @@ import numpy as np
 from cellapp.cell.driving.cell_checks import noting_controllers
 from cellapp.cell.driving.locate import LocatedStation, LocateTask, locate_station
 from cellapp.cell.driving.requests import running_job
-from cellapp.cell.driving.supervision import Opened
 from cellapp.cell.run import RunFile
 from cellapp.cell.run.recordings import known_readings
 from cellapp.commands.check.location import LocatedPoint, LocateResult, StationPose
@@ -39,13 +38,12 @@ def locate_run(
     *,
     tracker_pose: Pose | None = None,
     simulated_pose: Pose | None = None,
-    open_with: Opened | None = None,
 ) -> LocateResult:
     """Measure points of the arms from the tracker's present station, and store the model in its frame.
 
     ``tracker_pose`` is the rough pose of the tracker in the cell frame, by default the last located one, or that in
     the profile. ``simulated_pose`` first moves the tracker of a simulated cell, for this and later jobs in this run.
-    ``open_with`` opens the cell. If the points do not fit, the result says why and has no model.
+    If the points do not fit, the result says why and has no model.
 
     Raises
     ------
@@ -72,7 +70,7 @@ def locate_run(
     opened = noting_controllers(run, notes)
     with running_job(run, control, "locate"):
         confirm = confirmation(run.profile, work.ask(run.profile.name))
-        found = locate_station(task, control, confirm=confirm, opened=opened, open_with=open_with)
+        found = locate_station(task, control, confirm=confirm, opened=opened)
         result = _result(run.profile, task, found, (*notes, *found.notes))
         model = relocated(task.model, found.fit.T_new_old, found.fit.twists) if found.fit.explains else None
         _store(run, used, result, model)  # before the end is reported: listeners then read the run
