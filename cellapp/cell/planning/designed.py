@@ -21,7 +21,13 @@ from typing import TypeVar, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from cellapp.cell.planning.candidates import CandidatePool, draw_pool, random_configurations, workspace_configurations
+from cellapp.cell.planning.candidates import (
+    GROUP,
+    CandidatePool,
+    draw_pool,
+    random_configurations,
+    workspace_configurations,
+)
 from cellapp.cell.planning.information import InformationModel, drawn_conditions, even_conditions, information_model
 from cellapp.cell.planning.planned_stops import PlannedStops, joined_after
 from cellapp.cell.planning.records import ArmDesign, ErrorName, ObservabilityIndices, PlanQuality
@@ -342,7 +348,7 @@ class DesignJudge:
         cell = cell_bodies(profile)
         number = min(math.ceil(_LARGER[-1] * stops), max(_MOST_RANDOM, stops))
         drawn = []
-        for q in islice(random_configurations(cell, profile, name, rng), number):
+        for q in islice(random_configurations(cell, profile, name, rng, GROUP), number):
             cancel.check()
             drawn.append(q)
         q = np.array(drawn)
