@@ -149,8 +149,10 @@ def _first_joints(joints: int) -> int:
 
 
 def _facing(arm: ArmBodies, T_C_M: Array, q: Array) -> Array:
-    """Combine in each group of ``q`` (b, g, N) [rad] the first joints of each draw with the other joints of each; return
-    the configurations (n, N) whose SMR faces a tracker at ``T_C_M`` (4, 4), but for rounding."""
+    """Combine in each group of ``q`` (b, g, N) [rad] the first joints of each draw with the others of each.
+
+    Return the configurations (n, N) whose SMR faces a tracker at ``T_C_M`` (4, 4), but for rounding.
+    """
     s, geometry, flat = _first_joints(q.shape[2]), arm.geometry, q.reshape(-1, q.shape[2])
     wrist = replace(geometry, base=np.zeros(6), rows=geometry.rows[s:], reference_axis=2)
     (R, o), (R_wrist, o_wrist) = (
