@@ -38,6 +38,8 @@ hardly lose: at 1 a design of 100 stops is worth 205 random ones there, at 3 or 
 throughout."""
 _ROWS_AT_ONCE = 6000
 """Batch size of rows for conversion of precision and products."""
+_CHANGES_AT_ONCE = 100
+"""Number of changes after which the matrices are computed anew from them."""
 Rows = NDArray[np.intp]
 """Indices of candidates."""
 
@@ -114,23 +116,39 @@ class BlockDesign:
     """
 
     def __init__(self, information: Array, weights: Array) -> None:
-        self.covariance = inverse_psd(information)
-        """C (p, p) of the present design."""
-        self._CWC = self.covariance @ weights @ self.covariance
+        self._C = inverse_psd(information)
+        self._CWC = self._C @ weights @ self._C
+        self._steps, self._changes = np.empty((3, 3 * _CHANGES_AT_ONCE, len(weights))), 0
+        """Rows A, S, B of the latest changes: the present ones are C - A^T S and CWC - S^T B - B^T S."""
         self.track(np.empty((0, 3, len(weights))))
+
+    @property
+    def covariance(self) -> Array:
+        """C (p, p) of the present design."""
+        self._update()
+        return self._C
+
+    def _update(self) -> None:
+        if self._changes:
+            A, S, B = self._steps[:, : 3 * self._changes]
+            half = S.T @ B
+            self._C, self._CWC, self._changes = self._C - A.T @ S, self._CWC - (half + half.T), 0
 
     def screened(self, rows: Array, count: int) -> Rows:
         """Return the indices of the ``count`` largest tr(U) among candidates ``rows`` (s, 3, p), unsorted.
 
         This is the gain to first order, in the precision of the rows: to rank the best candidates, track them.
         """
+        if count >= len(rows):
+            return np.arange(len(rows))
+        _, S, B = self._steps[:, : 3 * self._changes].astype(rows.dtype)
         CWC, squares = self._CWC.astype(rows.dtype), [np.empty(0)]
         flat = rows.reshape(-1, rows.shape[2])
         for first in range(0, len(flat), _ROWS_AT_ONCE):
             part = flat[first : first + _ROWS_AT_ONCE]
-            squares.append(np.einsum("rp,rp->r", part @ CWC, part))
-        score = np.concatenate(squares).reshape(-1, 3).sum(axis=1)
-        return np.arange(len(rows)) if count >= len(rows) else np.argpartition(-score, count)[:count]
+            square = np.einsum("rp,rp->r", part @ CWC, part)
+            squares.append(square - 2.0 * np.einsum("rk,rk->r", part @ S.T, part @ B.T) if self._changes else square)
+        return np.argpartition(-np.concatenate(squares).reshape(-1, 3).sum(axis=1), count)[:count]
 
     def track(self, rows: Array) -> None:
         """Track the gains of candidates ``rows`` (s, 3, p) from now on, instead of the previous ones.
@@ -138,8 +156,9 @@ class BlockDesign:
         Comparisons use double precision: in single precision the last digits of the processor's BLAS decide between
         nearly equal candidates, and the same seed gives other plans on other processors.
         """
+        self._update()
         self._rows = rows.astype(np.float64).reshape(-1, rows.shape[2])
-        self._V, self._U = (_products(self._rows @ matrix, self._rows) for matrix in (self.covariance, self._CWC))
+        self._V, self._U = (_products(self._rows @ matrix, self._rows) for matrix in (self._C, self._CWC))
 
     def gains(self, sign: float = 1.0) -> Array:
         """Return the decrease of tr(C W) by adding each tracked candidate (s,), with ``sign`` -1 the increase by
@@ -147,17 +166,21 @@ class BlockDesign:
         return trace_of_solution(self._V, self._U, sign)
 
     def change(self, row: Array, sign: float = 1.0) -> None:
-        """Add a candidate ``row`` (3, p), or remove it with ``sign`` -1; a shallow copy made before stays as it was."""
-        row = row.astype(np.float64)
-        Cx, H = row @ self.covariance, row @ self._CWC
-        G = np.linalg.solve(np.eye(3) + sign * (Cx @ row.T), Cx)
-        B = H - 0.5 * sign * (H @ row.T) @ G
-        self.covariance = self.covariance - sign * (Cx.T @ G)
-        half = sign * (G.T @ B)
-        self._CWC = self._CWC - (half + half.T)
-        by_Cx, by_G, by_B = np.split(self._rows @ np.concatenate([Cx, G, B]).T, 3, axis=1)
-        self._V = self._V - sign * _products(by_Cx, by_G)
-        half = sign * _products(by_G, by_B)
+        """Add a candidate ``row`` (3, p), or remove it with ``sign`` -1; a copy made before may replace this design."""
+        if self._changes == _CHANGES_AT_ONCE:
+            self._update()
+        row, end = row.astype(np.float64), 3 * self._changes
+        A, S, B = self._steps[:, :end]
+        Cx = row @ self._C - (row @ A.T) @ S
+        H = row @ self._CWC - (row @ S.T) @ B - (row @ B.T) @ S
+        G = sign * np.linalg.solve(np.eye(3) + sign * (Cx @ row.T), Cx)
+        self._steps[:, end : end + 3] = Cx, G, H - 0.5 * (H @ row.T) @ G
+        self._changes += 1
+        by_Cx, by_G, by_B = (
+            (self._rows @ self._steps[:, end : end + 3].reshape(9, -1).T).reshape(-1, 3, 3, 3).transpose(2, 0, 1, 3)
+        )
+        self._V = self._V - by_Cx @ by_G.transpose(0, 2, 1)
+        half = by_G @ by_B.transpose(0, 2, 1)
         self._U = self._U - (half + half.transpose(0, 2, 1))
 
 
@@ -198,6 +221,10 @@ _EXCHANGED_AT_ONCE = 40
 """Number of exchanges with the same tracked candidates."""
 _PROMISING = 400
 """Most promising candidates of a pass of exchanges, in addition to the number of chosen ones."""
+_NEXT = 4
+"""Of the candidates, so many times as many are looked at by the next pass."""
+_LEAST_GAIN = 0.004
+"""A pass ends where exchanges with the same tracked candidates gain less of J: the stops that follow tell more."""
 _MISSED = 0.3
 """Share of the stops that is ordered: spare ones, reserves, and those in whose place others are repeated."""
 _MOST_EXCHANGED = 420
@@ -246,9 +273,9 @@ def choose_blocks(
         return np.arange(len(candidates))
     random = candidates.prior + candidates.mean_information * count
     chosen = _greedy(candidates, count, criterion.weights(inverse_psd(random)), rng, steps)
-    best = criterion.value(candidates.covariance(chosen))
+    best, among = criterion.value(candidates.covariance(chosen)), np.arange(len(candidates))
     for _ in range(PASSES):
-        exchanged = _exchanged(candidates, chosen, criterion, steps)
+        exchanged, among = _exchanged(candidates, chosen, among, criterion, steps)
         value = criterion.value(candidates.covariance(exchanged))
         if value >= best:  # only the linear criterion improved
             break
@@ -291,13 +318,19 @@ def _greedy(candidates: Candidates, count: int, W: Array, rng: np.random.Generat
     return np.flatnonzero(~free)
 
 
-def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, steps: JobSteps) -> Rows:
-    """Exchange each chosen stop, that of least information first, for the best other candidate or itself."""
+def _exchanged(
+    candidates: Candidates, chosen: Rows, among: Rows, criterion: Criterion, steps: JobSteps
+) -> tuple[Rows, Rows]:
+    """Exchange each chosen stop, that of least information first, for the best other candidate or itself.
+
+    Return the new choice and the most promising ``among`` the candidates, for the next pass.
+    """
     design = candidates.design(chosen, criterion)
     queue = chosen[np.argsort(design.gains(-1.0), kind="stable")][:_MOST_EXCHANGED]
     free = np.ones(len(candidates), dtype=bool)
     free[chosen] = False
-    promising = np.sort(design.screened(candidates.rows, _PROMISING + len(chosen)))
+    among = among[design.screened(candidates.rows[among], _NEXT * (_PROMISING + len(chosen)))]
+    promising = np.sort(among[design.screened(candidates.rows[among], _PROMISING + len(chosen))])
     for first in range(0, len(queue), _EXCHANGED_AT_ONCE):
         steps.check()
         steps(len(chosen) + first, "exchange")
@@ -307,20 +340,24 @@ def _exchanged(candidates: Candidates, chosen: Rows, criterion: Criterion, steps
         looked_at = np.concatenate([leaving, coming])
         rows, outside = candidates.rows[looked_at], np.where(free[looked_at], 0.0, -np.inf)
         design.track(rows)
+        gained = 0.0
         for place in range(len(leaving)):
             if outside[place] == 0.0:
                 continue
             before = copy(design)
             design.change(rows[place], -1.0)
             outside[place] = 0.0
-            best = int(np.argmax(design.gains() + outside))
-            outside[best] = -np.inf
+            gains = design.gains() + outside
+            best = int(np.argmax(gains))
+            outside[best], gained = -np.inf, gained + float(gains[best] - gains[place])
             if best == place:
                 design = before
             else:
                 design.change(rows[best])
         free[looked_at] = outside == 0.0
-    return np.flatnonzero(~free)
+        if gained < _LEAST_GAIN:
+            break
+    return np.flatnonzero(~free), among
 
 
 # ---------------------------------------------------------------------------------------------------------------------
