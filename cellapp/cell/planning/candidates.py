@@ -30,7 +30,7 @@ from cellapp.cell.safety.bodies import (
     sight_of,
     usable_acceptance,
 )
-from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone, visible
+from cellapp.cell.safety.gate import BEAM_RADIUS, CellBodies, clear_alone
 from cellapp.cell.safety.shapes import ObstacleBody, beam_gaps
 from cellapp.ground.errors import InputError
 from cellapp.ground.profile import Profile
@@ -201,8 +201,6 @@ OWN_BEAM, MOUNTED = "own arm in the beam", "mounted obstacle in the beam"
 """Constraints that bodies set; each obstacle adds two more, under its name."""
 INCIDENCE = "incidence"
 """Name under which measurable configurations are counted that are left out to prefer smaller angles of incidence."""
-GATE = "gate"
-"""Name under which configurations are counted that all named constraints admit but the safety gate refuses."""
 
 
 def _usable(
@@ -211,7 +209,7 @@ def _usable(
     """Select the usable ones of the combinations of groups ``groups`` (b, g, N) of draws; ``keep`` decides by incidence
     (m,) [rad] what to keep.
 
-    Most face away from the tracker: that is found first, without bodies. The answer of the safety gate is final.
+    Most face away from the tracker: that is found first, without bodies. The constraints are those of the safety gate.
     """
     arm, field, drawn = cell.arms[name], _field(cell, name), groups.shape[0] * groups.shape[1] ** 2
     q = _facing(arm, field.T_C_M, groups)
@@ -231,7 +229,6 @@ def _usable(
     for constraint, margin in body_margins(cell, field, name).items():
         clear = margin(placed) > 0.0  # not for NaN
         rows, placed = only(constraint, clear), placed.take(clear)
-    rows = only(GATE, visible(cell, name, q[rows]) & clear_alone(cell, placed))
     return CandidatePool(q[rows], sight.incidence[rows], drawn, rejected)
 
 
