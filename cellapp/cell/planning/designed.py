@@ -295,7 +295,7 @@ _LARGER = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
 """Sizes of the random plans, relative to the judged plan; the equivalent size is interpolated among them."""
 _MOST_RANDOM = 12_000
 """Upper limit of the configurations in all random plans: bounds time and memory for plans of thousands of stops."""
-_DRAWS = 6
+_DRAWS = 4
 """Number of random plans of a size that are averaged: the worst point differs by 10 % from plan to plan. Fewer of large
 plans, which differ less: as many as could be drawn apart from each other."""
 _PARTS = (25, 50, 100, 200, 400, 800, 1600, 3200)

@@ -38,8 +38,8 @@ hardly lose: at 1 a design of 100 stops is worth 205 random ones there, at 3 or 
 throughout."""
 _ROWS_AT_ONCE = 6000
 """Batch size of rows for conversion of precision and products."""
-_CHANGES_AT_ONCE = 100
-"""Number of changes after which the matrices are computed anew from them."""
+_ROWS_CHANGED = 300
+"""Number of changed rows after which the matrices are computed anew from them."""
 Rows = NDArray[np.intp]
 """Indices of candidates."""
 
@@ -118,7 +118,7 @@ class BlockDesign:
     def __init__(self, information: Array, weights: Array) -> None:
         self._C = inverse_psd(information)
         self._CWC = self._C @ weights @ self._C
-        self._steps, self._changes = np.empty((3, 3 * _CHANGES_AT_ONCE, len(weights))), 0
+        self._steps, self._changed = np.empty((3, _ROWS_CHANGED, len(weights))), 0
         """Rows A, S, B of the latest changes: the present ones are C - A^T S and CWC - S^T B - B^T S."""
         self.track(np.empty((0, 3, len(weights))))
 
@@ -129,10 +129,10 @@ class BlockDesign:
         return self._C
 
     def _update(self) -> None:
-        if self._changes:
-            A, S, B = self._steps[:, : 3 * self._changes]
+        if self._changed:
+            A, S, B = self._steps[:, : self._changed]
             half = S.T @ B
-            self._C, self._CWC, self._changes = self._C - A.T @ S, self._CWC - (half + half.T), 0
+            self._C, self._CWC, self._changed = self._C - A.T @ S, self._CWC - (half + half.T), 0
 
     def screened(self, rows: Array, count: int) -> Rows:
         """Return the indices of the ``count`` largest tr(U) among candidates ``rows`` (s, 3, p), unsorted.
@@ -141,13 +141,13 @@ class BlockDesign:
         """
         if count >= len(rows):
             return np.arange(len(rows))
-        _, S, B = self._steps[:, : 3 * self._changes].astype(rows.dtype)
+        _, S, B = self._steps[:, : self._changed].astype(rows.dtype)
         CWC, squares = self._CWC.astype(rows.dtype), [np.empty(0)]
         flat = rows.reshape(-1, rows.shape[2])
         for first in range(0, len(flat), _ROWS_AT_ONCE):
             part = flat[first : first + _ROWS_AT_ONCE]
             square = np.einsum("rp,rp->r", part @ CWC, part)
-            squares.append(square - 2.0 * np.einsum("rk,rk->r", part @ S.T, part @ B.T) if self._changes else square)
+            squares.append(square - 2.0 * np.einsum("rk,rk->r", part @ S.T, part @ B.T) if self._changed else square)
         return np.argpartition(-np.concatenate(squares).reshape(-1, 3).sum(axis=1), count)[:count]
 
     def track(self, rows: Array) -> None:
@@ -165,22 +165,24 @@ class BlockDesign:
         removing it; valid for those in the design."""
         return trace_of_solution(self._V, self._U, sign)
 
-    def change(self, row: Array, sign: float = 1.0) -> None:
-        """Add a candidate ``row`` (3, p), or remove it with ``sign`` -1; a copy made before may replace this design."""
-        if self._changes == _CHANGES_AT_ONCE:
+    def change(self, rows: Array, sign: float = 1.0) -> None:
+        """Add candidates by their ``rows`` (3 k, p), or remove them with ``sign`` -1.
+
+        A shallow copy made before may be used in place of this design.
+        """
+        if self._changed + len(rows) > _ROWS_CHANGED:
             self._update()
-        row, end = row.astype(np.float64), 3 * self._changes
+        rows, end = rows.astype(np.float64), self._changed
         A, S, B = self._steps[:, :end]
-        Cx = row @ self._C - (row @ A.T) @ S
-        H = row @ self._CWC - (row @ S.T) @ B - (row @ B.T) @ S
-        G = sign * np.linalg.solve(np.eye(3) + sign * (Cx @ row.T), Cx)
-        self._steps[:, end : end + 3] = Cx, G, H - 0.5 * (H @ row.T) @ G
-        self._changes += 1
-        by_Cx, by_G, by_B = (
-            (self._rows @ self._steps[:, end : end + 3].reshape(9, -1).T).reshape(-1, 3, 3, 3).transpose(2, 0, 1, 3)
-        )
-        self._V = self._V - by_Cx @ by_G.transpose(0, 2, 1)
-        half = by_G @ by_B.transpose(0, 2, 1)
+        Cx = rows @ self._C - (rows @ A.T) @ S
+        H = rows @ self._CWC - (rows @ S.T) @ B - (rows @ B.T) @ S
+        G = sign * np.linalg.solve(np.eye(len(rows)) + sign * (Cx @ rows.T), Cx)
+        self._changed = end + len(rows)
+        new = self._steps[:, end : self._changed]
+        new[:] = Cx, G, H - 0.5 * (H @ rows.T) @ G
+        by_Cx, by_G, by_B = np.split(self._rows @ new.reshape(-1, new.shape[2]).T, 3, axis=1)
+        self._V = self._V - _products(by_Cx, by_G)
+        half = _products(by_G, by_B)
         self._U = self._U - (half + half.transpose(0, 2, 1))
 
 
@@ -201,11 +203,11 @@ def trace_of_solution(V: Array, U: Array, sign: float) -> Array:
 #
 # Candidates are screened to first order; the best of them are updated in double precision after each change.
 
-SUBSET = 1000
+SUBSET = 600
 """Number of candidates looked at for each batch of the first choice."""
 PASSES = 3
 """Largest number of passes of exchanges, each with new weights W: as with the subset, the result improves slowly."""
-_BATCHES = 20
+_BATCHES = 12
 """Number of batches of the first choice; each draws a new subset."""
 _SMALLEST_BATCH = 20
 """Smallest batch of the first choice: with fewer stops the new subset costs more than the choice."""
@@ -214,7 +216,7 @@ _FIRST_BATCH = 5
 updates lose as many digits."""
 _SAMPLED = 4000
 """Least number of candidates for the mean information: its errors are then about a percent."""
-_FOLLOWED = 80
+_FOLLOWED = 50
 """Number of tracked candidates, or two for each stop of a batch: with fewer, the best for a later one may be missing.
 """
 _EXCHANGED_AT_ONCE = 40
@@ -227,6 +229,8 @@ _LEAST_GAIN = 0.004
 """A pass ends where exchanges with the same tracked candidates gain less of J: the stops that follow tell more."""
 _MISSED = 0.3
 """Share of the stops that is ordered: spare ones, reserves, and those in whose place others are repeated."""
+_LIKELY_MISSED = 2
+"""For each of these, number of stops that are compared: those that can best be missed before any is."""
 _MOST_EXCHANGED = 420
 """Most exchanges of a pass; the stops of least information come first."""
 
@@ -285,12 +289,15 @@ def choose_blocks(
 
 def least_informative_last(candidates: Candidates, chosen: Rows, criterion: Criterion) -> Rows:
     """Move the stops that can best be missed, one after the other, to the end, the best one last."""
-    design, outside, last = candidates.design(chosen, criterion), np.zeros(len(chosen)), list[int]()
-    for _ in range(round(_MISSED * len(chosen))):
+    design, missed, last = candidates.design(chosen, criterion), round(_MISSED * len(chosen)), list[int]()
+    likely = np.sort(np.argsort(design.gains(-1.0), kind="stable")[: _LIKELY_MISSED * missed])
+    rows, outside = candidates.rows[chosen[likely]], np.zeros(len(likely))
+    design.track(rows)
+    for _ in range(missed):
         last.append(int(np.argmin(design.gains(-1.0) + outside)))
         outside[last[-1]] = np.inf
-        design.change(candidates.rows[chosen[last[-1]]], -1.0)
-    return np.concatenate([chosen[outside == 0.0], chosen[last[::-1]]])
+        design.change(rows[last[-1]], -1.0)
+    return np.concatenate([np.delete(chosen, likely[last]), chosen[likely[last[::-1]]]])
 
 
 def _greedy(candidates: Candidates, count: int, W: Array, rng: np.random.Generator, steps: JobSteps) -> Rows:
