@@ -43,11 +43,11 @@ _ROUNDING_M = 1e-9
 _OBLIQUE_SHARE = 0.25
 """Share of the configurations beyond the incidence of full accuracy that is kept: they are measured worse, but without
 them effects of the incidence could not be seen."""
-_AT_ONCE = 4000
-"""Independent configurations drawn at once: about 60 of them are usable in the twin cell, and they fit in the cache."""
-GROUP = 16
-"""Draws of a group: the first joints of each are combined with the other joints of each, so that the trigonometry is
-done once for many configurations. 2 to 4 of the 256 are usable in the twin cell."""
+INDEPENDENT = 4000, 1
+"""Groups drawn at once and draws in each: about 60 of 4000 single ones are usable in the twin cell."""
+COMBINED = 64, 16
+"""The same where the first joints of each draw of a group are combined with the other joints of each, so that the
+trigonometry is done once for many configurations; what is computed from them fits in the cache."""
 _MOST_DRAWS = 800_000
 _MOST_DRAWS_PER_CANDIDATE = 400
 """Draws after which the search ends: four times the number that a candidate takes in the twin cell, some seconds."""
@@ -105,7 +105,7 @@ def draw_pool(
     most = max(_MOST_DRAWS, count * _MOST_DRAWS_PER_CANDIDATE)
     while number < count and drawn < most:
         cancel.check()
-        found.append(_usable(cell, name, _draws(low, high, GROUP, rng), keep))
+        found.append(_usable(cell, name, _draws(low, high, COMBINED, rng), keep))
         number, drawn = number + len(found[-1].q), drawn + found[-1].drawn
     if number < min(count, profile.plan.stops + profile.plan.reserve):
         raise InputError(shortage(cell, profile, name, number, drawn))
@@ -116,10 +116,10 @@ def draw_pool(
 
 
 def random_configurations(
-    cell: CellBodies, profile: Profile, name: str, rng: np.random.Generator, group: int = 1
+    cell: CellBodies, profile: Profile, name: str, rng: np.random.Generator, groups: tuple[int, int] = INDEPENDENT
 ) -> Iterator[Array]:
     """Yield usable configurations (N,) [rad] of an arm without end, uniform in the plan's joint ranges; independent
-    where no ``group`` of draws is combined.
+    of each other unless draws are combined in ``groups``.
 
     Raises
     ------
@@ -129,18 +129,18 @@ def random_configurations(
     low, high = joint_ranges(cell, profile, name).T
     fruitless = 0
     while True:
-        usable = _usable(cell, name, _draws(low, high, group, rng))
+        usable = _usable(cell, name, _draws(low, high, groups, rng))
         yield from usable.q[::-1]  # this order belongs to the seed: a profile gives the same plan each time
         fruitless = 0 if len(usable.q) else fruitless + usable.drawn
         if fruitless >= _MOST_DRAWS:
             raise InputError(shortage(cell, profile, name, 0, fruitless))
 
 
-def _draws(low: Array, high: Array, group: int, rng: np.random.Generator) -> Array:
-    """Draw groups (b, g, N) [rad] uniformly between ``low`` and ``high`` (N,); g is 1 where half of the joints rest."""
+def _draws(low: Array, high: Array, groups: tuple[int, int], rng: np.random.Generator) -> Array:
+    """Draw ``groups`` (b, g, N) [rad] uniformly between ``low`` and ``high`` (N,); g is 1 where half of them rest."""
     moves = np.split(high > low, [_first_joints(len(low))])
-    g = group if all(half.any() for half in moves) else 1
-    return rng.uniform(low, high, size=(_AT_ONCE // g, g, len(low)))
+    b, g = groups if all(half.any() for half in moves) else (math.prod(groups), 1)
+    return rng.uniform(low, high, size=(b, g, len(low)))
 
 
 def _first_joints(joints: int) -> int:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cellapp.cell.planning.candidates import (
-    GROUP,
+    COMBINED,
     CandidatePool,
     draw_pool,
     random_configurations,
@@ -349,7 +349,7 @@ class DesignJudge:
         cell = cell_bodies(profile)
         number = min(math.ceil(_LARGER[-1] * stops), max(_MOST_RANDOM, stops))
         drawn = []
-        for q in islice(random_configurations(cell, profile, name, rng, GROUP), number):
+        for q in islice(random_configurations(cell, profile, name, rng, COMBINED), number):
             cancel.check()
             drawn.append(q)
         q = np.array(drawn)
